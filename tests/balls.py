@@ -98,6 +98,12 @@ def _splats() -> Splats:
 SPLATS, CAMERAS = _splats(), _cameras()
 
 
+def class_probabilities(splats: Splats) -> Tensor:
+    """The softmax of each Gaussian over the classes of the classifier."""
+    assert splats.identities is not None and splats.classifier is not None
+    return splats.classifier.logits(splats.identities).softmax(dim=-1)
+
+
 # The balls as a splat that came without photos, and boxes around them in its views.
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)

@@ -15,7 +15,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.content import Content
 from stylesplat.scene.layer import Layer, Source, without_identities
-from stylesplat.scene.projection import shown
+from stylesplat.scene.projection import is_in_image
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Classifier, Splats
 
@@ -136,7 +136,7 @@ def shares(
     weights = torch.ones(len(points)) if weights is None else weights
     points = points.double()
     return [
-        float(weights[shown(points, cameras[row])].sum() / weights.sum())
+        float(weights[is_in_image(points, cameras[row])].sum() / weights.sum())
         for row in range(len(cameras))
     ]
 

@@ -24,6 +24,7 @@ from .verbs.objects import objects as objects
 from .verbs.objects import rename as rename
 from .verbs.render import orbit as orbit
 from .verbs.render import render as render
+from .verbs.render import view as view
 from .verbs.select import select as select
 from .verbs.sfm import sfm as sfm
 from .verbs.sheet import sheet as sheet
@@ -31,4 +32,3 @@ from .verbs.stylize import stylise as stylise
 from .verbs.stylize import stylize as stylize
 from .verbs.stylize_live import stylize_live as stylize_live
 from .verbs.train import train as train
-from .verbs.view import view as view

@@ -91,11 +91,6 @@ def test_not_a_model(name: str, tmp_path: Path):
         find(name.format(tmp=tmp_path))
 
 
-def test_the_home_folder_is_known(folder: Path, monkeypatch):
-    monkeypatch.setenv("HOME", str(folder.parent))
-    assert find("~/model").path == folder
-
-
 def test_a_model_of_another_type(folder: Path):
     match = r"is of the type sam2_video\. To sing, pass one of the type opera or x"
     with pytest.raises(StyleSplatError, match=match):
@@ -149,16 +144,14 @@ def test_a_download_is_announced_and_starts_with_the_type(
 
 
 def test_the_hub_refuses(cache: Path, monkeypatch):
-    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
-
     def download(name: str, file: str) -> str:
         raise OSError("[Errno 28] No space left on device\nsecond line")
 
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
     monkeypatch.setattr(huggingface_hub, "hf_hub_download", download)
-    match = r"Cannot download owner/tiny: .*No space left on device\..*hf auth login"
-    with pytest.raises(StyleSplatError, match=match) as refused:
+    match = r"^Cannot download owner/tiny: .*No space left on device\..*hf auth login.*FOLDER`\.$"
+    with pytest.raises(StyleSplatError, match=match):
         find(NAME)
-    assert "\n" not in str(refused.value)
 
 
 def test_packages_that_are_missing(folder: Path, monkeypatch):
@@ -198,25 +191,6 @@ def test_weights_that_are_not_all_there(folder: Path, part: str):
 
     change_weights(folder, strip)
     refuse(folder, rf"lack \d+ of the tensors that Sam2VideoModel needs, such as .*{part[:14]}")
-
-
-def test_superfluous_weights_do_no_harm(folder: Path):
-    """The model for photos is loaded from the checkpoint of the one for sequences."""
-    change_weights(folder, lambda weights: weights.update(extra=torch.zeros(2)))
-    from transformers import AutoModelForMaskGeneration
-
-    source = find(folder)
-    model = load_model(source, AutoModelForMaskGeneration, device="cpu", dtype=torch.float32)
-    assert type(model).__name__ == "Sam2Model"
-    assert torch.equal(model.no_memory_embedding, load(folder).no_memory_embedding)
-
-
-def test_a_damaged_processor(folder: Path):
-    from transformers import Sam2VideoProcessor
-
-    (folder / "processor_config.json").write_text("{")
-    with pytest.raises(StyleSplatError, match=r"Cannot load the model in .*not a valid JSON file"):
-        load_processor(find(folder), Sam2VideoProcessor)
 
 
 def test_code_beside_a_model_is_not_run(folder: Path, tmp_path: Path):

@@ -1,6 +1,3 @@
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from threading import Barrier, BrokenBarrierError
 from typing import NamedTuple
 
 import pytest
@@ -55,20 +52,6 @@ def test_forgetting_frees_room():
     assert shop.cache.used == 10
     shop.get(2, 4, 5)
     assert shop.made == [1, 2, 3, 4, 5]
-
-
-def test_threads_that_ask_for_the_same_item_share_it():
-    cache: Cache[int] = Cache(100)
-    both = Barrier(2)
-
-    def make() -> tuple[torch.Tensor]:
-        with suppress(BrokenBarrierError):  # one thread alone may make it
-            both.wait(timeout=1)
-        return (torch.zeros(10, dtype=torch.uint8),)
-
-    with ThreadPoolExecutor(2) as pool:
-        one, other = pool.map(lambda _: cache.get(0, make)[0], range(2))
-    assert one is other and cache.used == 10
 
 
 class Pair(NamedTuple):

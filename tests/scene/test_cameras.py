@@ -29,7 +29,3 @@ def test_views_by_as_much_of_their_names_as_tells_them_apart(name: str, row: int
 def test_names_that_may_be_of_several_views_or_none(name: str):
     with pytest.raises(StyleSplatError, match="No view is called"):
         NAMED.index(name)
-
-
-def test_cameras_come_one_by_one():
-    assert [camera.names for camera in CAMERAS] == [(name,) for name in CAMERAS.names]

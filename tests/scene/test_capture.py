@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -53,14 +52,11 @@ def changed(tensor: torch.Tensor) -> torch.Tensor:
     [
         ({"cameras": replace(CAMERAS, names=("x.jpg", *CAMERAS.names[1:]))}, "other photos"),
         ({"cameras": replace(CAMERAS, sizes=changed(CAMERAS.sizes))}, "photos of another size"),
-        ({"cameras": replace(CAMERAS, Ks=changed(CAMERAS.Ks))}, "other poses"),
         ({"cameras": replace(CAMERAS, viewmats=changed(CAMERAS.viewmats))}, "other poses"),
         ({"points": changed(SPLATS.means)}, "other points"),
-        ({"point_colors": changed(torch.zeros_like(SPLATS.means).byte())}, "other points"),
         ({"points": None, "point_colors": None}, "other points"),
         ({"label_maps": [*MAPS[:2], changed(MAPS[2]), *MAPS[3:]]}, "other label maps"),
         ({"label_maps": [*MAPS[:7], None]}, "other label maps"),
-        ({"label_maps": None}, "other label maps"),
         ({"object_names": {3: "pot"}}, "other names of objects"),
         ({"photos": [*map(changed, PHOTOS)]}, "photos with other content"),
         ({"alphas": None}, "photos with other content"),
@@ -78,29 +74,6 @@ def changed(tensor: torch.Tensor) -> torch.Tensor:
 def test_each_ingredient_counts_and_is_named(changes: dict[str, Any], named: str):
     other = replace(CAPTURE, **changes)
     assert differences(fingerprint(CAPTURE), fingerprint(other)) == [named]
-
-
-def test_where_and_how_a_capture_is_kept_does_not_count():
-    moved = replace(
-        CAPTURE,
-        path=Path("/elsewhere"),
-        photos=Lazy([lambda photo=photo: photo.clone() for photo in PHOTOS]),
-        label_maps=[labels.int() for labels in MAPS],
-        object_names=dict(CAPTURE.object_names),
-    )
-    assert fingerprint(moved) == fingerprint(CAPTURE)
-
-
-def test_only_a_few_photos_are_read():
-    read: list[int] = []
-
-    def reader(row: int):
-        return lambda: (read.append(row), PHOTOS[row])[1]
-
-    capture = replace(CAPTURE, photos=Lazy([reader(row) for row in range(8)]))
-    read.clear()  # types are checked by looking at some
-    fingerprint(capture, photos=3)
-    assert read == [1, 4, 6]
 
 
 SIZES = ((40, 20), (20, 40))  # width and height

@@ -11,7 +11,7 @@ from stylesplat.scene.compose import (
     beneath,
     compose,
     family,
-    rows_unpainted,
+    splats_without_paint,
     with_layers,
     with_strengths,
     without_layers,
@@ -162,7 +162,7 @@ def test_what_lies_beneath_a_layer():
 
 
 def test_all_rows_before_show_what_was_there():
-    found = rows_unpainted(PAINTED)
+    found = splats_without_paint(PAINTED)
     assert len(found) == len(PAINTED.splats)
     assert_equal(found[ROWS], BASE)
     camera = two_cameras()[0]

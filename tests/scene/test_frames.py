@@ -6,19 +6,19 @@ import torch
 from balls import CAMERAS
 from scenes import random_splats, two_cameras
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.frames import SAME, Frame, known_frames, move_splats, seen_from
+from stylesplat.scene.frames import SAME, Frame, known_frames, move_cameras, move_splats
 
 
 def test_nerfstudio_frame_is_centred_upright_and_small():
     turned = Frame(known_frames(CAMERAS)["nerfstudio-axes"].rotation, 7.0, torch.ones(3))
-    cameras = seen_from(CAMERAS, turned)  # any frame before leads to the same
-    there = seen_from(cameras, known_frames(cameras)["nerfstudio"])
+    cameras = move_cameras(CAMERAS, turned)  # any frame before leads to the same
+    there = move_cameras(cameras, known_frames(cameras)["nerfstudio"])
     assert there.positions.mean(dim=0).abs().max() < 1e-5
     assert there.positions.abs().max() == pytest.approx(1, abs=1e-5)
     up = -there.viewmats[:, 1, :3].mean(dim=0)
     torch.testing.assert_close(up / up.norm(), torch.tensor([0.0, 0.0, 1.0]), atol=1e-5, rtol=0)
-    cameras = seen_from(CAMERAS, Frame(torch.diag(torch.tensor([1.0, -1.0, -1.0]))))
-    up = -seen_from(cameras, known_frames(cameras)["nerfstudio"]).viewmats[:, 1, :3].mean(dim=0)
+    cameras = move_cameras(CAMERAS, Frame(torch.diag(torch.tensor([1.0, -1.0, -1.0]))))
+    up = -move_cameras(cameras, known_frames(cameras)["nerfstudio"]).viewmats[:, 1, :3].mean(dim=0)
     assert up[2] > 0, "also upside down"
 
 
@@ -38,11 +38,11 @@ def test_cameras_that_move_along_see_the_same(degree: int, angles: tuple[float, 
     splats = replace(random_splats(sh_degree=degree), identities=None)
     frame = Frame(rotation(*angles), 1.5, torch.tensor([1.0, -2.0, 0.5]).double())
     cameras = two_cameras()
-    back = seen_from(seen_from(cameras, frame), frame.inverse())
+    back = move_cameras(move_cameras(cameras, frame), frame.inverse())
     torch.testing.assert_close(back.viewmats, cameras.viewmats, atol=1e-5, rtol=0)
     before, _, _ = rasterize(splats, cameras[0], backend="reference")
     after, _, _ = rasterize(
-        move_splats(splats, frame), seen_from(cameras, frame)[0], backend="reference"
+        move_splats(splats, frame), move_cameras(cameras, frame)[0], backend="reference"
     )
     # float32 of positions a few units from the origin; eps2d is in pixels, so scale changes nothing
     assert (after - before).abs().max() < 1e-3

@@ -5,12 +5,11 @@ from pathlib import Path
 import torch
 
 import stylesplat as ss
-from balls import CAMERAS, SPLATS, enlarged
+from balls import CAMERAS, SPLATS
 from scenes import plain_layer
 from stylesplat.scene.cache import Lazy
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import SceneObject
-from stylesplat.stylization.style import Recipe, StyledObject
 
 VASE = torch.arange(len(SPLATS)) < 20
 
@@ -26,14 +25,6 @@ def test_captures_read_no_photos_for_it():
     assert repr(plain) == "Capture(8 photos, 48x36, garden)"
     assert repr(labelled) == "Capture(8 photos, 48x36, label maps of vase, pot, 1 point)"
     assert not read
-
-
-def test_cameras_of_one_size_and_of_several():
-    assert repr(CAMERAS[0]) == "Cameras(1 view, 48x36, 0000.jpg)"
-    both = enlarged(CAMERAS, 2) + CAMERAS
-    assert repr(both).startswith("Cameras(16 views, 48x36 to 96x72, 0000.jpg, 0001.jpg, 0002.jpg")
-    assert repr(both).endswith("and 13 more)")
-    assert repr(CAMERAS[[]]) == "Cameras(0 views)"
 
 
 def test_scenes_and_what_is_in_them():
@@ -53,8 +44,3 @@ def test_scenes_and_what_is_in_them():
     )
     expected = "8 views (1 held out), objects: vase, painted: vase, garden-wave"
     assert repr(scene) == f"Scene({count}, {expected})"
-
-
-def test_it_is_one_line_whatever_names_hold():
-    recipe = Recipe((StyledObject("a\nb" + 200 * "c", ss.Style("night\x1b.jpg")),))
-    assert repr(recipe).isprintable()

@@ -14,9 +14,3 @@ def test_it_is_what_all_axes_share(axes: int, size: float):
     assert 0 < int(shared.sum()) < 500
     found = overlapping(lows, lows + size, low, high)
     assert torch.equal(found, shared.nonzero()[:, 0])
-
-
-def test_boxes_that_touch_share_a_point():
-    corners = torch.tensor([[0, 0], [1, 1], [2, 3]])
-    found = overlapping(corners, corners, torch.tensor([1, 1]), torch.tensor([2, 2]))
-    assert found.tolist() == [1]

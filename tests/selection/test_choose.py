@@ -21,14 +21,6 @@ def picked(scene: Scene, name: str) -> torch.Tensor:
     return scene.objects[name].picked
 
 
-def test_everything():
-    scene = select(SCENE, "it", all=True)
-    assert picked(scene, "it").all()
-    assert scene.objects["it"].how["all"] is True
-    less = select(select(SCENE, "red", id=3), "others", all=True, minus="red")
-    assert torch.equal(picked(less, "others"), ~picked(less, "red"))
-
-
 def test_the_background_is_what_no_label_id_has():
     """Strays of objects are not it, nor does it matter what has a name."""
     scene = select(SCENE, "part of it", box3d=(-3.0, -3.0, -1.0, 0.0, 3.0, 0.01))

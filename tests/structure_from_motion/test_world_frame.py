@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras, look_at
-from stylesplat.scene.frames import Frame, seen_from
+from stylesplat.scene.frames import Frame, move_cameras
 from stylesplat.structure_from_motion.world_frame import camera_up, find_centre, working_frame
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
@@ -108,14 +108,14 @@ def test_a_wall_or_a_slope_is_not_the_ground():
 def test_centre_scale_and_heading():
     cameras, points = walk(-60, 60, 24), table()
     frame = working_frame(cameras, points)
-    there = seen_from(cameras, frame)
+    there = move_cameras(cameras, frame)
     assert there.positions.norm(dim=1).median() == pytest.approx(1, abs=1e-5)
     thing = frame.place(torch.tensor([[0.0, 0.0, 0.3]]))
     assert thing.norm() < 0.03, "what they look at, but for the noise of their hands"
     views = there.viewmats[:, 2, :3].mean(dim=0)
     assert abs(views[0]) < 1e-5 and views[2] > 0.5 and views[1] > 0.1, "ahead, and down"
     around = walk(0, 350, 36)
-    first = seen_from(around, working_frame(around, points)).viewmats[0, 2, :3]
+    first = move_cameras(around, working_frame(around, points)).viewmats[0, 2, :3]
     assert abs(first[0]) < 1e-5 and first[2] > 0.5, "all around: the first photo looks ahead"
 
 
@@ -127,9 +127,9 @@ def test_any_frame_before_leads_to_the_same(seed: int, with_points: bool):
     turn, _ = torch.linalg.qr(torch.randn(3, 3, generator=generator))
     turn = turn * torch.linalg.det(turn).sign()
     other = Frame(turn, 10.0 ** (seed - 1), 5 * torch.randn(3, generator=generator))
-    first = seen_from(cameras, working_frame(cameras, points))
-    moved, places = seen_from(cameras, other), other.place(points)
-    second = seen_from(moved, working_frame(moved, places))
+    first = move_cameras(cameras, working_frame(cameras, points))
+    moved, places = move_cameras(cameras, other), other.place(points)
+    second = move_cameras(moved, working_frame(moved, places))
     # Poses are of 32 bits, and lie up to ten units from the origin
     torch.testing.assert_close(second.viewmats, first.viewmats, atol=3e-4, rtol=0)
 

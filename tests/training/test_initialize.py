@@ -6,7 +6,7 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.projection import shown
+from stylesplat.scene.projection import is_in_image
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.training.initialize import (
     MIN_VIEWS,
@@ -74,7 +74,9 @@ def test_distances_to_neighbours_by_hand():
 def test_random_points_are_seen_by_several_cameras(cameras: Cameras):
     points = commonly_visible_points(cameras, 500, torch.Generator().manual_seed(0))
     assert len(points) == 500
-    views = torch.stack([shown(points, cameras[row]) for row in range(len(cameras))]).sum(dim=0)
+    views = torch.stack([is_in_image(points, cameras[row]) for row in range(len(cameras))]).sum(
+        dim=0
+    )
     assert (views >= MIN_VIEWS * len(cameras)).all()
 
 

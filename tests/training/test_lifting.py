@@ -4,12 +4,12 @@ import pytest
 import torch
 from scipy.sparse import csr_array
 
-from balls import BALLS, CAMERAS, SPLATS
+from balls import BALLS, CAMERAS, SPLATS, class_probabilities
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene import splats as nouns
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import class_probabilities, render_labels
+from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import THRESHOLD, pick_objects
 from stylesplat.training import lifting
 from stylesplat.training.lifting import REPULSIONS, class_codes, labelled, lift, with_labels_of

@@ -78,14 +78,6 @@ def test_a_styled_scene(styled: Scene, capture: Capture, tmp_path: Path):
     assert all(f"`{name}`" in manual for name in both), "its schema is in the manual"
 
 
-def test_a_styled_scene_without_held_out_views(picture: Path, capture: Capture):
-    styled = painted(without_held_out(TRAINED), "red", picture)
-    alone = evaluate(styled, device="cpu")
-    assert_as_said(styled, alone)
-    assert alone.keys() >= CHANGES | STYLE | {"content_ssim"}
-    assert evaluate(styled, capture, device="cpu") == alone
-
-
 def test_a_style_that_is_gone_leaves_the_other_numbers(styled: Scene, said: list[str]):
     (layer,) = styled.layers
     lost = replace(layer, styles=(Source(Path("/lost/wave.png"), "12ab"),))
@@ -102,8 +94,3 @@ def test_photos_of_another_scene(capture: Capture):
         evaluate(replace(TRAINED, cameras=strange, held_out=("a",)), capture, device="cpu")
     with pytest.raises(StyleSplatError, match="None of the 1 held-out photos is in"):
         evaluate(TRAINED, capture.only(range(1, 8)), device="cpu")
-
-
-def test_an_import_that_was_in_memory_is_compared_with_some_photos(capture: Capture):
-    imported = replace(without_held_out(TRAINED), info={"splat": None})
-    assert evaluate(imported, capture, device="cpu").keys() == PHOTOS | {"schema"}

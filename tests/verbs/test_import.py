@@ -11,9 +11,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames
-from stylesplat.selection.identities import class_probabilities
 from stylesplat.selection.pick import pick
-from stylesplat.training.lifting import MANY, labelled
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.export import export
 from stylesplat.verbs.import_ import import_
@@ -59,14 +57,6 @@ def test_with_photos_and_label_maps(capture: Capture, splat: Path, tmp_path: Pat
     assert scene.info["splat"] == str(splat) and capture.path == scene.capture
     again = evaluate(scene, capture, device="cpu")
     assert again["psnr"] == pytest.approx(metrics["psnr"])
-
-
-def test_splats_that_are_in_memory(capture: Capture, splat: Path):
-    one, other = (import_(each, capture, device="cpu") for each in (PLAIN, splat))
-    for name, tensor in one.splats.tensors().items():
-        if name != "shN":  # a file has all bands
-            assert torch.equal(tensor, other.splats.tensors()[name]), name
-    assert one.info["splat"] is None
 
 
 def test_without_photos(splat: Path, said: list[str]):
@@ -155,14 +145,3 @@ def test_labels_of_another_splat_or_of_nothing(file: Path):
     for bad in (0 * LABELS, -LABELS, LABELS + 2**24):
         with pytest.raises(StyleSplatError, match=r"There are \d objects in labels from "):
             import_(SPLATS, labels=bad)
-
-
-@pytest.mark.parametrize("count", [2, 17, 700])
-def test_every_label_is_told_from_all_others(count: int):
-    splats = SPLATS[torch.arange(count) % len(SPLATS)]
-    found = labelled(splats, 10 * torch.arange(count))
-    assert found.classifier is not None
-    assert found.classifier.ids == tuple(range(0, 10 * count, 10))
-    assert (class_probabilities(found).diagonal() > 0.98).all()
-    with pytest.raises(StyleSplatError, match=r"There are 2,048 objects.* Label 1 to 2,047"):
-        labelled(SPLATS[torch.arange(MANY + 1) % len(SPLATS)], torch.arange(MANY + 1))

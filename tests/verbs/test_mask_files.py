@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +6,7 @@ import pytest
 import torch
 from PIL import Image
 
-from capture_files import save_noise, write_capture
+from capture_files import write_capture
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import read_label_map, write_label_map, write_label_maps
@@ -67,14 +66,6 @@ def test_attaches_label_maps_by_name(folder: Path, tmp_path: Path):
     assert torch.equal(attached(last, 0), labels(70000).int())
 
 
-@pytest.mark.parametrize("downscale", [2.0, 3.0])
-def test_maps_have_the_size_of_the_photos(folder: Path, downscale: float):
-    capture = load(folder, downscale=downscale)
-    write_maps(folder / "object_mask", {"0": 3})
-    masked = mask(capture, source=folder / "object_mask")
-    assert torch.equal(attached(masked, 0), attached(load(folder, downscale=downscale), 0))
-
-
 def test_nothing_to_go_by(folder: Path):
     with pytest.raises(StyleSplatError, match=r"Nothing says what to mask.*another program"):
         mask(load(folder))
@@ -84,16 +75,6 @@ def test_nothing_to_go_by(folder: Path):
         mask(load(folder), method="files")
     with pytest.raises(StyleSplatError, match="`model` means nothing with the method `grabcut`"):
         mask(load(folder), boxes={"a": ("0.png", (1, 1, 5, 5))}, model="sam")
-
-
-def test_a_capture_from_nowhere(folder: Path):
-    write_maps(folder / "object_mask", {"0": 1})
-    nowhere = replace(load(folder, downscale=2.0), path=None)
-    masked = mask(nowhere, source=folder / "object_mask")
-    assert torch.equal(attached(masked, 0), labels(1).int()[::2, ::2])
-    write_label_map(labels(1)[:, :5], folder / "object_mask" / "0.png")
-    with pytest.raises(StyleSplatError, match=r"label map .*0\.png is 5x8.*shape of its photo"):
-        mask(nowhere, source=folder / "object_mask")
 
 
 def save_binary(mask: torch.Tensor, path: Path) -> None:
@@ -142,20 +123,3 @@ def test_masks_of_photos_as_they_were_taken_are_undistorted_once(tmp_path: Path)
     write_label_maps(half, tmp_path / "again")
     again = attached(load(capture, masks=tmp_path / "again"), 0)
     assert (again != made).float().mean() < 0.1, "borders of stripes of eight pixels"
-
-
-def test_label_maps_of_photos_in_folders(tmp_path: Path):
-    """Of two cameras that number their photos alike."""
-    frames, poses = [], np.eye(4).tolist()
-    for row, name in enumerate(("cam0/0001.png", "cam1/0001.png", "cam1/0002.png")):
-        save_noise(tmp_path / "images" / name, (WIDTH, HEIGHT), seed=row)
-        write_label_map(labels(row + 1), tmp_path / "ids" / name)
-        frames.append({"file_path": f"images/{name}", "transform_matrix": poses})
-    lens = {"fl_x": 10.0, "fl_y": 10.0, "cx": 6.0, "cy": 4.0, "w": WIDTH, "h": HEIGHT}
-    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
-    found = Mask(tmp_path, source=tmp_path / "ids").run()
-    assert (found["photos"], found["ids"]) == (3, [1, 2, 3])
-    assert (tmp_path / "object_mask" / "cam1" / "0001.png").is_file()
-    masked = load(tmp_path)
-    for row in range(3):
-        assert torch.equal(attached(masked, row), labels(row + 1).int())

@@ -1,21 +1,18 @@
 """`stylesplat mask --box` on the balls: what it leaves in the capture's folder."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from balls import CAMERAS
 from capture_files import (
     BALLS,
     CUP,
     LARGE,
     VASE,
     agreement,
-    fail_at_work,
     work_at_half_size,
     write_ball_capture,
 )
@@ -49,11 +46,6 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path / "scene"
 
 
-@pytest.fixture
-def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    fail_at_work(monkeypatch)
-
-
 def run_mask(capture: Path, boxes: dict, scene: Path | None = None, **options: Any) -> dict:
     """`stylesplat mask CAPTURE --box NAME=VIEW:x0,y0,x1,y1 ...`."""
     typed = tuple(
@@ -84,14 +76,6 @@ def test_the_command_writes_label_maps_with_names(capture: Path, scene: Path):
         assert on_disk is not None and made is not None and torch.equal(on_disk, made.int())
 
 
-def test_what_is_no_scene_or_no_folder(capture: Path, scene: Path, no_work: None):
-    with pytest.raises(StyleSplatError, match="not a scene"):
-        run_mask(capture, {"vase": VASE}, capture)
-    (capture / "object_mask").touch()
-    with pytest.raises(StyleSplatError, match="is a file"):
-        run_mask(capture, {"vase": VASE}, scene, overwrite=True)
-
-
 def test_what_an_earlier_run_said_is_replaced_and_nothing_else(capture: Path, scene: Path):
     folder = capture / "object_mask"
     write_label_map(torch.full((36, 48), 5), folder / "0000.png")
@@ -119,10 +103,3 @@ def test_a_box_that_fails_leaves_what_was_there(capture: Path, scene: Path):
         run_mask(capture, {"vase": VASE, "hole": black}, scene, overwrite=True)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert [path.name for path in capture.iterdir() if path.name.startswith(".")] == []
-
-
-def test_photos_that_differ_in_their_suffix_only(tmp_path: Path, no_work: None):
-    names = ("a.jpg", "a.png", *CAMERAS.names[2:])
-    photos = write_ball_capture(tmp_path / "twins", replace(CAMERAS, names=names), masks=False)
-    with pytest.raises(StyleSplatError, match="differ in their suffix only"):
-        run_mask(photos, {"vase": ("a.png", VASE[1])})

@@ -15,11 +15,9 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import with_names
 from stylesplat.selection.pick import pick
-from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.import_ import import_
 from stylesplat.verbs.load import load
 from stylesplat.verbs.objects import objects
-from stylesplat.verbs.train import train
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)
 SCENE = Scene(SPLATS, CAMERAS)
@@ -50,12 +48,6 @@ def test_an_imported_splat(capture: Path, tmp_path: Path, said: list[str]):
     check_names(scene, tmp_path / "scene", "\n".join(said))
 
 
-def test_a_trained_scene(capture: Path, tmp_path: Path, said: list[str]):
-    config = TrainConfig(steps=100, max_gaussians=1000)
-    scene = train(load(capture), config, segment="lift", device="cpu")
-    check_names(scene, tmp_path / "scene", "\n".join(said))
-
-
 def test_names_of_nothing_are_left_out(said: list[str]):
     named = with_names(SCENE, {0: "background", 3: "vase", 99: "lost"})
     assert [*named.objects] == ["vase"]
@@ -64,24 +56,3 @@ def test_names_of_nothing_are_left_out(said: list[str]):
     named = with_names(SCENE, {3: "cup", 7: "cup"})
     assert named.objects["cup"].how["ids"] == [3]
     assert "Object 7 does not get the name 'cup'" in "\n".join(said)
-
-
-@pytest.mark.parametrize(
-    ("name", "fault"),
-    [
-        ("__metadata__", "use that name for themselves"),
-        ("a\nb", "control characters"),
-        ("x" * 101, "at most 100 characters"),
-    ],
-)
-def test_names_that_cannot_be_leave_objects_unnamed(
-    name: str, fault: str, capture: Path, tmp_path: Path, said: list[str]
-):
-    write_names({3: "cup", 7: name}, capture / "object_mask")
-    scene = import_(PLAIN, load(capture), device="cpu")
-    assert [*scene.objects] == ["cup"]
-    scene_folder.save(scene, tmp_path / "scene")
-    assert [*scene_folder.open(tmp_path / "scene").objects] == ["cup"]
-    (line,) = (line for line in said if line.startswith("Object "))
-    assert line.startswith("Object 7 does not get the name '") and fault in line
-    assert line.isprintable() and len(line) < 250

@@ -146,7 +146,7 @@ def test_what_is_new_belongs_to_nothing_and_edited_colours_stay(painted: Scene, 
     found = import_(both, like=painted)
     assert found.metrics["new_gaussians"] == 30 and not found.layers
     assert not any(each.picked[-30:].any() for each in found.objects.values())
-    assert any("stay as they look" in line for line in said)
+    assert any("become part of the splat" in line for line in said)
     assert torch.equal(found.splats.sh0, both.sh0)
 
 

@@ -1,18 +1,13 @@
-import subprocess
-import sys
 from collections.abc import Callable
-from dataclasses import asdict, fields, replace
-from hashlib import sha256
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.json_files import write_json
 from stylesplat.scene.layer import Source
-from stylesplat.stylization.config import PRESETS, Network, StyleConfig
-from stylesplat.stylization.recipe import SHARED, read_recipe
+from stylesplat.stylization.config import PRESETS, StyleConfig
+from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe
 
 DEFAULTS = StyleConfig(steps=7, seed=5)
@@ -79,51 +74,11 @@ def test_a_preset_takes_the_place_of_the_defaults(read: Read):
     assert vase.style.network == "vgg16"
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_the_recipe_of_a_styled_scene_gives_its_settings(preset: str, folder: Path):
-    config = replace(PRESETS[preset], lr=1e-05, region=(1, 2, 30, 40), intensity=0.7)
-    picture = folder / "🌊.jpg"  # two escapes in JSON
-    picture.write_bytes(b"sea")
-    digest = sha256(b"sea").hexdigest()
-    one = {"name": "3", "style": picture, "sha256": digest, "intensity": 1.5}
-    several = {"name": "pear", "style": [picture, picture], "sha256": [digest, digest]}
-    content = {
-        "objects": [one, several],
-        "settings": asdict(config),
-        "features": "compact",
-        "weights": None,
-        "scene": folder / "scene",
-    }
-    write_json(content, folder / "styled" / "recipe.json")
-    recipe = read_recipe(folder / "styled" / "recipe.json", defaults=DEFAULTS)
-    assert [o.name for o in recipe.objects] == ["3", "pear"]
-    assert recipe.objects[0].style.config == replace(config, intensity=1.5)
-    assert recipe.objects[0].intensity == 1.5 and recipe.objects[1].intensity is None
-    assert all(each.features == "compact" for each in recipe.objects)
-    assert recipe.objects[1].style.config == config
-    assert recipe.objects[1].style.pictures == (picture, picture)
-
-
-@pytest.mark.parametrize("name", ["3", "no", "2024-01-01", "Brücke"])
-def test_names_are_texts_whatever_yaml_sees_in_them(name: str, read: Read):
-    assert read(f"objects: {{{name}: {{style: wave.jpg}}}}").objects[0].name == name
-
-
-@pytest.mark.parametrize("number", ["1e-3", "1E-3", ".1e-2", "0.001"])
-def test_numbers_with_an_exponent(number: str, read: Read):
-    assert config_of(read(f"{{lr: {number}, objects: {{a: {{style: wave.jpg}}}}}}")).lr == 1e-3
-
-
 def test_every_setting_refuses_what_it_cannot_be(read: Read):
     for field in fields(StyleConfig):
         fault = rf"r\.yaml: {field.name} cannot be \[\[\]\]: .+\."
         with pytest.raises(StyleSplatError, match=fault):
             read(f"{field.name}: [[]]\nobjects: {{a: {{style: wave.jpg}}}}")
-
-
-def test_the_choices_of_a_recipe_are_those_of_the_code():
-    assert set(get_args(SHARED["preset"])) == set(PRESETS)
-    assert set(get_args(get_args(SHARED["features"])[0])) == set(get_args(Network))
 
 
 @pytest.mark.parametrize(
@@ -151,17 +106,11 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
     [
         (OBJECTS + "stepps: 3", "there is no key 'stepps'. Did you mean 'steps'?"),
         (OBJECTS + "zzz: 3", "there is no key 'zzz'. Use one of quality, "),
-        (OBJECTS + "settings: {sed: 3}", "there is no key 'sed'. Did you mean 'seed'?"),
-        ("objects: {vase: {stile: wave.jpg}}", "vase: there is no key 'stile'. Did you mean"),
         (OBJECTS + "steps: many", 'steps cannot be "many": Expected `int | null`, got `str`.'),
-        (OBJECTS + "steps: true", "steps cannot be true: Expected `int | null`, got `bool`."),
-        (OBJECTS + "scale: big", 'scale cannot be "big": Expected `float`, got `str`.'),
         (OBJECTS + "scale: .nan", "Cannot stylise with scale nan: use 0.001 to 10,000."),
-        (OBJECTS + "scale: 1" + "0" * 400, "scale cannot be 1000"),
         (OBJECTS + "layers: [a]", 'layers cannot be ["a"]: Expected `int`, got `str`'),
         (OBJECTS + "region: [1, 2, 3]", "region cannot be [1, 2, 3]: Expected `array` of length 4"),
         (OBJECTS + "color: kepe", 'color cannot be "kepe": Invalid enum value'),
-        (OBJECTS + "preset: fast", ". Use default or paper."),
         (OBJECTS + "features: vgg", ". Use compact or vgg16 or vgg19."),
         (OBJECTS + "settings: [1]", "settings cannot be [1]: Expected `object`, got `array`."),
         (OBJECTS + "steps: 0", "Cannot stylise with steps 0: use 1 to 1,000,000."),
@@ -179,7 +128,6 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         ("objects: {vase: {style: lost.jpg}}", "lost.jpg. Paths are relative to the recipe's"),
         ("objects: {vase: {style: .}}", "vase: there is no picture "),
         ("objects: {}", "it names no objects. Add `objects:`"),
-        ("steps: 3", "it names no objects. Add `objects:`"),
         ("objects: vase", 'objects cannot be "vase": Expected `object | array | null`'),
         ("objects: [{style: wave.jpg}]", "each of the list `objects` must have a name"),
         ("- vase", "it must hold `objects:` and settings, as KEY: VALUE."),
@@ -222,8 +170,3 @@ def test_files_that_are_no_recipe(folder: Path):
     ):
         with pytest.raises(StyleSplatError, match=fault):
             read_recipe(folder / file)
-
-
-def test_a_command_that_takes_recipes_is_parsed_without_torch():
-    code = "import stylesplat.cli.stylize, sys; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -74,14 +74,6 @@ def test_a_scene_is_never_changed(said: list[str]):
     assert torch.equal(picked(twice, "it"), pick(SPLATS, object_id=7))
 
 
-def test_sphere_around_what_a_pixel_shows():
-    view, x, y = place(3)
-    scene = select(SCENE, "ball", sphere=(view, x, y, 0.65))
-    inside = (SPLATS.means - torch.tensor(BALLS[3][0])).norm(dim=1) < 0.31
-    assert (picked(scene, "ball") & inside).sum() > 0.8 * inside.sum()
-    assert scene.objects["ball"].how["sphere"][0] == view
-
-
 def test_several_shapes_are_united():
     spheres = [(*BALLS[id][0], 0.31) for id in (3, 7)]
     scene = select(SCENE, "balls", sphere=spheres)
@@ -92,16 +84,6 @@ def test_several_shapes_are_united():
     assert torch.equal(picked(scene, "balls"), picked(scene, "red") | picked(scene, "green"))
     assert scene.objects["balls"].how["sphere"] == tuple(("", each) for each in spheres)
     assert scene.objects["red"].how["sphere"] == ("", spheres[0]), "one is written as it was"
-
-    def around(id: int) -> tuple[float, ...]:
-        (x, y, z), *_ = BALLS[id]
-        return (x - 0.3, y - 0.3, z - 0.3, x + 0.3, y + 0.3, z + 0.3)
-
-    scene = select(scene, "boxes", box3d=[around(3), list(around(7))])
-    scene = select(scene, "box", box3d=around(3))
-    assert picked(scene, "boxes")[picked(scene, "box")].all()
-    assert picked(scene, "boxes").sum() > picked(scene, "box").sum() > 0
-    assert scene.objects["box"].how["box3d"] == around(3)
 
 
 @pytest.mark.parametrize(
@@ -214,12 +196,9 @@ def test_text_is_about_how_things_looked_before_styling(detector: ColorDetector)
     [
         ("", "must not be empty"),
         ("3", "numbers are label ids"),
-        ("\u0663", "numbers are label ids"),
         ("a=b", "must not contain '=', slashes or control characters"),
         ("a/b", "must not contain"),
-        ("a\\b", "must not contain"),
         ("a\nb", "must not contain"),
-        ("a\u2028b", "must not contain"),
         ("\ud800", "must not contain"),
         ("__metadata__", "use that name for themselves"),
         ("x" * 101, "at most 100 characters"),
@@ -231,13 +210,6 @@ def test_names_that_cannot_be_kept_are_refused(name: str, fault: str):
     line = str(caught.value)
     assert line.startswith("Cannot call an object '") and line.endswith(". Choose another name.")
     assert len(line) < 200 and line.isprintable()
-
-
-@pytest.mark.parametrize("name", ["x" * 100, ".", "-3", "👩‍🚀"])
-def test_names_that_can_be_kept_come_back(name: str, tmp_path: Path):
-    scene_folder.save(select(SCENE, name, id=3), tmp_path / "scene")
-    found = scene_folder.open(tmp_path / "scene")
-    assert torch.equal(picked(found, name), pick(SPLATS, object_id=3))
 
 
 def test_places_are_checked_before_a_model_is_loaded(tmp_path: Path):

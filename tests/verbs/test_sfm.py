@@ -14,8 +14,6 @@ import stylesplat as ss
 from capture_files import corner, photograph_corner, places_around, towards, write_photos
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.progress import Silence, Task, observed
-from stylesplat.scene.frames import seen_from
-from stylesplat.structure_from_motion.world_frame import working_frame
 
 COUNT = 8
 
@@ -43,15 +41,6 @@ def test_all_that_fit_are_posed(capture: ss.Capture, photos: Path):
     truth = torch.from_numpy(places_around(COUNT, spread=COUNT / 10)).diff(dim=0).norm(dim=1)
     ratio = steps / truth.float()
     assert (ratio / ratio.median() - 1).abs().max() < 0.02
-
-
-def test_the_frame_is_one_to_work_in(capture: ss.Capture):
-    """Nothing is left to do for what makes such frames."""
-    assert capture.points is not None
-    frame = working_frame(capture.cameras, capture.points)
-    assert frame.scale == pytest.approx(1, abs=0.02)
-    moved = seen_from(capture.cameras, frame)
-    assert (moved.positions - capture.cameras.positions).norm(dim=1).max() < 0.05
 
 
 def test_what_became_of_each_photo_is_written_down(capture: ss.Capture, photos: Path):

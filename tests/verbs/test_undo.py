@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from balls import PAINTED_FAST as FAST
 from balls import (
-    GREEN,
-    RED,
     SPLATS,
     TRAINED,
     assert_same_objects,
@@ -17,16 +16,14 @@ from balls import (
     painted,
     write_painted,
 )
-from balls import PAINTED_FAST as FAST
 from balls import contents as all_contents
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import read_json
-from stylesplat.io.scene_folder import revise, save
+from stylesplat.io.scene_folder import save
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
-from stylesplat.verbs.objects import delete
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize, stylize_unmeasured
 
@@ -44,19 +41,6 @@ def contents(folder: Path) -> dict[str, bytes]:
     return all_contents(folder, "metrics.json")
 
 
-def test_objects_and_confidence_follow_the_canvas(folder: Path):
-    before, scene = opened(folder / "trained").splats, opened(folder / "twice")
-    after, new = scene.splats, torch.arange(len(scene.splats)) >= len(SPLATS)
-    assert before.confidence is not None and after.confidence is not None
-    assert torch.equal(after.confidence[ROWS], before.confidence)
-    assert new.any() and torch.isin(after.confidence[new], before.confidence[RED | GREEN]).all()
-    red, green, both = (scene.objects[name].picked for name in ("red", "green", "both"))
-    assert torch.equal(both, red | green) and torch.equal(both[new], new[new])
-    assert after.identities is not None
-    for picked, number in ((red, 1), (green, 2)):
-        assert (after.identities[picked].argmax(dim=1) == number).all()
-
-
 def test_a_second_style_leaves_the_first_alone(folder: Path):
     once, twice = (opened(folder / name) for name in ("once", "twice"))
     green = once.objects["green"].picked
@@ -66,14 +50,6 @@ def test_a_second_style_leaves_the_first_alone(folder: Path):
     files = [folder / name / "layers/01-red.safetensors" for name in ("once", "twice")]
     assert files[0].read_bytes() == files[1].read_bytes()
     assert twice.metrics["train"] == {"psnr": 30.0}
-
-
-def test_undoing_the_last_gives_the_scene_before_it(folder: Path, tmp_path: Path):
-    twice = opened(folder / "twice")
-    undone = adjust(adjust(twice, 0.2, objects="green"), objects="green", undo=True)
-    save(undone, tmp_path / "undone")
-    assert contents(tmp_path / "undone") == contents(folder / "once")
-    assert undone.metrics == {"train": {"psnr": 30.0}}
 
 
 def test_undoing_the_first_leaves_the_second_alone(folder: Path, tmp_path: Path):
@@ -106,14 +82,6 @@ def test_undoing_one_after_the_other_is_undoing_all(
     both = adjust(opened(folder / "twice"), objects=order, undo=True)
     assert not both.layers and both.base is None and both.metrics == {"psnr": 30.0}
     assert_same_splats(both.splats, opened(folder / "trained").splats)
-
-
-def test_a_scene_that_was_adjusted_in_place_is_undone_to_the_bit(folder: Path, tmp_path: Path):
-    save(adjust(opened(folder / "twice"), 0.3), tmp_path / "adjusted")
-    for undo in (False, True):
-        scene = opened(tmp_path / "adjusted")
-        revise(scene, adjust(scene, 1.2, undo=undo), tmp_path / "adjusted")
-    assert contents(tmp_path / "adjusted") == contents(folder / "trained")
 
 
 def test_intensity_0_shows_the_colours_before_and_goes_back(folder: Path, tmp_path: Path):
@@ -163,18 +131,6 @@ def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(
     assert_same_splats(adjust(opened(tmp_path / "it"), undo=True).splats, trained.splats)
 
 
-def test_several_are_painted_anew_the_lowest_first(folder: Path):
-    """Whatever the order in which they are named; all are measured."""
-    night = folder / "night.png"
-    styles = {"green": Style(night, config=FAST, steps=2), "red": Style(night, config=FAST)}
-    anew = stylize(opened(folder / "twice"), styles, device="cpu")
-    assert anew.painted_objects == ("red", "green") and anew.metrics["steps"] == 5
-    assert anew.metrics["nnfm_before"].keys() == anew.metrics["seconds_by_object"].keys()
-    ordered = dict(reversed(styles.items()))
-    first = stylize_unmeasured(opened(folder / "trained"), ordered, device="cpu").scene
-    assert_same_splats(anew.splats, first.splats)
-
-
 def test_a_part_of_what_is_painted_gets_a_layer_above(folder: Path, tmp_path: Path):
     """And what was there comes back when that is removed."""
     both = select(opened(folder / "twice"), "either", plus=("red", "green"))
@@ -187,13 +143,6 @@ def test_a_part_of_what_is_painted_gets_a_layer_above(folder: Path, tmp_path: Pa
     without = adjust(over, objects="red", undo=True)
     assert without.painted_objects == ("green", "either")
     assert_same_splats(adjust(without, undo=True).splats, opened(folder / "trained").splats)
-
-
-def test_what_has_no_name_any_longer_is_painted_anew_by_its_layer(folder: Path):
-    nameless = delete(opened(folder / "once"), "red")
-    anew = painted(nameless, "red", folder / "night.png", measured=False)
-    assert anew.painted_objects == ("red",) and "red" not in anew.objects
-    assert torch.equal(anew.layers[0].rows, nameless.layers[0].rows)
 
 
 def test_names_are_known_before_anything_is_painted(folder: Path, said: list[str]):

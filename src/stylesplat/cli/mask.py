@@ -159,14 +159,14 @@ class Mask(Command):
     ) -> dict[str, Any]:
         from stylesplat.io.captures.sfm_file import read_sfm
         from stylesplat.io.label_maps import refuse_label_maps, write_label_maps
-        from stylesplat.scene.cameras import row_called
+        from stylesplat.scene.cameras import find_name
 
         record = read_sfm(output.parent)
         boxes, strokes = self._drawn(record)
         names = capture.cameras.names
         own = [record.origins.get(name, name) for name in names] if record else names
         for view, *_ in chain(*boxes.values(), *strokes.values()):
-            row_called(view, names, told=own)  # raises before label maps are refused
+            find_name(view, names, shown_names=own)  # raises before label maps are refused
         refuse_label_maps(capture, output, overwrite=self.overwrite)
         progress = None if self._method in REFUSED else partial_of(output)
         given = {"boxes": boxes, "strokes": strokes, "scene": scene, "progress": progress}

@@ -114,12 +114,12 @@ def _check_drawn(given: Path, drawn: Drawn) -> None:
     from stylesplat.io.atomic import partial_of
     from stylesplat.io.images import image_sizes
     from stylesplat.scene.arguments import check_box
-    from stylesplat.scene.cameras import row_called
+    from stylesplat.scene.cameras import find_name
     from stylesplat.structure_from_motion.photo_folder import find_sources
 
     photos = find_sources(given, skip=partial_of(given)).photos if given.is_dir() else ()
     for view, box in drawn if photos else ():
-        name = photos[row_called(view, photos)]
+        name = photos[find_name(view, photos)]
         if box is not None:
             check_box(box, image_sizes(given / name)[1], name)
 

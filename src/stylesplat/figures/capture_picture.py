@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stylesplat.figures.grid import INK, Row, add_legend, draw_grid
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.frames import seen_from
+from stylesplat.scene.frames import move_cameras
 from stylesplat.structure_from_motion.capture_statistics import STRIDE
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
 
@@ -147,7 +147,7 @@ def _draw_cameras(panel: _Panel, capture: Capture, report: CaptureReport) -> Non
     for axis in panel.axes:
         arm = 0.014 * size * axis
         panel.draw_line(torch.stack([-arm, arm]), INK, 1)
-    cameras = seen_from(capture.cameras, report.frame)
+    cameras = move_cameras(capture.cameras, report.frame)
     shares = torch.linspace(0, 1, len(capture))[:, None]
     by_order = torch.tensor(FIRST) * (1 - shares) + torch.tensor(LAST) * shares
     for row, name in enumerate(cameras.names):

@@ -18,7 +18,7 @@ from stylesplat.figures.packed import pack
 from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.rendering.gaussians import MIN_ALPHA
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import mask_of, rows_unpainted
+from stylesplat.scene.compose import mask_of, splats_without_paint
 from stylesplat.scene.content import extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -71,7 +71,7 @@ def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) ->
     splats = (what.splats if isinstance(what, Scene) else what).detach().to("cpu")
     if not (torch.sigmoid(splats.opacities) >= MIN_ALPHA).any():
         raise StyleSplatError("No Gaussian shows, so a page would be black. Choose another scene.")
-    before = rows_unpainted(scene).detach().to("cpu") if scene else splats
+    before = splats_without_paint(scene).detach().to("cpu") if scene else splats
     packed = pack(splats, before, sh_degree=sh_degree)
     about = packed.about | {
         "start": _start(splats, scene.cameras if scene else None),

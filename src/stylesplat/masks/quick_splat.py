@@ -14,7 +14,7 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.cache import Lazy
 from stylesplat.scene.capture import Capture, at_most
-from stylesplat.scene.frames import SAME, posed_as
+from stylesplat.scene.frames import SAME, with_poses_of
 from stylesplat.scene.labels import OwnLabels, resize_labels
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -51,12 +51,12 @@ def working_splat(capture: Capture, scene: Scene | None, device: str) -> Working
             "these photos, or none."
         )
     splats = scene.unpainted.to(torch_device)
-    small = posed_as(at_most(capture, CHECK_SIZE), scene.cameras)
+    small = with_poses_of(at_most(capture, CHECK_SIZE), scene.cameras)
     if frame_fits(splats, small, {"scene": SAME})["scene"] <= CLOSER:
         raise StyleSplatError(
             "The scene does not show what the photos do. Give a scene of these photos, or none."
         )
-    return WorkingSplat(posed_as(capture, scene.cameras), splats)
+    return WorkingSplat(with_poses_of(capture, scene.cameras), splats)
 
 
 def with_label_maps(

@@ -7,7 +7,7 @@ import torch
 from stylesplat.metrics.psnr import psnr
 from stylesplat.rendering.render import render
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.frames import Frame, seen_from
+from stylesplat.scene.frames import Frame, move_cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 
@@ -32,7 +32,7 @@ def frame_fits(splats: Splats, capture: Capture, frames: Mapping[str, Frame]) ->
     photos = [capture.photos[row].to(splats.means) / 255 for row in rows]
     found = {}
     for name, frame in frames.items():
-        cameras = seen_from(capture.cameras[rows], frame)
+        cameras = move_cameras(capture.cameras[rows], frame)
         gains = []
         for row, photo in enumerate(photos):
             image = render(splats, cameras[row])[0].clamp(0, 1)

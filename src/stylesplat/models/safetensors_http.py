@@ -19,12 +19,7 @@ CHUNK = 2**18  # bytes between two updates of the progress bar
 
 
 def fetch_tensors(url: str, names: Iterable[str], *, title: str) -> dict[str, Tensor]:
-    """Download some tensors of a remote safetensors file, as float32, and nothing else of it.
-
-    Raises:
-        StyleSplatError: If the server cannot be reached, does not serve parts of files, or the
-            file lacks one of the tensors.
-    """
+    """Download some tensors of a remote safetensors file, as float32, and nothing else of it."""
     try:
         start, header = _read_header(url)
         missing = [name for name in names if name not in header]

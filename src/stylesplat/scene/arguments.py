@@ -1,6 +1,6 @@
-"""What users give and paste: boxes and points in photos, strengths, commands. Loads no torch.
+"""Arguments of users: boxes and points in photos, strengths; commands to paste. Loads no torch.
 
-Pixels are those of the photo at its full size, whatever size it is worked on at.
+Pixels are those of the photo at its full size, at whatever size it is processed.
 """
 
 import shlex
@@ -12,53 +12,38 @@ from stylesplat.errors import StyleSplatError
 Places = Sequence[Any]
 """A view's name and its numbers, `("a.jpg", x, y)` or `("a.jpg", (x, y))`; or several of these."""
 
-OVERSHOOT = 0.05  # of a side, that a box may reach beyond: `sfm` cuts photos as it undistorts them
-
-
-def cut_to_picture(
-    box: Sequence[float | int], size: tuple[int, int]
-) -> tuple[float, float, float, float] | None:
-    """The part of a box inside its picture; None if it reaches far outside, or is empty.
-
-    Args:
-        box: Left, upper, right and lower edge, in pixels.
-        size: The picture's width and height.
-    """
-    (x0, y0, x1, y1), (width, height) = map(float, box), map(float, size)
-    over, under = OVERSHOOT * width, OVERSHOOT * height
-    if not (-over <= x0 and x1 <= width + over and -under <= y0 and y1 <= height + under):
-        return None
-    x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)
-    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
+OVERSHOOT = 0.05  # of a side, by which boxes may exceed a photo: `sfm` crops while undistorting
 
 
 def check_box(
     box: Sequence[float | int], size: tuple[int, int], name: str
 ) -> tuple[float, float, float, float]:
-    """The part of a box inside its photo.
-
-    Raises:
-        StyleSplatError: If it reaches far outside, or is empty.
-    """
-    inside = cut_to_picture(box, size)
-    if inside is None:
+    """Returns the part of a box inside its photo; refuses an empty box and one far outside."""
+    (x0, y0, x1, y1), (width, height) = map(float, box), map(float, size)
+    right, below = OVERSHOOT * width, OVERSHOOT * height
+    near = -right <= x0 and x1 <= width + right and -below <= y0 and y1 <= height + below
+    x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)
+    if not (near and x0 < x1 and y0 < y1):
         raise StyleSplatError(
             f"Box {','.join(f'{edge:g}' for edge in box)} is empty or reaches outside {name}, "
             f"which is {size[0]}x{size[1]} pixels. Give x0,y0,x1,y1 in pixels of the photo."
         )
-    return inside
+    return x0, y0, x1, y1
+
+
+def check_point(point: tuple[float, float], size: tuple[int, int], name: str) -> None:
+    """Refuse a point outside its photo."""
+    if not all(0 <= value < length for value, length in zip(point, size, strict=True)):
+        raise StyleSplatError(
+            f"Point {point[0]:g},{point[1]:g} is outside {name}, which is {size[0]}x{size[1]} "
+            "pixels. Coordinates are those of the photo at full size."
+        )
 
 
 def parse_places(places: Places, count: int, what: str) -> tuple[tuple[str, Any], ...]:
-    """The views' names and their numbers apart.
+    """Separate the views' names and their numbers: 2 of a point, 4 of a box.
 
-    Args:
-        places: One or several.
-        count: How many numbers each has: 2 for a point, 4 for a box.
-        what: The argument that they were given as, for messages.
-
-    Raises:
-        StyleSplatError: If one is anything else.
+    `what` is the name of the argument, for messages.
 
     Example:
         >>> parse_places([("a.jpg", 1, 2), ("b.jpg", (3, 4))], 2, "point")
@@ -83,29 +68,28 @@ def parse_places(places: Places, count: int, what: str) -> tuple[tuple[str, Any]
 
 
 def several(items: Sequence[Any] | None) -> Sequence[Any]:
-    """A place or a shape, or several, as several."""
+    """Returns a list of places or shapes where one or several were given."""
     if items is None or not len(items):
         return ()
     alone = isinstance(items[0], str) or not isinstance(items[0], Sized)
     return [items] if alone else items
 
 
-MAX_INTENSITY = 1.5  # beyond it colours leave their range
-MAX_FORM = 1.5  # likewise
+MAX_INTENSITY = MAX_FORM = 1.5  # beyond it colours leave their range
 
 
 def check_intensity(intensity: float) -> None:
-    """Raise a StyleSplatError if colours cannot be blended so."""
+    """Refuse an intensity outside of 0 to 1.5."""
     if not 0 <= intensity <= MAX_INTENSITY:
         raise StyleSplatError(f"Cannot blend with intensity {intensity}: use 0 to {MAX_INTENSITY}.")
 
 
 def check_form(form: float) -> None:
-    """Raise a StyleSplatError if so much relief cannot be shown."""
+    """Refuse a form outside of 0 to 1.5."""
     if not 0 <= form <= MAX_FORM:
         raise StyleSplatError(f"Cannot show the form {form}: use 0 to {MAX_FORM}.")
 
 
 def pasted(verb: str, *arguments: object) -> str:
-    """A command that can be pasted, whatever the names and places in it hold."""
+    """A command for the shell, its arguments quoted where necessary."""
     return shlex.join(["stylesplat", verb, *map(str, arguments)])

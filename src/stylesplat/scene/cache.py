@@ -19,17 +19,10 @@ TIDY_EVERY = 2**26  # bytes kept; the steps' own buffers then have to be mapped 
 
 
 class Cache(Generic[Key]):
-    """Tuples of tensors by key, as many as fit; what was used longest ago is forgotten first.
-
-    What is kept are copies on the CPU. Threads may share it.
-    """
+    """A least-recently-used cache of tuples of tensors, copied to the CPU; threads may share it."""
 
     def __init__(self, budget: int) -> None:
-        """Start empty.
-
-        Args:
-            budget: Bytes that all items together may take; what is larger alone is not kept.
-        """
+        """Start empty; `budget` is the size in bytes that all items together may take."""
         self._items: OrderedDict[Key, tuple[Tensor | None, ...]] = OrderedDict()
         self._budget = budget
         self._used = 0
@@ -38,13 +31,15 @@ class Cache(Generic[Key]):
 
     @property
     def used(self) -> int:
-        """Bytes of what is kept."""
+        """The size of all items in bytes."""
         return self._used
 
     def get(self, key: Key, make: Callable[[], Item]) -> Item:
-        """What is kept under a key, or what `make` gives, which is then kept."""
-        if (kept := self._recent(key)) is not None:
-            return kept  # pyright: ignore[reportReturnType]
+        """Returns the item of a key, or makes and keeps it; items over the budget are not kept."""
+        with self._lock:
+            if key in self._items:
+                self._items.move_to_end(key)
+                return self._items[key]  # pyright: ignore[reportReturnType]
         item = make()  # without the lock, so that threads decode several at a time
         size = _size_of(item)
         if size > self._budget:
@@ -52,8 +47,8 @@ class Cache(Generic[Key]):
         copies = [t if t is None or t.nbytes == 0 else _copy(t) for t in item]
         item = getattr(type(item), "_make", type(item))(copies)  # also of a NamedTuple
         with self._lock:
-            if (kept := self._recent(key)) is not None:  # of another thread
-                return kept  # pyright: ignore[reportReturnType]
+            if key in self._items:  # another thread was faster
+                return self._items[key]  # pyright: ignore[reportReturnType]
             self._items[key] = item
             self._used += size
             self._since_tidied += size
@@ -64,17 +59,10 @@ class Cache(Generic[Key]):
                 tidy_heap()  # heads of kept tensors lie in what decoding freed: 6 MB a photo
         return item
 
-    def _recent(self, key: Key) -> tuple[Tensor | None, ...] | None:
-        """What is kept under a key, which is now the one used last."""
-        with self._lock:
-            if key in self._items:
-                self._items.move_to_end(key)
-            return self._items.get(key)
-
     def forget(self, unwanted: Callable[[Key], bool]) -> None:
         """Drop the items whose keys are unwanted."""
         with self._lock:
-            for key in [key for key in self._items if unwanted(key)]:
+            for key in filter(unwanted, [*self._items]):
                 self._drop(key)
 
     def _drop(self, key: Key) -> None:
@@ -82,7 +70,7 @@ class Cache(Generic[Key]):
 
 
 def _copy(tensor: Tensor) -> Tensor:
-    """A copy in pages of its own, which return to the system when it goes."""
+    """A copy in memory pages of its own, which return to the system when it is freed."""
     pages = mmap.mmap(-1, tensor.nbytes)
     return torch.frombuffer(pages, dtype=tensor.dtype).view(tensor.shape).copy_(tensor)
 
@@ -95,7 +83,7 @@ T = TypeVar("T", bound=Tensor | None)
 
 
 class Lazy(Sequence[T]):
-    """Tensors that are made anew at each access; a `Cache` keeps them."""
+    """Tensors that are made anew at each access."""
 
     def __init__(self, makers: Sequence[Callable[[], T]]) -> None:
         self._makers = makers

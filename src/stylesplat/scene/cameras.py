@@ -11,7 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.scene.one_line import counted, one_line, pixels
 
-UP_RIDGE = 0.01  # weight of the cameras' mean up against 'no camera is rolled'
+UP_RIDGE = 0.01  # weight of the cameras' mean up axis against their x axes
 PARALLEL = 1e-3  # mean squared sine between view axes (about 2 degrees) below which they never meet
 ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
 REMEDY = "To render, choose --views all; to train, give sparse points."
@@ -39,26 +39,19 @@ class Cameras:
     def __getitem__(self, index: int | slice | Sequence[int]) -> "Cameras":
         if isinstance(index, int):
             index = [index]
-        picked = range(len(self))[index] if isinstance(index, slice) else index
-        rows = [range(len(self))[i] for i in picked]
-        return Cameras(
-            viewmats=self.viewmats[rows],
-            Ks=self.Ks[rows],
-            sizes=self.sizes[rows],
-            names=tuple(self.names[i] for i in rows),
-        )
+        every = range(len(self))
+        rows = [*every[index]] if isinstance(index, slice) else [every[row] for row in index]
+        names = tuple(self.names[row] for row in rows)
+        return Cameras(self.viewmats[rows], self.Ks[rows], self.sizes[rows], names)
 
     def __iter__(self) -> Iterator["Cameras"]:
         """The cameras one by one."""
         return (self[row] for row in range(len(self)))
 
     def __add__(self, other: "Cameras") -> "Cameras":
-        return Cameras(
-            viewmats=torch.cat([self.viewmats, other.viewmats]),
-            Ks=torch.cat([self.Ks, other.Ks]),
-            sizes=torch.cat([self.sizes, other.sizes]),
-            names=self.names + other.names,
-        )
+        viewmats = torch.cat([self.viewmats, other.viewmats])
+        Ks, sizes = torch.cat([self.Ks, other.Ks]), torch.cat([self.sizes, other.sizes])
+        return Cameras(viewmats, Ks, sizes, self.names + other.names)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -89,7 +82,7 @@ class Cameras:
         Raises:
             StyleSplatError: If no camera, or more than one, has that name.
         """
-        return row_called(name, self.names)
+        return find_name(name, self.names)
 
     def downscale(self, factor: float | int) -> "Cameras":
         """The same cameras for images `factor` times smaller, sizes rounded to whole pixels.
@@ -108,12 +101,7 @@ class Cameras:
         return replace(self, Ks=Ks, sizes=sizes.to(self.sizes.dtype))
 
     def resize(self, width: int, height: int) -> "Cameras":
-        """Cameras for images of another size that show all of these images, in the middle.
-
-        Args:
-            width: Pixels.
-            height: Pixels; where this gives another shape, more is seen at two sides.
-        """
+        """Cameras for images of another size in pixels that show all of these images, centred."""
         wanted = torch.tensor([width, height])
         factor = (wanted / self.sizes).amin(dim=1).to(self.Ks)  # [C]
         Ks = self.Ks * torch.stack([factor, factor, torch.ones_like(factor)], dim=1)[:, :, None]
@@ -122,11 +110,11 @@ class Cameras:
         return replace(self, Ks=Ks, sizes=wanted.to(self.sizes.dtype).repeat(len(self), 1))
 
     def shrink_to(self, length: int) -> float:
-        """The factor by which to downscale, so that no side has more than so many pixels."""
+        """The factor by which to downscale so that no side is longer than this, in pixels."""
         return max(1.0, float(self.sizes.max()) / length)
 
     def at_most(self, length: int) -> "Cameras":
-        """The same cameras, for images whose sides have at most so many pixels."""
+        """The same cameras, downscaled so that no side is longer than this, in pixels."""
         return self.downscale(self.shrink_to(length))
 
     def to(self, device: torch.device | str) -> "Cameras":
@@ -134,17 +122,8 @@ class Cameras:
         return replace(self, viewmats=self.viewmats.to(device), Ks=self.Ks.to(device))
 
 
-def row_called(name: str, names: Sequence[str], *, told: Sequence[str] | None = None) -> int:
-    """The place of a name among those of photos; see `Cameras.index`.
-
-    Args:
-        name: As the user has it.
-        names: What there is.
-        told: What the user calls these, if otherwise, for the message.
-
-    Raises:
-        StyleSplatError: If no photo, or more than one, has that name.
-    """
+def find_name(name: str, names: Sequence[str], *, shown_names: Sequence[str] | None = None) -> int:
+    """The row of a photo's name as in `Cameras.index`; messages contain the `shown_names`."""
     if name in names:
         return names.index(name)
     stems = [n.rsplit(".", 1)[0] for n in names]
@@ -153,17 +132,17 @@ def row_called(name: str, names: Sequence[str], *, told: Sequence[str] | None = 
         for stem in (name, name.rsplit(".", 1)[0]):
             if known.count(stem) == 1:
                 return known.index(stem)
-    told = names if told is None else told
+    known = names if shown_names is None else shown_names
     raise StyleSplatError(
-        f"No view is called {name!r}. Views: {', '.join(told[:8])}"
-        f"{', ...' if len(told) > 8 else '.'}"
+        f"No view is called {name!r}. Views: {', '.join(known[:8])}"
+        f"{', ...' if len(known) > 8 else '.'}"
     )
 
 
 def are_rigid(
     viewmats: Float[Tensor, "C 4 4"], tolerance: float = ROTATION_TOLERANCE
 ) -> Bool[Tensor, " C"]:
-    """Which poses are finite, and a rotation and a shift only."""
+    """Which poses are finite and consist of a rotation and a shift."""
     rotations = viewmats[:, :3, :3]
     error = rotations @ rotations.mT - torch.eye(3).to(viewmats)
     turned = (error.abs() < tolerance).flatten(1).all(dim=1)
@@ -195,10 +174,9 @@ def focus_point(cameras: Cameras) -> Float[Tensor, "3"]:
 
 
 def up_vector(cameras: Cameras) -> Float[Tensor, "3"]:
-    """The direction that is up: level with every camera's x axis, on the side of their tops.
+    """The up direction: perpendicular to the cameras' x axes, on the side of their mean up.
 
-    Photos are hardly ever rolled, but often look down, so the x axes tell more than the tops;
-    where they leave it open, as when all cameras face one way, the mean of the tops decides.
+    Photos are hardly ever rolled but often look down, so that the x axes are more reliable.
     """
     rights, tops = cameras.viewmats[:, 0, :3].double(), -cameras.viewmats[:, 1, :3].double()
     matrix = rights.T @ rights / len(cameras) + UP_RIDGE * torch.eye(3).double()
@@ -221,7 +199,7 @@ def look_at(
 
 
 def median_lens(cameras: Cameras) -> tuple[Float[Tensor, "3 3"], tuple[int, int]]:
-    """Intrinsics and even size of the camera whose view is median in width, centred."""
+    """Centred intrinsics and even size of the camera whose field of view is median in width."""
     widths = cameras.sizes[:, 0] / cameras.Ks[:, 0, 0].cpu()
     row = int(widths.argsort()[len(cameras) // 2])
     width, height = (size - size % 2 for size in cameras.sizes[row].tolist())

@@ -36,20 +36,17 @@ class Capture:
     path: Path | None = None
     """The folder that this was read from."""
     object_names: Mapping[int, str] = field(default_factory=dict)
-    """What objects are called, by label id; most have no name."""
+    """Names of objects by label id; most objects have none."""
     full: Cameras | None = None
     """The cameras at the photos' full size, if the photos are smaller here."""
     downscale: float = 1.0
-    """How many times smaller they are."""
+    """The factor by which the photos are smaller than at full size."""
     alphas: Sequence[UInt8[Tensor, "_ _"] | None] | None = None
-    """Of cut-out photos how opaque each pixel is, 255 = wholly; None where a photo has no alpha."""
+    """Opacities of the pixels of cut-out photos, 255 = opaque; None for a photo without alpha."""
 
     def __post_init__(self) -> None:
-        for what, items in (
-            ("photos", self.photos),
-            ("label maps", self.label_maps),
-            ("alphas", self.alphas),
-        ):
+        given = {"photos": self.photos, "label maps": self.label_maps, "alphas": self.alphas}
+        for what, items in given.items():
             if items is not None and len(items) != len(self.cameras):
                 raise StyleSplatError(
                     f"Expected {len(self.cameras)} {what}, one per camera, got {len(items)}."
@@ -94,26 +91,19 @@ class Capture:
         return None if self.label_maps is None else self.label_maps[row]
 
     def alpha(self, row: int) -> UInt8[Tensor, "_ _"] | None:
-        """How opaque the pixels of a photo are; None if they all are."""
+        """The opacities of a photo's pixels; None if all are opaque."""
         return None if self.alphas is None else self.alphas[row]
 
 
-PHOTOS = 5  # that a fingerprint reads; who exchanges photos exchanges all, or renames them
+PHOTOS = 5  # read for a fingerprint; users exchange all photos at once, or rename them
 DIGEST = 8  # bytes of each part
 
 
 def fingerprint(capture: Capture, *, photos: int = PHOTOS) -> str:
-    """Digests of a capture's parts: equal for equal captures, wherever they lie.
+    """Digests of a capture's parts, `PART=DIGEST` separated by spaces; see `differences`.
 
-    All label maps are read, once and one at a time, but only a few photos: about 0.6 s for 50
+    All label maps are read, once and one at a time, but only so many photos: about 0.6 s for 50
     captured at 1080x1920, and 3 s for 300 at 1600x1066.
-
-    Args:
-        capture: At the size that it is used at.
-        photos: How many of them to look at, evenly chosen.
-
-    Returns:
-        `PART=DIGEST`, separated by spaces; see `differences`.
     """
     rows = evenly(range(len(capture)), photos)
     cameras = capture.cameras
@@ -139,7 +129,7 @@ DIFFERENCES = {
     "objects": "other names of objects",
     "photos": "photos with other content",
 }
-CAUSES = ("names", "size")  # which change nearly everything after them
+CAUSES = ("names", "size")  # if these differ, nearly all others do
 
 
 def differences(one: str, other: str) -> list[str]:
@@ -167,16 +157,15 @@ def _digest(parts: Iterable[Tensor | str | None]) -> str:
     return digest.hexdigest()
 
 
-KEPT = 2 * GIB  # for what is made smaller: 4,000 photos of 480 pixels
+KEPT = 2 * GIB  # 4,000 photos of 480 pixels
 
 Size = Sequence[int]  # height and width
 
 
 def at_most(capture: Capture, length: int) -> Capture:
-    """The same capture with photos whose sides have at most so many pixels.
+    """The capture with photos, label maps and cameras whose sides have at most so many pixels.
 
-    Label maps and cameras become smaller with the photos. Smaller photos are made on first access
-    and kept; a capture that is small already is returned as it is.
+    Smaller photos are made on first access and cached.
     """
     cameras = capture.cameras.at_most(length)
     if cameras is capture.cameras:
@@ -207,7 +196,7 @@ def at_most(capture: Capture, length: int) -> Capture:
 
 
 def _averaged(pixels: UInt8[Tensor, "H W *D"], size: Size) -> UInt8[Tensor, "h w *D"]:
-    """A picture in which every pixel averages what it covers."""
-    import cv2  # which commands without photos need not load
+    """Resize a picture by averaging."""
+    import cv2  # here, as commands without photos do not need it
 
     return torch.from_numpy(cv2.resize(pixels.numpy(), size[::-1], interpolation=cv2.INTER_AREA))

@@ -17,23 +17,16 @@ from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import SH_C0, Splats
 
 UNSEEN = -16.0  # logit of an opacity that no picture shows
-THROUGH = 0.003  # of what lies beneath, by a whole canvas: strengths show as they are called
+THROUGH = 0.003  # transmittance of a whole canvas, which makes the visible strength linear
 
 
 def compose(base: Splats, layers: Sequence[Layer]) -> Splats:
-    """The base with layers upon it, the lowest first.
+    """The base with layers upon it: its rows, then the canvases in the order of the stack.
 
-    Colours of the covered rows go towards the layer's by strength times share; beyond 1 they go
-    farther. Renders are linear in the colours, so that composing these blends the renders, wherever
-    no colour is clamped. A canvas carries its paint from the first. It fades in over what it hides,
-    which fades once half of the canvas is there.
-
-    Args:
-        base: The unpainted splat.
-        layers: The stack. Layers that are hidden or of strength 0 change nothing, to the bit.
-
-    Returns:
-        The rows of the base, then the canvases in the order of the stack.
+    Colours of the covered rows are interpolated towards the layer's by strength times share, and
+    extrapolated above 1. Renders are linear in the colours, so that they blend likewise, wherever
+    no colour is clamped. The canvas fades in with the strength; from strength 0.5 on, the rows that
+    it hides fade out. Layers that are hidden or of strength 0 change nothing, to the bit.
     """
     splats, family = base, torch.arange(len(base), device=base.device)
     for layer in layers:
@@ -50,19 +43,19 @@ def family_of(base: Splats, layers: Sequence[Layer]) -> Int[Tensor, " M"]:
 
 
 def family(scene: Scene) -> Int[Tensor, " M"]:
-    """As `family_of`, of a scene."""
+    """The row of the base that each Gaussian of a scene belongs to."""
     return family_of(scene.unpainted, scene.layers)
 
 
 def with_layers(scene: Scene, layers: Sequence[Layer]) -> Scene:
-    """The scene with another stack of layers; what objects mean follows.
+    """The scene with another stack of layers.
 
     Gaussians of a canvas that is there before and after keep their objects; those of a new canvas
     belong to the objects of their parents. Objects that lose all of their Gaussians go.
     """
     base = scene.unpainted
     rows = _rows_before(scene, layers)
-    objects = {name: taken_rows(each, rows) for name, each in scene.objects.items()}
+    objects = {name: object_subset(each, rows) for name, each in scene.objects.items()}
     kept = {
         name: each
         for name, each in objects.items()
@@ -79,7 +72,7 @@ def with_layers(scene: Scene, layers: Sequence[Layer]) -> Scene:
 
 
 def beneath(scene: Scene, name: str) -> tuple[Scene, int]:
-    """What the paint of an object lies on, or would, and the place of its layer in the stack."""
+    """The scene beneath an object's layer, and the layer's index; of a new layer, the top."""
     place = next((n for n, each in enumerate(scene.layers) if each.object == name), None)
     if place is None:
         return scene, len(scene.layers)
@@ -87,15 +80,7 @@ def beneath(scene: Scene, name: str) -> tuple[Scene, int]:
 
 
 def without_layers(scene: Scene, names: Collection[str] | None = None) -> Scene:
-    """The scene as it was before some objects were painted.
-
-    Args:
-        scene: A painted scene.
-        names: The objects, as their layers call them; by default all.
-
-    Raises:
-        StyleSplatError: If nothing is painted, or one of the objects is not.
-    """
+    """The scene without the layers of some objects, by default of all."""
     if names is not None and not names:
         return scene
     require_painted(scene, names or ())
@@ -107,34 +92,24 @@ def without_layers(scene: Scene, names: Collection[str] | None = None) -> Scene:
 def with_strengths(
     scene: Scene, strengths: Mapping[str, float], forms: Mapping[str, float] | None = None
 ) -> Scene:
-    """A scene whose layers are stronger or weaker, or show more or less form.
-
-    Args:
-        scene: With layers.
-        strengths: By the names of the objects; other layers stay as they are.
-        forms: Likewise.
-    """
-    changed = dict[int, Layer]()
-    for place, each in enumerate(scene.layers):
+    """The scene with other strengths and forms of some objects' layers."""
+    layers = list[Layer]()
+    for each in scene.layers:
         strength = strengths.get(each.object, each.strength)
         form = (forms or {}).get(each.object, each.form)
-        if (strength, form) != (each.strength, each.form):
-            changed[place] = replace(each, strength=strength, form=form)
-    layers = [changed.get(place, each) for place, each in enumerate(scene.layers)]
-    return with_layers(scene, layers) if changed else scene
+        same = (strength, form) == (each.strength, each.form)
+        layers.append(each if same else replace(each, strength=strength, form=form))
+    unchanged = all(new is old for new, old in zip(layers, scene.layers, strict=True))
+    return scene if unchanged else with_layers(scene, layers)
 
 
 def strengths_of(scene: Scene) -> dict[str, float]:
-    """How strong each layer of a scene is, by the name of its object."""
+    """The strength of each layer by object."""
     return {each.object: each.strength for each in scene.layers}
 
 
 def require_painted(scene: Scene, names: Collection[str] = ()) -> None:
-    """Check that a scene is painted, and among others some objects.
-
-    Raises:
-        StyleSplatError: If it is not, or one of them is not.
-    """
+    """Refuse a scene without layers, or without layers of some objects."""
     if not scene.layers:
         way = pasted("stylize", scene.path or "SCENE", "--style", "OBJECT=IMAGE", "-o", "STYLED")
         raise StyleSplatError(
@@ -149,36 +124,35 @@ def require_painted(scene: Scene, names: Collection[str] = ()) -> None:
 
 
 def mask_of(layer: Layer, scene: Scene) -> Bool[Tensor, " M"]:
-    """The Gaussians of a scene that belong to what a layer covers."""
+    """The Gaussians of a scene that belong to the rows that a layer covers."""
     own = torch.zeros(len(scene.unpainted), dtype=torch.bool)
     own[layer.rows] = True
     return own[family(scene)]
 
 
 def spans(scene: Scene) -> list[tuple[Layer, int, int]]:
-    """The layers that show, and where their canvases begin and end among the splats."""
+    """The layers that show, and the first row and the end of their canvases in the splats."""
     shown = [layer for layer in scene.layers if layer.is_shown]
     ends = [*accumulate((len(layer.parents) for layer in shown), initial=len(scene.unpainted))]
     return [*zip(shown, ends, ends[1:], strict=False)]
 
 
-def new_ones_last(scene: Scene, names: Collection[str]) -> tuple[Splats, Int[Tensor, " M"]]:
-    """The splats of a scene with the canvases of some layers after all else, and their families."""
+def canvases_last(scene: Scene, names: Collection[str]) -> tuple[Splats, Int[Tensor, " M"]]:
+    """The splats of a scene with the canvases of some objects last, and their families."""
     parts = sorted(spans(scene), key=lambda part: part[0].object in names)
     order = [torch.arange(first, end) for _, first, end in parts]
     rows = torch.cat([torch.arange(len(scene.unpainted)), *order])
     return scene.splats[rows], family(scene)[rows]
 
 
-def rows_unpainted(scene: Scene) -> Splats:
-    """All Gaussians of a scene as they are without paint: those of canvases do not show."""
-    base, count = scene.unpainted, len(scene.unpainted)
-    unseen = scene.splats[count:]
-    unseen = replace(unseen, opacities=torch.full_like(unseen.opacities, UNSEEN))
-    return Splats.cat([base, unseen])
+def splats_without_paint(scene: Scene) -> Splats:
+    """All Gaussians of a scene without paint; those of canvases are transparent."""
+    canvases = scene.splats[len(scene.unpainted) :]
+    hidden = torch.full_like(canvases.opacities, UNSEEN)
+    return Splats.cat([scene.unpainted, replace(canvases, opacities=hidden)])
 
 
-def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
+def object_subset(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
     """An object among the Gaussians of some rows."""
     picked = each.picked[rows]
     count = {"gaussians": int(picked.sum())} if "gaussians" in each.how else {}
@@ -186,7 +160,7 @@ def taken_rows(each: SceneObject, rows: Int[Tensor, " M"]) -> SceneObject:
 
 
 def _rows_before(scene: Scene, layers: Sequence[Layer]) -> Int[Tensor, " M"]:
-    """The row of a scene that each row takes after once it has other layers."""
+    """The present row of each Gaussian of the scene with other layers; its parent's if new."""
     starts = {id(layer.parents): first for layer, first, _ in spans(scene)}
     parts = [torch.arange(len(scene.unpainted))]
     for layer in layers:
@@ -198,7 +172,7 @@ def _rows_before(scene: Scene, layers: Sequence[Layer]) -> Int[Tensor, " M"]:
 
 
 def _covered(splats: Splats, family: Int[Tensor, " M"], layer: Layer, count: int) -> Splats:
-    """What lies beneath a layer, with its paint."""
+    """The splats beneath a layer with its paint on the rows that it covers."""
     entry = family.new_full((count,), -1)
     entry[layer.rows] = torch.arange(len(layer.rows), device=family.device)
     entries = entry[family]
@@ -236,17 +210,17 @@ def _appended(splats: Splats, base: Splats, layer: Layer) -> Splats:
 
 
 def _form(layer: Layer) -> Float[Tensor, " L"]:
-    """What the constant band gets of the relief, besides what the paint has already."""
+    """The change of the constant band for the form that the paint does not have yet."""
     return layer.relief * ((layer.form - layer.painted_form) / SH_C0)
 
 
 def _faded(
     opacities: Float[Tensor, " R"], factors: Float[Tensor, " R"], strength: float
 ) -> Float[Tensor, " R"]:
-    """Opacities of what a layer hides; to the bit where nothing fades."""
+    """The opacities of the rows that a layer hides; exact where nothing fades."""
     share = max(0.0, 2 * min(strength, 1.0) - 1)
     hidden = torch.sigmoid(opacities.double()) * factors
-    # Logarithms of what is let through: those of floats differ in their last bit by the place
+    # Logarithms of transmittances, in float64: float32 differs in the last bit by the row
     start, end = -F.softplus(opacities.double()), torch.log1p(-hidden)
     mixed = _opacity(torch.lerp(start, end, torch.full_like(start, share)))
     stays = (factors == 1) | (share == 0)
@@ -254,10 +228,10 @@ def _faded(
 
 
 def _appeared(opacities: Float[Tensor, " C"], strength: float) -> Float[Tensor, " C"]:
-    """Opacities of a canvas; to the bit at full strength.
+    """The opacities of a canvas; exact at full strength.
 
-    Logarithms of what is let through add up along a ray. So a pile of discs shows as much as is
-    wanted, and not more for being a pile.
+    Logarithms of transmittances add up along a ray, so that the strength is right also where
+    several discs overlap.
     """
     if strength >= 1:
         return opacities
@@ -265,6 +239,5 @@ def _appeared(opacities: Float[Tensor, " C"], strength: float) -> Float[Tensor, 
     return _opacity(-F.softplus(opacities.double()) * share).to(opacities)
 
 
-def _opacity(let_through: Float[Tensor, " N"]) -> Float[Tensor, " N"]:
-    """Logits of opacities that let so much through, given as logarithms."""
-    return torch.log(torch.expm1(-let_through)).clamp(min=UNSEEN)
+def _opacity(log_transmittance: Float[Tensor, " N"]) -> Float[Tensor, " N"]:
+    return torch.log(torch.expm1(-log_transmittance)).clamp(min=UNSEEN)

@@ -18,7 +18,7 @@ from torch import Tensor
 from stylesplat.scene.splats import Splats
 
 # Opacity below which a Gaussian is no surface. In two trained scenes 30 to 70 % of an object's are
-# fainter, and many lie far from it: with them, an object measured up to 60 times its size.
+# fainter; with them, an object measured up to 60 times its size.
 FAINT = 0.05
 SAMPLE = 30_000  # Gaussians; neighbours among a million would take seconds
 NEIGHBOURS = 8  # whose mean distance measures the density at a point
@@ -27,29 +27,26 @@ NEIGHBOURS = 8  # whose mean distance measures the density at a point
 SPARSE = 7.0
 # Diagonals of the heaviest part, times a part's share of the opacity: how far away it may be
 FARTHEST = 10.0
-EDGE = 0.002  # share of the opacity outside the bounds, at each end of each axis
-# The same for an object, some of whose Gaussians are strays. With 0.001 a toy cube of 0.74 measured
-# 1.08 by 0.74, with 0.01 a vase lost 4 % of its height
-STRAY = 0.005
+# Share of the opacity outside the bounds, at each end of each axis, as some Gaussians are strays.
+# With 0.001 a toy cube of 0.74 measured 1.08 by 0.74, with 0.01 a vase lost 4 % of its height
+EDGE = 0.005
 
 
 @dataclass(frozen=True)
 class Extent:
-    """A box along the world's axes."""
+    """A box along the world's axes, by two opposite corners."""
 
     low: Float[Tensor, "3"]
-    """The corner with the smaller coordinates."""
     high: Float[Tensor, "3"]
-    """The one opposite."""
 
     @property
     def centre(self) -> Float[Tensor, "3"]:
-        """Half-way between the corners."""
+        """Its centre."""
         return (self.low + self.high) / 2
 
     @property
     def size(self) -> Float[Tensor, "3"]:
-        """Its lengths."""
+        """Its side lengths."""
         return self.high - self.low
 
     def contains(self, points: Float[Tensor, "M 3"]) -> Bool[Tensor, " M"]:
@@ -76,11 +73,11 @@ class Content:
 
     @cached_property
     def outline(self) -> Float[Tensor, "_ 3"]:
-        """Points that lie in a picture only if all content does."""
+        """The convex hull of the content, widened by its blur."""
         return self.outline_of(self.points)
 
     def outline_of(self, points: Float[Tensor, "P 3"]) -> Float[Tensor, "_ 3"]:
-        """The outline of some of the points."""
+        """The convex hull of some of the points, widened by the blur."""
         try:
             hull = ConvexHull(points.numpy(), qhull_options="QJ Pp")  # joggled: may be flat
             points = points[torch.from_numpy(hull.vertices).long()]
@@ -91,13 +88,7 @@ class Content:
 
 
 def content_of(splats: Splats, picked: Bool[Tensor, " N"] | None = None) -> Content:
-    """Find the content of a splat, or of an object in it.
-
-    Args:
-        splats: At least one Gaussian.
-        picked: The object, at least one Gaussian. `others` are then all Gaussians outside of its
-            box, which may hide it.
-    """
+    """The content of a splat, or of a picked object; `others` are what may hide it."""
     if picked is None:
         everything = torch.ones(len(splats), dtype=torch.bool, device=splats.device)
         sample, step = _sample(splats, everything)
@@ -106,7 +97,7 @@ def content_of(splats: Splats, picked: Bool[Tensor, " N"] | None = None) -> Cont
     else:
         own, _ = _sample(splats, picked)
         rest, step = _sample(splats, ~picked)
-    extent, blur = _bounds(own, EDGE if picked is None else STRAY)
+    extent, blur = _bounds(own)
     others = rest[~extent.contains(rest.means)]
     sizes = others.scales.exp().sort(dim=1, descending=True).values
     return Content(
@@ -120,13 +111,8 @@ def content_of(splats: Splats, picked: Bool[Tensor, " N"] | None = None) -> Cont
 
 
 def extent_of(splats: Splats, picked: Bool[Tensor, " N"]) -> Extent:
-    """The box around some Gaussians, without faint ones and strays.
-
-    Args:
-        splats: The scene.
-        picked: At least one of its Gaussians.
-    """
-    return _bounds(_sample(splats, picked)[0], STRAY)[0]
+    """The box around some Gaussians, without faint ones and strays."""
+    return _bounds(_sample(splats, picked)[0])[0]
 
 
 def solid(splats: Splats, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
@@ -142,13 +128,13 @@ def _sample(splats: Splats, picked: Bool[Tensor, " N"]) -> tuple[Splats, int]:
     return splats[rows[::step]].map(lambda tensor: tensor.detach().cpu().double()), step
 
 
-def _bounds(splats: Splats, edge: float) -> tuple[Extent, float]:
-    """The box around Gaussians, widened by the median of their largest standard deviations."""
+def _bounds(splats: Splats) -> tuple[Extent, float]:
+    """The box around Gaussians, and the median of their largest standard deviations in it."""
     weights = splats.opacities.sigmoid()
     blur = _quantile(splats.scales.exp().amax(dim=1), weights, 0.5)
     low, high = (
         torch.stack([_quantile(axis, weights, share) for axis in splats.means.T])
-        for share in (edge, 1 - edge)
+        for share in (EDGE, 1 - EDGE)
     )
     return Extent(low - blur, high + blur), float(blur)
 

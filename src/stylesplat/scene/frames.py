@@ -1,7 +1,4 @@
-"""World frames: similarities, and cameras and splats moved by them.
-
-A capture's world may differ from the one that another program exports a splat in.
-"""
+"""World frames: similarity transforms of cameras and splats."""
 
 import math
 from dataclasses import dataclass, replace
@@ -24,14 +21,11 @@ class Frame:
     """A similarity from the capture's world: `scale * rotation @ x + shift`."""
 
     rotation: Float[Tensor, "3 3"]
-    """Applied first."""
     scale: float = 1.0
-    """Applied to the rotated."""
     shift: Float[Tensor, "3"] | None = None
-    """Added last; None is no shift."""
 
     def place(self, points: Float[Tensor, "M 3"]) -> Float[Tensor, "M 3"]:
-        """Points of the capture's world in this frame."""
+        """Transforms points of the capture's world to this frame."""
         moved = self.scale * points @ self.rotation.to(points).T
         return moved if self.shift is None else moved + self.shift.to(points)
 
@@ -44,7 +38,7 @@ class Frame:
 SAME = Frame(torch.eye(3))
 
 
-def seen_from(cameras: Cameras, frame: Frame) -> Cameras:
+def move_cameras(cameras: Cameras, frame: Frame) -> Cameras:
     """The same cameras in another world frame."""
     rotation = frame.rotation.to(cameras.viewmats)
     positions = frame.place(cameras.positions)
@@ -54,12 +48,8 @@ def seen_from(cameras: Cameras, frame: Frame) -> Cameras:
     return replace(cameras, viewmats=viewmats)
 
 
-def posed_as(capture: Capture, cameras: Cameras) -> Capture:
-    """A capture with the poses of other cameras of the same names, which may differ in size.
-
-    Raises:
-        StyleSplatError: If one of its photos has no such camera.
-    """
+def with_poses_of(capture: Capture, cameras: Cameras) -> Capture:
+    """A capture with the poses of other cameras of the same names, which may differ in size."""
     posed = cameras[[cameras.index(name) for name in capture.cameras.names]]
     Ks = posed.Ks.clone()
     Ks[:, :2] *= (capture.cameras.sizes / posed.sizes)[:, :, None].to(Ks)
@@ -83,7 +73,7 @@ def known_frames(cameras: Cameras) -> dict[str, Frame]:
 
 
 def _normalized(cameras: Cameras, before: Frame) -> Frame:
-    turned = seen_from(cameras, before)
+    turned = move_cameras(cameras, before)
     up = -turned.viewmats[:, 1, :3].mean(dim=0)
     upright = Rotation.align_vectors([[0.0, 0.0, 1.0]], up[None].double().cpu())[0]
     rotation = torch.from_numpy(upright.as_matrix()).to(up)
@@ -95,8 +85,8 @@ def _normalized(cameras: Cameras, before: Frame) -> Frame:
 
 
 DIRECTIONS = 64  # 7 functions of the third degree are fixed by 7; more keep the system well-posed
-GOLDEN = math.pi * (3 - math.sqrt(5))  # the angle between neighbours that spreads them evenly
-EXACT = 1e-9  # float64 solves a half turn to 1e-15; what is within this of 0 or 1 is that
+GOLDEN = math.pi * (3 - math.sqrt(5))  # golden angle: spreads directions evenly
+EXACT = 1e-9  # float64 solves a half turn to 1e-15; entries so close to 0 or 1 are rounded
 
 
 def move_splats(splats: Splats, frame: Frame) -> Splats:
@@ -120,10 +110,7 @@ def move_splats(splats: Splats, frame: Frame) -> Splats:
 
 
 def _band_turn(rotation: Float[Tensor, "3 3"], degree: int) -> Float[Tensor, "K K"]:
-    """The matrix that rotates the coefficients of the higher bands.
-
-    A colour seen along `d` is afterwards what it was along the unrotated `d`, for every `d`.
-    """
+    """The matrix that rotates the SH coefficients of the higher bands, by least squares."""
     z = 1 - (torch.arange(DIRECTIONS).double() + 0.5) * (2 / DIRECTIONS)
     angle = GOLDEN * torch.arange(DIRECTIONS).double()
     across = (1 - z * z).sqrt()

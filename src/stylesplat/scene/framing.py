@@ -15,35 +15,35 @@ from stylesplat.scene.content import Content, content_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
-FILLED = 0.92  # of the picture's width or height; the rest is room around
-CLEAR = 0.5  # of the content's radius, between its nearest point and the camera
-NEAREST = 0.1  # world units from the camera; nothing nearer than 0.01 is drawn
-WIDEST = 0.5  # focal length over the picture's width: 90 degrees
-HIDDEN = 0.1  # share of its middle that something else may hide
-MIDDLE = 0.6  # of its radius, which its middle reaches to
-BEFORE = 0.95  # of the way to what would hide it, where the camera stands
+# The model: the content is a convex hull that fills the picture, and other Gaussians are discs that
+# hide part of its middle. A camera stands as far away as it needs, or before the first of these.
+FILLED = 0.92  # share of the picture's width or height
+CLEAR = 0.5  # least distance of the camera from the content's nearest point, in its radii
+NEAREST = 0.1  # least distance of the camera in world units; the near plane is at 0.01
+WIDEST = 0.5  # least focal length over the picture's width: 90 degrees
+HIDDEN = 0.1  # share of the content's middle that other Gaussians may hide
+MIDDLE = 0.6  # radius of the middle, in the content's radii
+BEFORE = 0.95  # share of the distance to what would hide the content, where the camera stands
 TINY = 1e-9
 
 
 @dataclass(frozen=True)
 class Sight:
-    """The direction of a camera, what it looks at, and the size of its picture."""
+    """A camera without its distance: the point that it looks at, its direction, its size."""
 
     focus: Float[Tensor, "3"]
-    """The point in the middle."""
     outward: Float[Tensor, "3"]
-    """The direction from there to the camera, of length 1."""
+    """The unit vector from the focus to the camera."""
     up: Float[Tensor, "3"]
-    """The direction that is up."""
     size: tuple[int, int]
     """Width and height in pixels."""
 
     def offsets(self, points: Float[Tensor, "M 3"]) -> Float[Tensor, "M 3"]:
-        """Points along the camera's axes, from what it looks at."""
+        """Points in the camera's axes, from the focus."""
         return (points - self.focus) @ self.viewmats(1.0)[0, :3, :3].T
 
     def viewmats(self, distance: float) -> Float[Tensor, "1 4 4"]:
-        """World to camera, so far away."""
+        """World to camera, at a distance from the focus."""
         eye = self.focus + distance * self.outward
         return look_at(eye[None], self.focus, self.up)
 
@@ -54,12 +54,10 @@ class Sight:
 
 
 def fitting_distance(content: Content, sights: Sequence[Sight], focal: float) -> float:
-    """The distance at which the content fills the pictures, or less if something would hide it.
+    """The distance at which the content fills the pictures of all sights, if nothing hides it.
 
-    Args:
-        content: What to show.
-        sights: From where; the distance suits all of them.
-        focal: The focal length wanted, in pixels. A wider lens can be necessary; see `focal_at`.
+    Where other Gaussians would hide it, the camera stands before them, and `focal_at` gives a
+    shorter focal length than the wanted one.
     """
     wanted, closest, free = [], [], []
     for sight in sights:
@@ -73,13 +71,7 @@ def fitting_distance(content: Content, sights: Sequence[Sight], focal: float) ->
 
 
 def focal_at(points: Float[Tensor, "M 3"], sight: Sight, distance: float) -> float:
-    """The focal length in pixels with which points fill the picture.
-
-    Args:
-        points: What to show.
-        sight: From where.
-        distance: Of the camera from what it looks at.
-    """
+    """The focal length in pixels at which points fill the picture."""
     offsets = sight.offsets(points)
     lateral = offsets[:, :2].abs().clamp(min=TINY * distance)
     depths = (distance + offsets[:, 2:]).clamp(min=TINY * distance)
@@ -87,14 +79,14 @@ def focal_at(points: Float[Tensor, "M 3"], sight: Sight, distance: float) -> flo
 
 
 def level_axes(up: Float[Tensor, "3"]) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
-    """Two directions at right angles to up, and to each other."""
+    """Two directions perpendicular to up and to each other."""
     side = torch.linalg.cross(up, torch.eye(3).to(up)[up.abs().argmin()])
     side = torch.nn.functional.normalize(side, dim=0)
     return side, torch.linalg.cross(up, side)
 
 
 def centred_K(focal: float, size: tuple[int, int]) -> Float[Tensor, "3 3"]:
-    """Intrinsics of a camera that looks at the middle of its picture."""
+    """Intrinsics with the principal point in the middle of the picture."""
     width, height = size
     return torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
 
@@ -115,26 +107,18 @@ def _free_distance(content: Content, sight: Sight, radius: float) -> float:
 
 
 VIEWS = 36
-SIZE = (960, 720)  # pixels; upright for what is taller than wide
-TALL = 1.2  # times as tall as wide, from which that is so
+SIZE = (960, 720)  # pixels; upright for tall content
+TALL = 1.2  # least height of tall content, in its widths
 FOCAL = 960.0  # pixels, where there is room enough
 ELEVATIONS = (10.0, 35.0)  # degrees, by turns
-EACH = 4  # one view in so many is a close-up
-PARTS = 3  # of the content along its longest axis, which close-ups show by turns
-ZOOM = 2.0  # times larger than in the other views, at least, is what they show
+EACH = 4  # one view in four is a close-up
+PARTS = 3  # of the content along its longest axis, one in each close-up
+ZOOM = 2.0  # least magnification of close-ups
 NAMES = tuple(f"view_{row:03d}.png" for row in range(VIEWS))
 
 
 def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
-    """Cameras all around the content: three of four show all of it, one is a close-up of a part.
-
-    They stand before what would hide the content, such as the walls of a room, with a wider lens
-    where that is close.
-
-    Args:
-        splats: What to look at.
-        up: The direction that is up.
-    """
+    """Cameras all around the content: three of four show all of it, one is a close-up of a part."""
     content = content_of(splats)
     parts = [content.outline_of(part) for part in _parts_along(content.points)]
     up = torch.nn.functional.normalize(up.double(), dim=0)
@@ -162,7 +146,7 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
     return Cameras(
         viewmats=torch.stack(viewmats).float(),
         Ks=torch.stack([centred_K(focal, size) for focal in focals]),
-        sizes=torch.tensor(size).expand(VIEWS, 2).clone(),
+        sizes=torch.tensor(size).repeat(VIEWS, 1),
         names=NAMES,
     )
 
@@ -173,7 +157,7 @@ def has_no_photos(scene: Scene) -> bool:
 
 
 def _parts_along(points: Float[Tensor, "M 3"]) -> list[Float[Tensor, "_ 3"]]:
-    """Points by where they lie along the axis that they extend along most; all where none do."""
+    """Points in three parts along their principal axis; an empty part holds all points."""
     offsets = points - points.mean(dim=0)
     _, axes = torch.linalg.eigh(offsets.T @ offsets)  # the widest one comes last
     along = offsets @ axes[:, -1]
@@ -194,15 +178,10 @@ def smooth_path(
     *,
     closed: bool = False,
 ) -> Cameras:
-    """A path past key frames in equal times: splines of positions, rotations and log focal lengths.
+    """A path through key frames: splines of positions, rotations and logarithms of focal lengths.
 
-    Args:
-        viewmats: World to camera, in OpenCV axes, of two key frames or more.
-        focals: Over the pictures' height.
-        count: Number of frames; the last one is the last key frame, or, on a closed path, the one
-            before the first.
-        size: Width and height of the pictures.
-        closed: Whether it returns to the first key frame.
+    `focals` are in units of the pictures' height. A closed path of `count` frames returns to the
+    first key frame, which it does not repeat.
     """
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import Rotation, RotationSpline
@@ -227,28 +206,17 @@ def smooth_path(
 def path_of(
     viewmats: Float[Tensor, "M 4 4"], focals: Float[Tensor, " M"], size: tuple[int, int]
 ) -> Cameras:
-    """The frames of a path.
-
-    Args:
-        viewmats: World to camera, in OpenCV axes.
-        focals: Over the pictures' height.
-        size: Width and height of the pictures.
-    """
-    width, height = size
+    """The frames of a path; `focals` are in units of the pictures' height."""
     return Cameras(
         viewmats=viewmats.float(),
-        Ks=torch.stack([centred_K(focal * height, size) for focal in focals.tolist()]),
-        sizes=torch.tensor([width, height]).repeat(len(viewmats), 1),
+        Ks=torch.stack([centred_K(focal * size[1], size) for focal in focals.tolist()]),
+        sizes=torch.tensor(size).repeat(len(viewmats), 1),
         names=tuple(f"path_{row:05d}.png" for row in range(len(viewmats))),
     )
 
 
 def frame_count(seconds: float | int, fps: float | int) -> int:
-    """How many frames a video has.
-
-    Raises:
-        StyleSplatError: If that is none or far too many.
-    """
+    """The number of frames of a video; refuses none and more than `MOST_FRAMES`."""
     count = round(seconds * fps) if 0 < seconds * fps < float("inf") else 0
     if not 0 < count <= MOST_FRAMES:
         raise StyleSplatError(

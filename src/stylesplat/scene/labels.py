@@ -1,4 +1,4 @@
-"""What label maps and masks are, and how they change their size."""
+"""Label maps and masks."""
 
 from collections.abc import Sequence
 
@@ -16,10 +16,7 @@ OwnLabels = Int[Tensor, "_ _"]  # one of several label maps, which may differ in
 
 
 def ids_of(labels: OwnLabels | None) -> set[int]:
-    """The ids that occur in a label map, background included; none if there is no map.
-
-    Counting takes a fraction of the time of `unique`, which sorts all pixels.
-    """
+    """The ids that occur in a label map, background included; none if there is no map."""
     if labels is None or labels.numel() == 0:
         return set()
     if 0 <= int(labels.min()) and int(labels.max()) < FEW:
@@ -28,7 +25,7 @@ def ids_of(labels: OwnLabels | None) -> set[int]:
 
 
 def resize_labels(labels: Shaped[Tensor, "H W"], size: Sequence[int]) -> Shaped[Tensor, "h w"]:
-    """A map of another height and width: the nearest pixels, between pixel centres."""
+    """Resize a label map to a height and width by nearest neighbour."""
     if tuple(labels.shape) == tuple(size):
         return labels
     y, x = (

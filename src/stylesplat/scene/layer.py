@@ -21,7 +21,7 @@ class Source:
     """A file that something was made from."""
 
     path: Path | None
-    """Where the file was; None if it was never a file."""
+    """The path of the file; None if it was never a file."""
     sha256: str | None = None
     """The digest of its content; None if it was not recorded."""
 
@@ -35,11 +35,11 @@ class Layer:
     """
 
     object: str
-    """What the object was called: a name, or a label id."""
+    """The object's name or label id."""
     rows: Int[Tensor, " R"]
     """The rows of the base that the layer covers."""
     shares: Float[Tensor, " R"]
-    """How much of its paint each row takes on."""
+    """The share of the paint that each row takes on."""
     sh0: Float[Tensor, "R 1 3"]
     """The paint of these rows: the constant band."""
     shN: Float[Tensor, "R _ 3"]
@@ -59,9 +59,9 @@ class Layer:
     form: float = 0.0
     """How much of the relief shows, 0 to 1.5."""
     visible: bool = True
-    """Whether the layer shows at all."""
+    """Whether the layer is shown."""
     kind: Kind = "paint"
-    """What the layer does."""
+    """The kind of the layer."""
     styles: tuple[Source, ...] = ()
     """The pictures whose style the object has."""
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -99,20 +99,17 @@ class Layer:
 
 
 def without_identities(splats: Splats) -> Splats:
-    """The Gaussians alone."""
+    """The splats without their objects."""
     return replace(splats, identities=None, classifier=None, confidence=None)
 
 
-def taken(
+def layer_subset(
     layer: Layer, places: Int[Tensor, " N"], canvas: Int[Tensor, " K"] | None = None
 ) -> Layer:
-    """What is left of a layer on some rows of its base.
+    """The part of a layer on some rows of its base, and on some of its canvas (by default all).
 
-    Args:
-        layer: On the whole base.
-        places: Where each row of the base is now; -1 if it is gone.
-        canvas: The Gaussians of the canvas that are left; None for all. They belong to some row of
-            the layer if their parent is gone.
+    `places` are the new rows of the base's rows, -1 where they are removed. Gaussians of the canvas
+    whose parent is removed get any row of the layer as parent.
     """
     kept = places[layer.rows] >= 0
     rows = places[layer.rows][kept]

@@ -1,4 +1,4 @@
-"""Between the world and the pixels of one camera; centres of pixels lie at +0.5."""
+"""Projection between the world and the pixels of one camera; pixel centres lie at +0.5."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +13,7 @@ IN_IMAGES = 1000  # points that are projected into every image
 
 
 def depths_of(points: Float[Tensor, "P 3"], camera: Cameras) -> Float[Tensor, " P"]:
-    """How far along a camera's z axis points lie; negative behind it."""
+    """Coordinates of points along a camera's z axis."""
     axis = camera.viewmats[0, 2].to(points)
     return points @ axis[:3] + axis[3]
 
@@ -21,15 +21,15 @@ def depths_of(points: Float[Tensor, "P 3"], camera: Cameras) -> Float[Tensor, " 
 def project(
     points: Float[Tensor, "P 3"], camera: Cameras
 ) -> tuple[Float[Tensor, "P 2"], Float[Tensor, " P"]]:
-    """Where points lie in a camera's image, and their depths. Behind it places mean nothing."""
+    """Pixels and depths of points in a camera; pixels are valid where depths are positive."""
     viewmat, K = camera.viewmats[0].to(points), camera.Ks[0].to(points)
     points_c = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     depths = points_c[:, 2]
     return (points_c @ K.T)[:, :2] / depths[:, None], depths
 
 
-def shown(points: Float[Tensor, "P 3"], camera: Cameras) -> Tensor:
-    """Which points lie in a camera's image, though something may hide them."""
+def is_in_image(points: Float[Tensor, "P 3"], camera: Cameras) -> Tensor:
+    """Which points lie in a camera's image, hidden or not."""
     places, depths = project(points, camera)
     size = torch.tensor(camera.size).to(places)
     return ((places >= 0) & (places < size)).all(dim=1) & (depths > 0)
@@ -38,7 +38,7 @@ def shown(points: Float[Tensor, "P 3"], camera: Cameras) -> Tensor:
 def unproject(
     pixels: Float[Tensor, "P 2"], depths: Float[Tensor, " P"], camera: Cameras
 ) -> Float[Tensor, "P 3"]:
-    """World positions of pixels of a camera at a depth along its z axis."""
+    """World positions of a camera's pixels at some depths along its z axis."""
     viewmat, K = camera.viewmats[0].to(depths), camera.Ks[0].to(depths)
     ones = pixels.new_ones(len(pixels), 1)
     rays_c = torch.cat([pixels, ones], dim=1) @ torch.linalg.inv(K).T
@@ -46,7 +46,7 @@ def unproject(
 
 
 def pixel_centres(width: int, height: int) -> Float[Tensor, "P 2"]:
-    """The places, x and y, of all pixels of an image, row by row."""
+    """The centres, x and y, of all pixels of an image, row by row."""
     x, y = torch.arange(width) + 0.5, torch.arange(height) + 0.5
     return torch.cartesian_prod(y, x).flip(1)
 
@@ -54,13 +54,13 @@ def pixel_centres(width: int, height: int) -> Float[Tensor, "P 2"]:
 def crop(
     camera: Cameras, corner: Sequence[int | float], size: Sequence[int], *, zoom: float = 1.0
 ) -> Cameras:
-    """What a camera sees to the right of and below a place of its image, or beside it.
+    """The camera of a crop of its image.
 
     Args:
         camera: One camera.
-        corner: Left and top, in the camera's pixels; they may lie outside the image.
-        size: Width and height of the new image, in its own pixels.
-        zoom: How many of them make one of the camera's.
+        corner: Left and top of the crop in the camera's pixels, possibly outside its image.
+        size: Width and height of the crop in its own pixels.
+        zoom: Pixels of the crop per pixel of the camera.
     """
     Ks = camera.Ks.clone()
     Ks[:, :2, 2] -= Ks.new_tensor(corner)
@@ -69,9 +69,9 @@ def crop(
 
 
 def share_in_images(points: Float[Tensor, "M 3"], cameras: Cameras) -> Float[Tensor, " C"]:
-    """The share of points that lies in each image, whether or not something hides them."""
+    """The share of points that lies in each image, hidden or not."""
     some = points[:: max(1, len(points) // IN_IMAGES)].to(cameras.viewmats)
-    return torch.stack([shown(some, camera).float().mean() for camera in cameras])
+    return torch.stack([is_in_image(some, camera).float().mean() for camera in cameras])
 
 
 def overlapping(
@@ -80,15 +80,9 @@ def overlapping(
     low: Shaped[Tensor, " D"],
     high: Shaped[Tensor, " D"],
 ) -> Int[Tensor, " M"]:
-    """Which boxes share a point with another one, in order.
+    """The rows of the boxes that overlap another one, in order; boxes are lower and upper corners.
 
-    One axis after the other is looked at: few are left after the first.
-
-    Args:
-        lows: Their lower corners; for points, these.
-        highs: Their upper corners.
-        low: The lower corner of the other one.
-        high: Its upper corner.
+    One axis after the other is compared, as few boxes are left after the first.
     """
     rows = ((lows[:, 0] <= high[0]) & (highs[:, 0] >= low[0])).nonzero()[:, 0]
     for axis in range(1, len(low)):

@@ -1,4 +1,4 @@
-"""Some of many: items at equal distances or at random, cameras that are far from each other."""
+"""Samples: items at equal distances or at random, cameras that are far from each other."""
 
 from collections.abc import Iterator, Sequence
 from typing import TypeVar
@@ -17,7 +17,7 @@ def evenly(items: Sequence[T], count: int) -> list[T]:
 
 
 def drawn(items: Sequence[T], count: int, generator: torch.Generator) -> Iterator[T]:
-    """So many of the items in random order, each as often as the others."""
+    """Draws `count` items in random order, each equally often."""
     order: list[int] = []
     for _ in range(count):
         order = order or torch.randperm(len(items), generator=generator).tolist()
@@ -25,11 +25,7 @@ def drawn(items: Sequence[T], count: int, generator: torch.Generator) -> Iterato
 
 
 def far_apart(cameras: Cameras, count: int) -> list[int]:
-    """Rows of some cameras that are far from each other, whatever their order.
-
-    The first is the one farthest from the middle of all; each other the one farthest from those
-    that are chosen.
-    """
+    """Rows of cameras chosen by farthest point sampling, the first farthest from the mean."""
     positions = cameras.positions.cpu()
     gaps = (positions - positions.mean(dim=0)).norm(dim=1)
     rows: list[int] = []

@@ -27,12 +27,12 @@ UNFIT = re.compile(r"[/\\=\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 @dataclass(frozen=True)
 class SceneObject:
-    """Gaussians that have a name."""
+    """A named object."""
 
     picked: Bool[Tensor, " N"]
-    """Which they are."""
+    """Its Gaussians."""
     how: Mapping[str, Any] = field(default_factory=dict)
-    """How they were chosen, as plain values: `ids`, `threshold`, `gaussians` and so on."""
+    """How they were selected, as plain values: `ids`, `threshold`, `gaussians` and so on."""
 
     def __repr__(self) -> str:
         named = " ".join(map(str, self.how.get("ids", ())))
@@ -52,11 +52,11 @@ class Scene:
     cameras: Cameras
     """All cameras of the capture, at the photos' full size."""
     held_out: tuple[str, ...] = ()
-    """Names of the cameras whose photos were not trained on."""
+    """Names of the photos that are not trained on but measured."""
     downscale: float = 1.0
-    """How many times smaller than the photos the views are that it was made from."""
+    """The factor by which the training views are smaller than the photos."""
     objects: Mapping[str, SceneObject] = field(default_factory=dict)
-    """The objects that have a name."""
+    """The named objects."""
     base: Splats | None = None
     """The splat beneath all layers; None if there are no layers."""
     layers: tuple[Layer, ...] = ()
@@ -64,11 +64,11 @@ class Scene:
     path: Path | None = None
     """The folder that it was opened from."""
     capture: Path | None = None
-    """The folder of the photos: where they were then, or if moved with the scene, are now."""
+    """The folder of the photos, also after it was moved together with the scene."""
     info: Mapping[str, Any] = field(default_factory=dict)
     """How it was made, as plain values: settings, versions of libraries."""
     metrics: Mapping[str, Any] = field(default_factory=dict)
-    """What was measured, as plain values."""
+    """Measured numbers, as plain values."""
 
     def __repr__(self) -> str:
         held_out = f" ({len(self.held_out)} held out)" if self.held_out else ""
@@ -99,7 +99,7 @@ class Scene:
         return self.cameras[rows]
 
     def working_views(self) -> tuple[Cameras, Cameras | None]:
-        """Training views, and held-out views if there are any, at the size that it was made at."""
+        """Training views, and held-out views if any, at the size that the scene was made at."""
         training = self.views("train").downscale(self.downscale)
         return training, self.views("test").downscale(self.downscale) if self.held_out else None
 
@@ -110,21 +110,17 @@ class Scene:
 
     @property
     def painted_objects(self) -> tuple[str, ...]:
-        """What the objects of the layers are called, the lowest first."""
+        """The names of the layers' objects, the lowest first."""
         return tuple(layer.object for layer in self.layers)
 
     def with_object(self, name: str, found: SceneObject) -> "Scene":
-        """The scene with one more named object, or with another of that name.
-
-        Raises:
-            StyleSplatError: If objects cannot be called that.
-        """
+        """The scene with a named object, which replaces an earlier one of that name."""
         check_name(name)
         return replace(self, objects={**self.objects, name: found})
 
 
 def check_name(name: str) -> None:
-    """Raise a StyleSplatError if an object cannot be called that."""
+    """Refuse a name that no object can have."""
     fault = name_fault(name)
     if fault:
         raise StyleSplatError(
@@ -133,18 +129,18 @@ def check_name(name: str) -> None:
 
 
 def check_name_or_id(name: str) -> None:
-    """Raise a StyleSplatError if nothing that is painted can be called that."""
+    """Refuse what is neither a label id nor a name that an object can have."""
     if not is_id(name):
         check_name(name)
 
 
 def is_id(name: str) -> bool:
-    """Whether it stands for a label id; Python makes no numbers of thousands of digits."""
+    """Whether a name is a label id; `int` refuses thousands of digits."""
     return name.isdecimal() and len(name) <= MAX_NAME
 
 
 def name_fault(name: str) -> str | None:
-    """Why an object cannot be called that; None if it can."""
+    """The reason why no object can have a name, or None."""
     if not name.strip():
         return "a name must not be empty"
     if name.isdecimal():
@@ -158,29 +154,27 @@ def name_fault(name: str) -> str | None:
 
 @dataclass(frozen=True)
 class ListedObject:
-    """The Gaussians of an object."""
+    """The Gaussians of an object by row."""
 
     rows: Int[Tensor, " M"]
-    """Which they are."""
     shares: Float[Tensor, " M"] | None = None
-    """The share of each Gaussian that is the object, 0 to 1; None if unknown."""
+    """The share of each Gaussian that belongs to the object, 0 to 1; None if unknown."""
     ids: tuple[int, ...] = ()
     """Its label ids."""
 
 
 @dataclass(frozen=True)
 class ListedObjects:
-    """The objects of a splat's Gaussians."""
+    """All objects of a splat of `count` Gaussians."""
 
     count: int
-    """Of Gaussians."""
     objects: Mapping[str, ListedObject] = field(default_factory=dict)
-    """By name; what has none is called by its label id."""
+    """By name, or by label id if an object has no name."""
     labels: Int[Tensor, " N"] | None = None
-    """The label id of each Gaussian, 0 being that of no object; None if there are none."""
+    """The label id of each Gaussian, 0 for no object; None if there are none."""
 
     def ordered(self, order: Int[Tensor, " M"]) -> "ListedObjects":
-        """The same for some of the Gaussians in another order; objects without any are dropped."""
+        """The list for some of the Gaussians in another order; empty objects are dropped."""
         place = torch.full((self.count,), -1)
         place[order] = torch.arange(len(order))
         objects = dict[str, ListedObject]()
@@ -211,21 +205,14 @@ class ListedObjects:
         return labels
 
 
-TURNED = 5.0  # degrees between the same views of two scenes: refined poses differ by less
+TURNED = 5.0  # degrees; refined poses of the same photos differ by less
 
 
 def shared_views(scenes: Mapping[str, Scene]) -> tuple[str, ...]:
     """The photos that all scenes have views of: those held out in all, or else any.
 
-    Args:
-        scenes: By what they are called; their world frames may differ.
-
-    Returns:
-        Names in the first scene's order.
-
-    Raises:
-        StyleSplatError: If there are none, or views of a name are of other photos: of another
-            size, or turned otherwise against each other.
+    World frames may differ. Views of one name have to agree in size and in rotation relative to the
+    other views, or else they are of other photos.
     """
     (first, one), *others = scenes.items()
     every = [{*scene.cameras.names} for scene in scenes.values()]
@@ -256,7 +243,7 @@ def shared_views(scenes: Mapping[str, Scene]) -> tuple[str, ...]:
 
 
 def _relative_turn(one: Cameras, other: Cameras) -> float:
-    """Degrees by which views are turned otherwise against the first one; the median."""
+    """The median angle in degrees between relative rotations, to the first view, of two scenes."""
     relative = [c.viewmats[:, :3, :3].cpu() @ c.viewmats[:1, :3, :3].cpu().mT for c in (one, other)]
     traces = torch.einsum("cij,cij->c", *relative)
     angles = ((traces - 1) / 2).clamp(-1, 1).acos()

@@ -39,7 +39,7 @@ class Classifier:
     def some_at_a_time(
         self, identities: Float[Tensor, "N 16"]
     ) -> Iterator[tuple[slice, Float[Tensor, "B K"]]]:
-        """The same of so many rows at a time that no table of all is ever there."""
+        """The logits of a few rows at a time, as a table of all rows may be too large."""
         size = max(1, AT_ONCE // len(self.ids))
         for first in range(0, max(len(identities), 1), size):
             rows = slice(first, min(first + size, len(identities)))
@@ -78,7 +78,7 @@ class Splats:
     shN: Float[Tensor, "N _ 3"]
     """Higher colour bands: 0, 3, 8 or 15 of them."""
     identities: Float[Tensor, "N 16"] | None = None
-    """What object each Gaussian belongs to, to be read by `classifier`."""
+    """The object that each Gaussian belongs to, decoded by `classifier`."""
     classifier: Classifier | None = None
     """Decoder of `identities`; None without label maps."""
     confidence: Float[Tensor, " N"] | None = None
@@ -128,7 +128,7 @@ class Splats:
         return {name: value for name, value in values.items() if isinstance(value, Tensor)}
 
     def with_rows(self, rows: Int[Tensor, " M"], tensors: Mapping[str, Tensor]) -> "Splats":
-        """The same with other values of some Gaussians, by field name; gradients reach these."""
+        """The splats with other values in some rows, by field name; gradients reach the values."""
         every = self.tensors()
         changed = {name: every[name].index_copy(0, rows, part) for name, part in tensors.items()}
         return replace(self, **changed)
@@ -144,12 +144,7 @@ class Splats:
 
 
 def sh_basis(degree: int, dirs: Float[Tensor, "N 3"]) -> Float[Tensor, "N K"]:
-    """Real spherical harmonics in the order and with the signs of the INRIA code.
-
-    Args:
-        degree: 0 to 3.
-        dirs: Unit vectors from the camera to the Gaussians.
-    """
+    """Real spherical harmonics of unit vectors, in the order and signs of the INRIA code."""
     x, y, z = dirs.unbind(-1)
     basis = [torch.full_like(x, SH_C0)]
     if degree >= 1:

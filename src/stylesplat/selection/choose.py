@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from jaxtyping import Bool
@@ -21,6 +21,7 @@ from stylesplat.selection.pick import (
     each_object,
     pick,
     pick_objects,
+    require_any,
     resolve_ids,
 )
 from stylesplat.selection.shapes import grow, in_box, in_sphere, shrink, surface_point
@@ -75,115 +76,106 @@ class Choice:
             )
 
 
-class Rules(NamedTuple):
-    """How `pick` decides which Gaussians are an object's."""
-
-    threshold: float = THRESHOLD
-    """Probability of the object above which a Gaussian belongs to it."""
-    remove_outliers: bool = True
-    """Whether to drop Gaussians that lie apart from the rest of an object."""
-
-
-RULES = Rules()
-
-
 def choose(
     scene: Scene,
     choice: Choice,
     *,
     name: str | None = None,
-    rules: Rules = RULES,
+    threshold: float = THRESHOLD,
+    remove_outliers: bool = True,
     detector: Detector | None = None,
 ) -> SceneObject:
-    """Find the Gaussians of a choice.
+    """Find the Gaussians of a choice; texts are found by the detector.
 
-    Args:
-        scene: The scene.
-        choice: What to select.
-        name: The name of the new object; an object of that name now counts as background.
-        rules: How to decide which Gaussians are an object's.
-        detector: Finds `choice.text`.
-
-    Raises:
-        StyleSplatError: If the scene has no such object, the text fits none or several, or
-            nothing is left.
+    An object that is called `name` now counts as background. For `threshold` and
+    `remove_outliers` see `pick`.
     """
-    without = _ids_at(scene, choice.not_points)
+    excluded = _ids_at(scene, choice.not_points)
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
     if choice.background:
-        masks.append(background_of(scene, name, threshold=rules.threshold))
+        masks.append(background_of(scene, name, threshold=threshold))
     named, scores = _ids(scene, choice), dict[int, float]()
+    names = {id: name for name, each in scene.objects.items() for id in each.how.get("ids", [])}
     for text in choice.text:
         assert detector is not None  # whoever takes texts loads one
-        fits = _scores(scene, text, detector, without)
-        named += (_winner(scene, fits, text),)
+        ranking = rank_objects(scene.unpainted, scene.cameras, text, detector)
+        fits = {id: score for id, score in ranking.items() if id not in excluded}
+        named.append(clear_winner(fits, text, names, folder=scene.path))
         scores |= {id: max(score, scores.get(id, score)) for id, score in fits.items()}
-    ids = tuple(id for id in dict.fromkeys(named) if id not in without)
+    ids = [id for id in dict.fromkeys(named) if id not in excluded]
     if ids:
-        picked = pick(scene.unpainted, object_id=ids, **rules._asdict())
-        masks.append(_extended(scene, picked))
+        picked = pick(
+            scene.unpainted, object_id=ids, threshold=threshold, remove_outliers=remove_outliers
+        )
+        masks.append(_with_canvases(scene, picked))
     if not masks:
         raise StyleSplatError(
             "Nothing is selected. Select with --id, --point, --box, --text, --box3d, --sphere, "
             "--rows, --plus, --all or --background; --not-point only excludes."
         )
     mask = torch.stack(masks).any(dim=0)
-    for each in _taken_away(scene, choice, without, rules.threshold):
-        mask &= ~each
+    for other in choice.minus:
+        mask &= ~find_object(scene, other)
+    outliers_too = each_object(
+        scene.unpainted, excluded, threshold=threshold, remove_outliers=False
+    )
+    for _, picked in outliers_too if excluded else ():
+        mask &= ~_with_canvases(scene, picked)
     if not mask.any():
         raise StyleSplatError("Nothing is left of the selection. Exclude less.")
-    mask = _resized(scene, mask, choice)
-    how: dict[str, Any] = {"ids": list(ids), "threshold": rules.threshold}
-    how |= {"gaussians": int(mask.sum())}
+    if choice.grow is not None:
+        mask = grow(scene.splats, mask, choice.grow)
+    if choice.shrink is not None:
+        mask = shrink(scene.splats, mask, choice.shrink)
+    how: dict[str, Any] = {"ids": ids, "threshold": threshold, "gaussians": int(mask.sum())}
     given = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
     how |= {key: _recorded(key, value) for key, value in given.items()}
     return SceneObject(mask, how | ({"scores": scores} if scores else {}))
 
 
 def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
-    """The Gaussians of a name or a label id.
+    """The Gaussians of a name or a label id; see `find_objects`."""
+    return find_objects(scene, [name])[name]
+
+
+def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, " N"]]:
+    """The Gaussians of names and label ids; all label ids are found in one pass.
 
     Gaussians of layers belong to the objects of their parents; a name that only a layer has stands
     for the Gaussians that it covers.
 
     Raises:
-        StyleSplatError: If the scene knows neither.
+        StyleSplatError: If the scene lacks one of them.
     """
-    if name in scene.objects:
-        return scene.objects[name].picked
-    for layer in scene.layers:
-        if layer.object == name:
-            return mask_of(layer, scene)
-    if is_id(name) and scene.splats.classifier is not None:
-        ids = resolve_ids(scene.splats, object_id=int(name), folder=scene.path)
-        return _extended(scene, pick(scene.unpainted, object_id=ids))
+    layers = {layer.object: layer for layer in reversed(scene.layers)}
+    found, ids = dict[str, Bool[Tensor, " N"]](), dict[str, int]()
+    for name in names:
+        if name in scene.objects:
+            found[name] = scene.objects[name].picked
+        elif name in layers:
+            found[name] = mask_of(layers[name], scene)
+        elif is_id(name) and scene.splats.classifier is not None:
+            (ids[name],) = resolve_ids(scene.splats, object_id=int(name), folder=scene.path)
+        else:
+            raise _unknown(scene, name)
+    picks = pick_objects(scene.unpainted, [*ids.values()]) if ids else {}
+    for name, id in ids.items():
+        require_any(picks[id], id)
+        found[name] = _with_canvases(scene, picks[id])
+    return found
+
+
+def _unknown(scene: Scene, name: str) -> StyleSplatError:
     ids = map(str, object_ids(scene.splats)) if scene.splats.classifier else ()
     known = ", ".join([*scene.objects, *ids]) or "none"
     way = pasted("select", scene.path or "SCENE", "--name", "NAME", "--id", "N")
-    raise StyleSplatError(
+    return StyleSplatError(
         f"The scene has no object {name!r}. Names and ids: {known}. Name one with `{way}`."
     )
 
 
-def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, " N"]]:
-    """`find_object` for several names; label ids are looked up in one pass.
-
-    Raises:
-        StyleSplatError: If the scene lacks one of them.
-    """
-    told = {*scene.objects, *scene.painted_objects}
-    classifier = scene.splats.classifier
-    ids = {name: int(name) for name in names if is_id(name) and name not in told}
-    if classifier is None or len(ids) < 2 or not {*ids.values()} <= {*object_ids(scene.splats)}:
-        return {name: find_object(scene, name) for name in names}
-    picked = pick_objects(scene.unpainted, [*ids.values()])
-    picked = {id: _extended(scene, mask) for id, mask in picked.items()}
-    there = {name: picked[id] for name, id in ids.items() if picked[id].any()}
-    return {name: there[name] if name in there else find_object(scene, name) for name in names}
-
-
-def _extended(scene: Scene, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " M"]:
-    """A pick of the base, with the Gaussians of layers that belong to it."""
+def _with_canvases(scene: Scene, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " M"]:
+    """Gaussians of the base, and those of canvases that belong to them."""
     return picked[family(scene).to(picked.device)] if scene.layers else picked
 
 
@@ -197,37 +189,20 @@ def names_of(scene: Scene, id: int) -> list[str]:
 
 
 def whole_ids(scene: Scene, name: str) -> tuple[int, ...]:
-    """The label ids whose whole objects a name or an id stands for; none if it is another pick."""
+    """The label ids whose whole objects a name or an id stands for; none for other selections."""
     if name not in scene.objects:
         return (int(name),) if is_id(name) else ()
     how = scene.objects[name].how
     return () if SHAPING & how.keys() else tuple(how.get("ids", ()))
 
 
-def _taken_away(
-    scene: Scene, choice: Choice, without: Sequence[int], threshold: float
-) -> Iterator[Bool[Tensor, " N"]]:
-    """Gaussians to exclude, with their strays."""
-    for name in choice.minus:
-        yield find_object(scene, name)
-    if without:
-        rules = Rules(threshold, remove_outliers=False)
-        for _, picked in each_object(scene.unpainted, without, **rules._asdict()):
-            yield _extended(scene, picked)
-
-
-def _winner(scene: Scene, scores: dict[int, float], text: str) -> int:
-    called = {id: name for name, each in scene.objects.items() for id in each.how.get("ids", [])}
-    return clear_winner(scores, text, called, folder=scene.path)
-
-
-def _ids(scene: Scene, choice: Choice) -> tuple[int, ...]:
+def _ids(scene: Scene, choice: Choice) -> list[int]:
     """The label ids of `ids`, boxes and points."""
     splats, folder = scene.splats, scene.path
     found = [*resolve_ids(splats, object_id=choice.ids, folder=folder)] if choice.ids else []
     for view, box in choice.boxes:
         found += resolve_ids(splats, box=box, camera=_camera(scene, view), folder=folder)
-    return (*found, *_ids_at(scene, choice.points))
+    return [*found, *_ids_at(scene, choice.points)]
 
 
 def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
@@ -240,14 +215,6 @@ def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
     ]
 
 
-def _scores(
-    scene: Scene, text: str, detector: Detector, without: Sequence[int]
-) -> dict[int, float]:
-    """How well a text fits each object that is not excluded, as it looks without a style."""
-    ranking = rank_objects(scene.unpainted, scene.cameras, text, detector)
-    return {id: score for id, score in ranking.items() if id not in without}
-
-
 def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
     splats = scene.splats
     if choice.all:
@@ -258,11 +225,9 @@ def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
         low, high = torch.tensor(corners).view(2, 3)
         yield in_box(splats, low, high)
     for view, (*place, radius) in choice.sphere:
+        centre = torch.tensor(place)
         if view:
-            x, y = place
-            centre = surface_point(splats, _camera(scene, view), (x, y))
-        else:
-            centre = torch.tensor(place)
+            centre = surface_point(splats, _camera(scene, view), (place[0], place[1]))
         yield in_sphere(splats, centre, radius)
 
 
@@ -271,12 +236,6 @@ def _recorded(key: str, value: Any) -> Any:
     if key == "rows":
         return [where for where, _ in value]
     return value[0] if key in ALONE and len(value) == 1 else value
-
-
-def _resized(scene: Scene, mask: Bool[Tensor, " N"], choice: Choice) -> Bool[Tensor, " N"]:
-    if choice.grow is not None:
-        return grow(scene.splats, mask, choice.grow)
-    return mask if choice.shrink is None else shrink(scene.splats, mask, choice.shrink)
 
 
 def _camera(scene: Scene, view: str) -> Cameras:
@@ -289,17 +248,10 @@ WHOLE = frozenset({"all", "background"})  # selections with these are no objects
 def background_of(
     scene: Scene, name: str | None = None, *, threshold: float = THRESHOLD
 ) -> Bool[Tensor, " N"]:
-    """The Gaussians that belong to no object.
+    """The Gaussians that belong to no object, at least one.
 
-    Objects are those of the label ids; in a scene without label ids, those that have a name.
-
-    Args:
-        scene: The scene.
-        name: An object that does not count.
-        threshold: Probability of an object above which a Gaussian belongs to it.
-
-    Raises:
-        StyleSplatError: If there are neither label ids nor names, or nothing is left.
+    Objects are those of the label ids; in a scene without label ids, those that have a name other
+    than `name`.
     """
     if scene.splats.classifier is not None:
         ids = object_ids(scene.splats)
@@ -311,10 +263,10 @@ def background_of(
             for other, each in scene.objects.items()
             if other != name and not WHOLE & each.how.keys()
         )
-    left = None
+    left = ~torch.zeros_like(scene.splats.opacities, dtype=torch.bool)
     for picked in masks:
-        left = ~picked if left is None else left & ~picked
-    if left is None:
+        left &= ~picked
+    if left.all():
         raise StyleSplatError(
             "The scene has no objects, so all of it is background. Select it with --all, or name "
             "objects first."

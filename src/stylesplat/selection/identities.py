@@ -1,4 +1,4 @@
-"""What the identities say: the object of every Gaussian and of every pixel."""
+"""Decoding of identities: the object of every Gaussian and of every pixel."""
 
 import torch
 from jaxtyping import Float, Int
@@ -20,11 +20,7 @@ UNLABELLED = (
 
 
 def require_identities(splats: Splats) -> tuple[Float[Tensor, "N 16"], Classifier]:
-    """The identities and their classifier.
-
-    Raises:
-        StyleSplatError: If the splats were made without label maps.
-    """
+    """The identities and their classifier; refuses splats without."""
     if splats.identities is None or splats.classifier is None:
         raise StyleSplatError(
             f"These splats have no identities, so no objects are known. {UNLABELLED}"
@@ -33,41 +29,16 @@ def require_identities(splats: Splats) -> tuple[Float[Tensor, "N 16"], Classifie
 
 
 def object_ids(splats: Splats) -> tuple[int, ...]:
-    """The label ids that can be selected: all but background, in ascending order.
-
-    Raises:
-        StyleSplatError: If the splats have no identities.
-    """
+    """The label ids of all objects, in ascending order; refuses splats without identities."""
     _, classifier = require_identities(splats)
     return tuple(sorted(set(classifier.ids) - {BACKGROUND}))
 
 
 @torch.no_grad()
-def class_probabilities(splats: Splats) -> Float[Tensor, "N K"]:
-    """How likely each Gaussian belongs to each class of the classifier (softmax).
-
-    Of many Gaussians and classes see `Classifier.some_at_a_time`: this table would be too large.
-
-    Raises:
-        StyleSplatError: If the splats have no identities.
-    """
-    identities, classifier = require_identities(splats)
-    return classifier.logits(identities).softmax(dim=-1)
-
-
-@torch.no_grad()
 def render_labels(splats: Splats, camera: Cameras) -> Int[Tensor, "H W"]:
-    """The label map that one camera sees: the class of each pixel's composited identity.
+    """The label map of one camera: the label id of each pixel's composited identity.
 
-    Args:
-        splats: Gaussians with identities.
-        camera: A single camera.
-
-    Returns:
-        Label ids, 0 where the Gaussians cover less than half of a pixel.
-
-    Raises:
-        StyleSplatError: If the splats have no identities.
+    A pixel is background where the Gaussians cover less than half of it.
     """
     identities, classifier = require_identities(splats)
     image, alphas = render(splats, camera, features=identities, sh_degree=0)

@@ -20,13 +20,11 @@ from stylesplat.selection.identities import require_identities
 SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
 CONFIRMED = 0.9  # probability above which label maps confirm a Gaussian's label
 AT_ONCE = 1 << 20  # Gaussians whose identities are gathered: 64 MB
-ROUNDING = 1e-2  # of scores, generously
-FEW = 0.5  # share of the classes, up to which it pays to compare with the background first
 
 
 @dataclass(frozen=True)
 class Members:
-    """The Gaussians that identities give to some label ids."""
+    """The Gaussians of some label ids by their identities alone."""
 
     splats: Splats
     likely: Mapping[int, Int[Tensor, " _"]]
@@ -51,20 +49,12 @@ class Members:
 
 @torch.no_grad()
 def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
-    """Find the Gaussians of some objects in one pass.
-
-    Args:
-        splats: Gaussians with identities.
-        ids: Label ids that their classifier knows.
-        threshold: Probability above which a Gaussian is likely an object's.
-
-    Raises:
-        StyleSplatError: If the splats have no identities.
-    """
+    """Find the Gaussians of some known label ids whose probability exceeds a threshold."""
     _, classifier = require_identities(splats)
     columns = torch.tensor([classifier.ids.index(id) for id in ids], device=splats.device)
     rows, numbers, confirmed = [], [], []
-    for some, probabilities in _probabilities(splats, _possible(splats, columns, threshold)):
+    every = torch.arange(len(splats), device=splats.device)
+    for some, probabilities in _probabilities(splats, every):
         likely = probabilities.index_select(1, columns)
         row, number = (likely > threshold).nonzero(as_tuple=True)
         rows.append(some[row])
@@ -80,31 +70,9 @@ def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
 
 @torch.no_grad()
 def likeliest(splats: Splats) -> Int[Tensor, " N"]:
-    """The most likely label id of each Gaussian.
-
-    Raises:
-        StyleSplatError: If the splats have no identities.
-    """
+    """The most likely label id of each Gaussian."""
     identities, classifier = require_identities(splats)
     return classifier.likeliest(identities.detach())
-
-
-def _possible(splats: Splats, columns: Int[Tensor, " L"], threshold: float) -> Int[Tensor, " M"]:
-    """The Gaussians that may be of some classes: not those that are too likely background.
-
-    A class is at most as likely as if there were only itself and the background.
-    """
-    identities, classifier = require_identities(splats)
-    every = torch.arange(len(splats), device=splats.device)
-    known = classifier.ids
-    behind = known.index(BACKGROUND) if BACKGROUND in known else None
-    if behind is None or behind in columns or len(columns) > FEW * len(known):
-        return every
-    weight = classifier.weight[columns] - classifier.weight[behind]
-    bias = classifier.bias[columns] - classifier.bias[behind]
-    least = torch.logit(torch.tensor(threshold)).item() - ROUNDING
-    parts = zip(every.split(AT_ONCE), identities.split(AT_ONCE), strict=True)
-    return torch.cat([rows[((p @ weight.T + bias) > least).any(dim=1)] for rows, p in parts])
 
 
 def _probabilities(
@@ -126,14 +94,9 @@ def fill_gaps(
     picked: Bool[Tensor, " N"],
     doubtful: Callable[[Int[Tensor, " M"]], Bool[Tensor, " M"]],
 ) -> Bool[Tensor, " N"]:
-    """Gaussians that are not picked, but most of whose neighbours are.
+    """Doubtful Gaussians most of whose neighbours are picked.
 
     Measured on the demo: they are 15 % of what shows of the vase, and 0.6 % of it lies beside it.
-
-    Args:
-        splats: The scene.
-        picked: The object's Gaussians so far.
-        doubtful: Returns which of some others may be the object's.
     """
     nobody = torch.zeros_like(picked)
     means, own = splats.means, picked.nonzero()[:, 0]

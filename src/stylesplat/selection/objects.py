@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
@@ -21,23 +21,17 @@ from stylesplat.training.lifting import lift, with_labels_of
 
 
 def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
-    """Give objects the names that their label maps have.
-
-    Args:
-        scene: With identities if anything is to be named.
-        names: By label id. A name is skipped if it is no valid name, another object has it, or the
-            object has no Gaussians.
-    """
+    """Give objects names by label id; reports names that are invalid, taken, or of no Gaussians."""
     ids = object_ids(scene.splats) if scene.splats.classifier else ()
     known = {id: name for id, name in names.items() if id in ids}
     picked = pick_objects(scene.splats, [*known]) if known else {}
     for id, mask in picked.items():
         name = known[id]
-        fault = _fault(scene, name, mask)
-        if fault:
+        fault = "another object has it" if name in scene.objects else name_fault(name)
+        if fault or not mask.any():
             say(
-                f"Object {id} does not get the name {brief(name)!r}: {fault}. Name it with "
-                "`stylesplat select`."
+                f"Object {id} does not get the name {brief(name)!r}: "
+                f"{fault or 'no Gaussians belong to it'}. Name it with `stylesplat select`."
             )
             continue
         how = {"ids": [id], "threshold": THRESHOLD, "gaussians": int(mask.sum())}
@@ -46,11 +40,7 @@ def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
 
 
 def require_named(scene: Scene, name: str) -> SceneObject:
-    """The object that has a name.
-
-    Raises:
-        StyleSplatError: If none has.
-    """
+    """The object of a name; refuses an unknown name."""
     if name in scene.objects:
         return scene.objects[name]
     known = ", ".join(scene.objects) or "none"
@@ -58,12 +48,6 @@ def require_named(scene: Scene, name: str) -> SceneObject:
         f"No object of {scene.path or 'the scene'} is called {brief(name)!r}. Names: {known}. "
         "Objects get names by `stylesplat select`."
     )
-
-
-def _fault(scene: Scene, name: str, mask: Bool[Tensor, " N"]) -> str | None:
-    if not mask.any():
-        return "no Gaussians belong to it"
-    return "another object has it" if name in scene.objects else name_fault(name)
 
 
 def picks_of(scene: Scene) -> dict[str, Bool[Tensor, " N"]]:
@@ -85,56 +69,29 @@ def no_objects(scene: Scene) -> StyleSplatError:
 
 
 def listed_objects(scene: Scene, names: Sequence[str] = ()) -> ListedObjects:
-    """Objects of a scene with their Gaussians and soft shares.
-
-    Args:
-        scene: Where they are.
-        names: Their names or label ids; none for all there are.
-
-    Returns:
-        The objects, and the label id of each Gaussian if the scene has any; a Gaussian in doubt has
-        the label of the object that it is picked for.
-
-    Raises:
-        StyleSplatError: If the scene has no objects, or not these.
-    """
+    """Some or all objects of a scene with their Gaussians and soft shares, and all labels."""
     picks = {name: find_object(scene, name).cpu() for name in names} or picks_of(scene)
     if not picks:
         raise no_objects(scene)
     own, objects = OwnShares(scene.splats, scene.cameras), dict[str, ListedObject]()
     for name, picked in track(picks.items(), "listing objects", unit="object"):
         shares = own.of(picked)[picked]
-        ids = tuple(scene.objects[name].how.get("ids", ())) if name in scene.objects else ()
-        objects[name] = ListedObject(picked.nonzero()[:, 0], shares, ids or _own_id(name))
-    return ListedObjects(len(scene.splats), objects, _labels(scene))
-
-
-def _own_id(name: str) -> tuple[int, ...]:
-    return (int(name),) if name.isdecimal() else ()
-
-
-def _labels(scene: Scene) -> Int[Tensor, " N"] | None:
-    if scene.splats.classifier is None:
-        return None
-    labels = torch.full((len(scene.splats),), BACKGROUND)
-    rows = family(scene)
-    for id, picked in each_object(scene.unpainted, object_ids(scene.splats)):
-        labels[picked[rows]] = id
-    return labels
+        ids = scene.objects[name].how.get("ids", ()) if name in scene.objects else ()
+        own_id = (int(name),) if name.isdecimal() else ()
+        objects[name] = ListedObject(picked.nonzero()[:, 0], shares, tuple(ids) or own_id)
+    labels = None
+    if scene.splats.classifier is not None:
+        labels, rows = torch.full((len(scene.splats),), BACKGROUND), family(scene)
+        for id, picked in each_object(scene.unpainted, object_ids(scene.splats)):
+            labels[picked[rows]] = id
+    return ListedObjects(len(scene.splats), objects, labels)
 
 
 def relabel(scene: Scene, masked: Capture, *, add: bool, device: torch.device) -> Scene:
-    """A scene whose Gaussians have the labels that label maps of its views give them.
+    """The scene with labels and names lifted from label maps of its views.
 
-    Args:
-        scene: Without them.
-        masked: Its views with label maps, and what their objects are called.
-        add: Whether labels that it has stay, but for those of objects of the same names. Else
-            objects that were chosen by label are forgotten.
-        device: Where to compute.
-
-    Raises:
-        StyleSplatError: If no Gaussian shows in the label maps.
+    With `add`, other labels of the scene stay, and objects of the same names are replaced; else all
+    objects that were selected by label are replaced.
     """
     base = scene.unpainted
     lifted = lift(base.to(device), masked).to("cpu")
@@ -165,10 +122,7 @@ def relabel(scene: Scene, masked: Capture, *, add: bool, device: torch.device) -
 
 
 def _renamed(scene: Scene, ids: tuple[int, ...], names: dict[int, str]) -> dict[int, int]:
-    """The ids that new labels get beside those that there are.
-
-    An object of the same name gives up its own, if it is that of one label.
-    """
+    """Ids for new labels beside the known ones; an object of the same name gives its only id."""
     assert scene.splats.classifier is not None
     known = scene.splats.classifier.ids
     renamed, free = dict[int, int](), max(known) + 1

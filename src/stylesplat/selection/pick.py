@@ -10,7 +10,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.arguments import cut_to_picture, pasted
+from stylesplat.scene.arguments import check_box, check_point, pasted
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.projection import crop
@@ -19,9 +19,9 @@ from stylesplat.selection.identities import object_ids, render_labels, require_i
 from stylesplat.selection.members import fill_gaps, inliers, members
 
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
-# A Gaussian that the label maps confirm is no outlier while its neighbours are within four of
-# its own sizes. Without this large ones go: 12 % of what shows of the fox, lifted.
-TOUCH = 4.0  # mean distance to neighbours over the standard deviation
+# Mean distance to neighbours over the standard deviation, up to which a Gaussian that label maps
+# confirm is no outlier. Without this large ones are lost: 12 % of what shows of the lifted fox.
+TOUCH = 4.0
 SCENE = "SCENE"  # stands for an unknown folder of a scene
 
 Point = tuple[float, float]
@@ -66,13 +66,18 @@ def pick(
     picked = torch.zeros_like(splats.opacities, dtype=torch.bool)
     rules = {"threshold": threshold, "remove_outliers": remove_outliers}
     for id, mask in each_object(splats, ids, **rules):
-        if not mask.any():
-            raise StyleSplatError(
-                f"No Gaussian is object {id} with a probability above {threshold:g}. "
-                "Lower the threshold, or train longer."
-            )
+        require_any(mask, id, threshold)
         picked |= mask
     return picked
+
+
+def require_any(mask: Bool[Tensor, " N"], id: int, threshold: float = THRESHOLD) -> None:
+    """Refuse an object without Gaussians."""
+    if not mask.any():
+        raise StyleSplatError(
+            f"No Gaussian is object {id} with a probability above {threshold:g}. "
+            "Lower the threshold, or train longer."
+        )
 
 
 def resolve_ids(
@@ -84,11 +89,7 @@ def resolve_ids(
     camera: Cameras | None = None,
     folder: Path | None = None,
 ) -> tuple[int, ...]:
-    """The label ids for the arguments of `pick`; `folder` is the scene's, for messages.
-
-    Raises:
-        StyleSplatError: As `pick` does.
-    """
+    """The label ids for the arguments of `pick`; `folder` is the scene's, for messages."""
     require_identities(splats)
     if sum(way is not None for way in (object_id, box, point)) != 1:
         raise StyleSplatError("Select by exactly one way: an id, a box or a point.")
@@ -111,10 +112,7 @@ def each_object(
     threshold: float = THRESHOLD,
     remove_outliers: bool = True,
 ) -> Iterator[tuple[int, Bool[Tensor, " N"]]]:
-    """The Gaussians of one object after the other, with its label id, possibly none.
-
-    Their probability exceeds `threshold`, or they are in doubt and most of their neighbours' does.
-    """
+    """Yields each label id with the Gaussians of its object, possibly none; see `pick`."""
     found = members(splats, ids, threshold)
     for id in dict.fromkeys(ids):
         mask = found.mask(id)
@@ -133,7 +131,7 @@ def pick_objects(
     threshold: float = THRESHOLD,
     remove_outliers: bool = True,
 ) -> dict[int, Bool[Tensor, " N"]]:
-    """All of `each_object` by label id; many objects take much memory."""
+    """The masks of `each_object` by label id; many objects take much memory."""
     return dict(each_object(splats, ids, threshold=threshold, remove_outliers=remove_outliers))
 
 
@@ -157,14 +155,9 @@ def _known_ids(
 
 
 def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | str) -> int:
-    (x, y), (width, height) = point, camera.size
-    if not (0 <= x < width and 0 <= y < height):
-        raise StyleSplatError(
-            f"Point {x:g},{y:g} is outside {camera.names[0]}, which is {width}x{height} pixels. "
-            "Coordinates are those of the photo at full size."
-        )
-    pixel = crop(camera, (int(x), int(y)), (1, 1))
-    label = int(render_labels(splats, pixel))
+    check_point(point, camera.size, camera.names[0])
+    x, y = point
+    label = int(render_labels(splats, crop(camera, (int(x), int(y)), (1, 1))))
     if label == BACKGROUND:
         raise StyleSplatError(
             f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
@@ -174,24 +167,14 @@ def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | s
 
 
 def _id_in_box(splats: Splats, box: Box, camera: Cameras, folder: Path | str) -> int:
-    (x0, y0, x1, y1), (width, height) = box, camera.size
-    text = f"{x0:g},{y0:g},{x1:g},{y1:g}"
-    if not (x0 < x1 and y0 < y1):
-        raise StyleSplatError(f"Box {text} is empty. Give x0,y0,x1,y1 with x0 < x1 and y0 < y1.")
-    inside = cut_to_picture(box, camera.size)
-    if inside is None:
-        raise StyleSplatError(
-            f"Box {text} reaches outside {camera.names[0]}, which is {width}x{height} pixels. "
-            "Coordinates are those of the photo at full size."
-        )
-    x0, y0, x1, y1 = inside
+    x0, y0, x1, y1 = check_box(box, camera.size, camera.names[0])
     low, high = (int(x0), int(y0)), (math.ceil(x1), math.ceil(y1))
-    part = crop(camera, low, (high[0] - low[0], high[1] - low[1]))
-    labels = render_labels(splats, part)
+    labels = render_labels(splats, crop(camera, low, (high[0] - low[0], high[1] - low[1])))
     ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)
     if not len(ids):
+        text = ",".join(f"{edge:g}" for edge in box)
         raise StyleSplatError(
-            f"There is no object inside {text} in {camera.names[0]}. "
+            f"There is no object inside box {text} in {camera.names[0]}. "
             f"Choose another box, or run `{pasted('objects', folder)}` and select by id."
         )
     return int(ids[counts.argmax()])

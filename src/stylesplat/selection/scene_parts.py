@@ -1,4 +1,4 @@
-"""Parts of a scene for other programs. They lie where they did, so that they fit together."""
+"""Parts of a scene for other programs, in the scene's world frame."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,28 +8,19 @@ from jaxtyping import Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.compose import spans, taken_rows
-from stylesplat.scene.layer import Layer, taken
+from stylesplat.scene.compose import object_subset, spans
+from stylesplat.scene.layer import Layer, layer_subset
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import no_objects, picks_of
 
-REST = "rest"  # what the part is called that belongs to no object
+REST = "rest"  # name of the part that belongs to no object
 
 
 def rows_of_part(
     scene: Scene, objects: Sequence[str] = (), without: Sequence[str] = ()
 ) -> Int[Tensor, " M"]:
-    """The Gaussians of some objects, or of all but some.
-
-    Args:
-        scene: Where they are.
-        objects: Names or label ids of what to keep; none for everything.
-        without: Names or label ids of what to leave out.
-
-    Raises:
-        StyleSplatError: If the scene has no such object, or nothing is left.
-    """
+    """The Gaussians of some objects (by default of everything) without those of others."""
     kept = torch.full((len(scene.splats),), not objects)
     for name in objects:
         kept |= find_object(scene, name).cpu()
@@ -44,13 +35,7 @@ def rows_of_part(
 
 
 def every_part(scene: Scene) -> dict[str, Scene]:
-    """Each object alone, by its name, or by its label id if it has none; and the rest, if any.
-
-    Objects that overlap are in each other's parts.
-
-    Raises:
-        StyleSplatError: If the scene has no objects, or one is called like the rest.
-    """
+    """Each object alone, by its name, or by its label id if it has none; and the rest, if any."""
     picks = picks_of(scene)
     if not picks:
         raise no_objects(scene)
@@ -68,14 +53,12 @@ def every_part(scene: Scene) -> dict[str, Scene]:
 
 
 def cut_out(scene: Scene, rows: Int[Tensor, " M"]) -> Scene:
-    """Some Gaussians alone: to be shown, as nothing can be taken back from them.
+    """A scene of some Gaussians alone, with their parts of objects and layers.
 
-    Args:
-        scene: Where they are.
-        rows: Which they are, in ascending order.
+    `rows` are in ascending order.
     """
     objects = {
-        name: taken_rows(each, rows)
+        name: object_subset(each, rows)
         for name, each in scene.objects.items()
         if each.picked[rows].any()
     }
@@ -85,7 +68,7 @@ def cut_out(scene: Scene, rows: Int[Tensor, " M"]) -> Scene:
     places[own] = torch.arange(len(own))
     for layer, first, end in spans(scene) if len(own) else ():
         canvas = rows[(rows >= first) & (rows < end)] - first
-        part = taken(layer, places, canvas)
+        part = layer_subset(layer, places, canvas)
         if len(part.rows) or len(canvas):
             layers.append(part)
     return replace(

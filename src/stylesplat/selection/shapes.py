@@ -7,34 +7,25 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.shares import COVERED, expected_depth
+from stylesplat.scene.arguments import check_point
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import FAINT, solid
+from stylesplat.scene.content import FAINT, Extent, solid
 from stylesplat.scene.projection import crop, overlapping, unproject
 from stylesplat.scene.splats import Splats
 
 
 def in_box(splats: Splats, low: Float[Tensor, "3"], high: Float[Tensor, "3"]) -> Bool[Tensor, " N"]:
-    """The Gaussians whose centres lie in a box along the world's axes.
-
-    Raises:
-        StyleSplatError: If the box is inverted or holds none.
-    """
+    """The Gaussians whose centres lie in a box along the world's axes, at least one."""
     if not (low < high).all():
         raise StyleSplatError(
             f"The box from {_text(low)} to {_text(high)} is empty. Give the lower corner first."
         )
-    inside = ((splats.means >= low.to(splats.means)) & (splats.means <= high.to(splats.means))).all(
-        1
-    )
+    inside = Extent(low.to(splats.means), high.to(splats.means)).contains(splats.means)
     return _some(inside, splats, f"the box from {_text(low)} to {_text(high)}")
 
 
 def in_sphere(splats: Splats, centre: Float[Tensor, "3"], radius: float) -> Bool[Tensor, " N"]:
-    """The Gaussians whose centres lie in a sphere, its radius in world units.
-
-    Raises:
-        StyleSplatError: If the radius is not positive or the sphere holds none.
-    """
+    """The Gaussians whose centres lie in a sphere, at least one."""
     if not radius > 0:
         raise StyleSplatError(f"A sphere cannot have the radius {radius:g}. Give more than 0.")
     inside = (splats.means - centre.to(splats.means)).norm(dim=1) <= radius
@@ -45,25 +36,17 @@ def in_sphere(splats: Splats, centre: Float[Tensor, "3"], radius: float) -> Bool
 def surface_point(
     splats: Splats, camera: Cameras, point: tuple[float, float]
 ) -> Float[Tensor, "3"]:
-    """The world position of the surface at a pixel of one camera.
-
-    Raises:
-        StyleSplatError: If the pixel is outside the image, or nothing solid shows there.
-    """
-    (x, y), (width, height) = point, camera.size
-    if not (0 <= x < width and 0 <= y < height):
-        raise StyleSplatError(
-            f"Point {x:g},{y:g} is outside {camera.names[0]}, which is {width}x{height} pixels."
-        )
-    row, column = int(y), int(x)
-    pixel = crop(camera, (column, row), (1, 1))
-    depths, alphas = expected_depth(splats, pixel)
+    """The world position of the surface at a pixel of one camera."""
+    check_point(point, camera.size, camera.names[0])
+    column, row = map(int, point)
+    depths, alphas = expected_depth(splats, crop(camera, (column, row), (1, 1)))
     if alphas[0, 0] < COVERED:
         raise StyleSplatError(
-            f"Nothing solid shows at {x:g},{y:g} in {camera.names[0]}. Choose another pixel."
+            f"Nothing solid shows at {point[0]:g},{point[1]:g} in {camera.names[0]}. Choose "
+            "another pixel."
         )
-    depth = depths[0, 0]
-    return unproject(depth.new_tensor([[column + 0.5, row + 0.5]]), depth[None], camera)[0]
+    pixel = depths.new_tensor([[column + 0.5, row + 0.5]])
+    return unproject(pixel, depths.flatten(), camera)[0]
 
 
 def _some(inside: Tensor, splats: Splats, shape: str) -> Bool[Tensor, " N"]:
@@ -79,20 +62,14 @@ def _text(point: Tensor) -> str:
     return ",".join(f"{value:.3g}" for value in point.tolist())
 
 
-SLACK = 1e-6  # of a distance, more than float32 rounds
+SLACK = 1e-6  # of a distance
 INSIDE = 0.9  # share of an object's solid centres that make up its extent; the rest may be strays
 
 
 def grow(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Tensor, " N"]:
     """Add the Gaussians whose centres lie close to a picked one that is not faint.
 
-    Args:
-        splats: The scene.
-        picked: The object's Gaussians, at least one.
-        share: How close, as a share of the object's extent.
-
-    Raises:
-        StyleSplatError: If the share is not above 0 and at most 1.
+    `share` is the distance as a share of the object's extent, up to 1.
     """
     others = (~picked).nonzero()[:, 0]
     surface = splats.means[solid(splats, picked)]
@@ -103,13 +80,7 @@ def grow(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Tenso
 def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Tensor, " N"]:
     """Remove the Gaussians whose centres lie close to one that is neither picked nor faint.
 
-    Args:
-        splats: The scene.
-        picked: The object's Gaussians, at least one.
-        share: How close, as a share of the object's extent.
-
-    Raises:
-        StyleSplatError: If the share is not above 0 and at most 1, or nothing is left.
+    `share` is the distance as a share of the object's extent, up to 1.
     """
     own = picked.nonzero()[:, 0]
     reach = _reach(splats.means[solid(splats, picked)], share)
@@ -140,14 +111,15 @@ def _reach(surface: Float[Tensor, "M 3"], share: float) -> float:
 def near(
     points: Float[Tensor, "M 3"], others: Float[Tensor, "L 3"], reach: float
 ) -> Bool[Tensor, " M"]:
-    """Which points lie at most so far from one of the others."""
-    bound = reach * (1 + SLACK)  # the search excludes its bound, so it is a little wider
-    nobody = torch.zeros(len(points), dtype=torch.bool, device=points.device)
+    """Which points lie within `reach` of one of the others."""
+    found = torch.zeros(len(points), dtype=torch.bool)
     if not len(others):
-        return nobody
-    low, high = others.amin(dim=0) - bound, others.amax(dim=0) + bound
-    room = SLACK * torch.maximum(low.abs(), high.abs())  # float32 rounds these sums
-    rows = overlapping(points, points, low - room, high + room)
-    positions, targets = (each.detach().cpu().double().numpy() for each in (points[rows], others))
-    distances, _ = KDTree(targets).query(positions, distance_upper_bound=bound, workers=-1)
-    return nobody.index_fill(0, rows[torch.from_numpy(distances <= reach).to(rows.device)], True)
+        return found.to(points.device)
+    bound = reach * (1 + SLACK)  # the search excludes its bound
+    positions, targets = (each.detach().cpu().double() for each in (points, others))
+    low, high = targets.amin(dim=0) - bound, targets.amax(dim=0) + bound
+    rows = overlapping(positions, positions, low, high)
+    tree = KDTree(targets.numpy())
+    distances, _ = tree.query(positions[rows].numpy(), distance_upper_bound=bound, workers=-1)
+    found[rows] = torch.from_numpy(distances <= reach)
+    return found.to(points.device)

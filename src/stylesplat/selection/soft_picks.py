@@ -44,20 +44,13 @@ def own_shares(
     *,
     labels: Int[Tensor, " N"] | None = None,
 ) -> Float[Tensor, " N"]:
-    """The share of each Gaussian's contribution to renders that belongs to the object.
+    """The share of each picked Gaussian's contribution to renders that belongs to the object.
 
     The object's pixels are those that the picked Gaussians cover by half, or by a quarter if the
     pixel has a label that most Gaussians of the pick, and few others, have. Haze and floaters,
     which lie mostly outside over all views, get exactly 0; Gaussians well inside get exactly 1.
 
-    Args:
-        splats: The scene.
-        picked: The object's Gaussians.
-        cameras: Views to choose from.
-        labels: The likeliest label of each Gaussian, if known.
-
-    Returns:
-        Shares in 0..1; 0 for all that is not picked.
+    `labels` are the likeliest label ids, if they are known already.
     """
     device = splats.device
     splats, picked = splats.to("cpu"), picked.cpu()  # contributions exist on the CPU only
@@ -90,7 +83,7 @@ def own_shares(
 
 
 def sampled_views(cameras: Cameras) -> list[Cameras]:
-    """The views in which shares are measured, one by one, at a small size."""
+    """The views in which shares are measured, at a small size."""
     return [cameras[row].at_most(LONGER_SIDE) for row in evenly(range(len(cameras)), VIEWS)]
 
 
@@ -117,14 +110,14 @@ MARGIN = 2  # pixels around what an object may reach
 
 @dataclass(frozen=True)
 class Survey:
-    """What matters to each object of a large scene; every view is rendered once for all."""
+    """The visible Gaussians of a large scene in some views, found once for all objects."""
 
     splats: Splats
     views: Sequence[tuple[Cameras, Int32[Tensor, " _"], Int32[Tensor, "_ 2"], Int32[Tensor, "_ 2"]]]
     """Each with its visible Gaussians, and the lowest and highest pixel that each may reach."""
 
     def around(self, picked: Bool[Tensor, " N"]) -> Int[Tensor, " M"]:
-        """Rows of an object's Gaussians, and of those visible around its pixels."""
+        """Rows of an object's Gaussians, and of those that are visible around its pixels."""
         mine = picked.clone()
         own = self.splats[picked.nonzero()[:, 0]]
         for camera, rows, lows, highs in self.views:
@@ -138,7 +131,7 @@ class Survey:
 
 @torch.no_grad()
 def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
-    """Render every view once; None for small scenes and on a GPU, where that saves no time."""
+    """Survey a scene; None for small scenes and on a GPU, where that saves no time."""
     if len(splats) < LARGE or splats.device.type != "cpu":
         return None
     bare = without_looks(splats)
@@ -153,7 +146,7 @@ def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
 
 
 class OwnShares:
-    """`own_shares` of one object after the other; of a large scene only what matters to each."""
+    """`own_shares` of several objects; in a large scene, on the Gaussians around each."""
 
     def __init__(self, splats: Splats, cameras: Cameras) -> None:
         self._splats, self._cameras = splats, cameras

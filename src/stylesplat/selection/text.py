@@ -1,5 +1,6 @@
 """Selection by text: boxes that a detector finds in some views vote for objects."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,12 +30,10 @@ MIN_SCORE = 0.3  # below it detectors guess; both kinds have about this default
 
 @dataclass(frozen=True)
 class Detections:
-    """Boxes in a picture."""
+    """Boxes in a picture: left, top, right, bottom in pixels, and scores from 0 to 1."""
 
     boxes: Float[Tensor, "B 4"]
-    """Left, top, right and bottom in pixels."""
     scores: Float[Tensor, " B"]
-    """Confidence of each, from 0 to 1."""
 
 
 @runtime_checkable
@@ -58,11 +57,7 @@ class PhraseDetector:
 
     @torch.no_grad()
     def detect(self, picture: UInt8[Tensor, "H W 3"], phrase: str) -> Detections:
-        """The boxes of a phrase, on the CPU.
-
-        Raises:
-            StyleSplatError: If the phrase is longer than the model reads.
-        """
+        """The boxes of a phrase, on the CPU; refuses a phrase that is too long for the model."""
         text = f"{phrase.rstrip('.')}." if self.grounded else phrase  # trained on whole sentences
         inputs = self.processor(
             images=picture.cpu().numpy(),
@@ -70,39 +65,26 @@ class PhraseDetector:
             input_data_format="channels_last",
             return_tensors="pt",
         ).to(self.model.device)
-        self._check_length(phrase, inputs["input_ids"].shape[1])
-        post_process = (
-            self.processor.post_process_grounded_object_detection
-            if self.grounded
-            else self.processor.post_process_object_detection
-        )
-        given = {"threshold": self.min_score, "target_sizes": [tuple(picture.shape[:2])]}
+        length, config = inputs["input_ids"].shape[1], self.model.config
+        limit = config.text_config.max_position_embeddings
+        options = {"threshold": self.min_score, "target_sizes": [tuple(picture.shape[:2])]}
         if self.grounded:
-            given["input_ids"] = inputs["input_ids"]
-        (found,) = post_process(self.model(**inputs), **given)
-        return Detections(found["boxes"].float().cpu(), found["scores"].float().cpu())
-
-    def _check_length(self, phrase: str, length: int) -> None:
-        limit = self.model.config.text_config.max_position_embeddings
-        if self.grounded:
-            limit = min(limit, self.model.config.max_text_len)
+            limit = min(limit, config.max_text_len)
+            options["input_ids"] = inputs["input_ids"]
+            post_process = self.processor.post_process_grounded_object_detection
+        else:
+            post_process = self.processor.post_process_object_detection
         if length > limit:
             raise StyleSplatError(
                 f"The phrase {phrase[:20]!r}... takes {length} tokens, the model reads {limit}. "
                 "Use fewer words."
             )
+        (found,) = post_process(self.model(**inputs), **options)
+        return Detections(found["boxes"].float().cpu(), found["scores"].float().cpu())
 
 
 def load_detector(model: str | None = None, device: torch.device | str = "cpu") -> PhraseDetector:
-    """Load a model that finds things by words.
-
-    Args:
-        model: Folder or name of a Grounding DINO or SAM 3; by default the smallest of the former.
-        device: Where to compute.
-
-    Raises:
-        StyleSplatError: If the model cannot be found, downloaded or loaded, or is another.
-    """
+    """Load a Grounding DINO (by default the smallest) or SAM 3, by folder or hub name."""
     source = find_model(model or CHECKPOINT, [*GROUNDED, *CONCEPTS], job="find objects by a phrase")
     from transformers import (
         AutoModelForZeroShotObjectDetection,
@@ -135,22 +117,10 @@ def rank_objects(
     phrase: str,
     detector: Detector,
 ) -> dict[int, float]:
-    """How well a phrase fits each object, over views from all around.
+    """Scores from 0 to 1 of how well a phrase fits objects, by label id, the best first.
 
-    The detector sees renders, not photos: every scene has them, also one that was imported or
-    whose capture is gone, and they agree with the rendered label map.
-
-    Args:
-        splats: Gaussians with identities, in the colours they had before styling.
-        cameras: Views to choose from.
-        phrase: What to find, in a few words.
-        detector: Finds it in single pictures.
-
-    Returns:
-        Scores from 0 to 1 by label id, the best first; objects that no box fits are left out.
-
-    Raises:
-        StyleSplatError: If the splats have no identities, or the phrase is too long to be read.
+    The detector looks at renders from all around, not at photos, as every scene has them and they
+    agree with the rendered label map. Objects that no box fits are left out.
     """
 
     def detections() -> Iterator[tuple[Int[Tensor, "H W"], Detections]]:
@@ -163,22 +133,15 @@ def rank_objects(
 
 
 def count_votes(views: Iterable[tuple[Int[Tensor, "_ _"], Detections]]) -> dict[int, float]:
-    """Count votes of boxes for objects.
+    """Mean scores of objects over views of label maps and detections, the best first.
 
-    Each box votes, with its score, for the object whose own box in the label map it fits best,
-    if it fits: by intersection over union, so that a large object in the background does not win
-    for filling the box. Boxes of one view around one object are one vote, that of the best.
-
-    Args:
-        views: Label maps, 0 for background, and the detections in the same view.
-
-    Returns:
-        Votes over the number of views, by label id, the best first.
+    A box counts for the object whose box in the label map it fits best by intersection over union,
+    so that a large object in the background does not win by filling the box. Of several boxes in
+    one view around one object the best counts.
     """
     from torchvision.ops import box_iou  # loads for seconds, and few select by text
 
-    votes: dict[int, float] = {}
-    count = 0
+    votes, count = Counter[int](), 0
     for labels, found in views:
         count += 1
         ids, boxes = _object_boxes(labels)
@@ -190,10 +153,8 @@ def count_votes(views: Iterable[tuple[Int[Tensor, "_ _"], Detections]]) -> dict[
             if fit >= MIN_FIT:
                 id = ids[int(column)]
                 best[id] = max(best.get(id, 0.0), float(score))
-        for id, score in best.items():
-            votes[id] = votes.get(id, 0.0) + score
-    ranking = sorted(votes, key=lambda id: (-votes[id], id))
-    return {id: votes[id] / count for id in ranking}
+        votes.update(best)  # adds the scores
+    return {id: vote / count for id, vote in sorted(votes.items(), key=lambda v: (-v[1], v[0]))}
 
 
 def clear_winner(
@@ -203,18 +164,7 @@ def clear_winner(
     *,
     folder: Path | None = None,
 ) -> int:
-    """The object with clearly the best score.
-
-    Args:
-        scores: From `rank_objects`.
-        phrase: For messages.
-        names: Of objects by id, for messages.
-        folder: The scene's, for messages.
-
-    Raises:
-        StyleSplatError: If none fits, the best may be chance, or the second best fits nearly as
-            well.
-    """
+    """The object with clearly the best score; names by label id and the folder are for messages."""
     if not scores:
         raise StyleSplatError(
             f"No object of the scene fits {phrase!r}. Try another phrase, or run "

@@ -1,46 +1,46 @@
-"""`import --like`: the objects and the paint of a scene for a splat that was edited elsewhere."""
+"""`import --like`: the objects and layers of a scene for a splat that was edited elsewhere."""
 
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_ply import of_degree
 from stylesplat.progress import say
-from stylesplat.scene.compose import compose, mask_of, spans, taken_rows
-from stylesplat.scene.frames import SAME, Frame, move_splats, seen_from
+from stylesplat.scene.compose import compose, mask_of, object_subset, spans
+from stylesplat.scene.frames import SAME, Frame, move_cameras, move_splats
 from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.layer import Layer, taken
+from stylesplat.scene.layer import Layer, layer_subset
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
 
 DEGREE = 3  # of the splats of scenes
-# Two Gaussians may be the same if they differ by less than this; what formats round is within
+# Largest differences between two Gaussians that may be the same; rounding of formats is smaller
 NEAR = 0.002  # of the splat's extent, for positions
 SIZES = 0.35  # for logarithms of standard deviations
 OPACITIES = 0.06
-NEIGHBOURS = 8  # that a Gaussian is compared with: growth leaves copies in one place
-UNMOVED = 0.9  # share of Gaussians found in their old place, above which no motion is looked for
-LEAST = 16  # Gaussians that show a motion; fewer matches in all are chance
+NEIGHBOURS = 8  # compared with each Gaussian: densification leaves copies in one place
+UNMOVED = 0.9  # share of Gaussians in their old place, above which no motion is estimated
+LEAST = 16  # matches that are not chance
 SAMPLE = 4000  # Gaussians that a motion is estimated from
-UNIQUE = 0.6  # ratio of distances to the nearest and the second nearest descriptor, to be a match
+UNIQUE = 0.6  # ratio of distances to the nearest and second nearest descriptor (Lowe's test)
 EDITED = 0.1  # median change of the constant band, above which colours were edited
 
 Numbers = Float[np.ndarray, "_ D"]
 
 
 def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat") -> Scene:
-    """The scene with a splat in place of its own that other programs made of that.
+    """The scene with a splat that another program made of its own.
 
-    Gaussians are found by position, scale and opacity, in any order, also if the whole was turned,
-    scaled and shifted. They keep their objects and, unless their colours were edited, their layers
-    of paint, whose canvases come last. New Gaussians belong to nothing. `name` is for messages.
+    Gaussians are matched by position, scale and opacity, in any order and after one rigid motion
+    with scale. They keep their objects and, unless their colours were edited, their layers of
+    paint. New Gaussians belong to no object. `name` is the splat's, for messages.
 
     Its metrics are `gaussians`, `matched`, `new_gaussians`, `lost_gaussians` and `moved`: empty, or
     the number of `gaussians`, the `scale` and the `degrees` of the motion.
@@ -58,34 +58,37 @@ def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat
         splats=_with_identities(splats, scene.splats, rows.clamp(min=0), here),
         base=None,
         layers=(),
-        cameras=scene.cameras if frame is SAME else seen_from(scene.cameras, frame),
+        cameras=scene.cameras if frame is SAME else move_cameras(scene.cameras, frame),
         objects=_objects(scene, rows.clamp(min=0), here),
         path=None,
     )
     if scene.layers and not _is_edited(scene, splats, rows):
         found = _with_layers(scene, found, frame, rows)
-    cosine = float((frame.rotation.diagonal().sum() - 1) / 2)
-    degrees = round(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))), 3)
     matched = int(here.sum())
-    motion = {"gaussians": matched, "scale": round(frame.scale, 6), "degrees": degrees}
-    metrics: dict[str, Any] = {"gaussians": len(splats), "matched": matched}
-    metrics |= {"new_gaussians": len(splats) - matched, "moved": [] if frame is SAME else [motion]}
-    return replace(found, metrics={**metrics, "lost_gaussians": len(scene.splats) - matched})
+    degrees = float(np.degrees(Rotation.from_matrix(frame.rotation.numpy()).magnitude()))
+    motion = {"gaussians": matched, "scale": round(frame.scale, 6), "degrees": round(degrees, 3)}
+    metrics = {
+        "gaussians": len(splats),
+        "matched": matched,
+        "new_gaussians": len(splats) - matched,
+        "lost_gaussians": len(scene.splats) - matched,
+        "moved": [] if frame is SAME else [motion],
+    }
+    return replace(found, metrics=metrics)
 
 
 def match_gaussians(found: Splats, known: Splats) -> tuple[Frame, Int[Tensor, " M"]]:
-    """The motion from a scene to a splat, and the scene's row of each Gaussian (-1: it is new)."""
+    """The motion from known to found Gaussians, and the known row of each found one, -1 if new."""
     rows = _nearest(found, known, SAME)
-    if (rows >= 0).mean() < UNMOVED:
-        frame = _motion(found, known)
-        moved_rows = rows if frame is None else _nearest(found, known, frame)
-        if frame is not None and (moved_rows >= 0).sum() > (rows >= 0).sum():
+    if (rows >= 0).mean() < UNMOVED and (frame := _motion(found, known)) is not None:
+        moved_rows = _nearest(found, known, frame)
+        if (moved_rows >= 0).sum() > (rows >= 0).sum():
             return frame, torch.from_numpy(moved_rows)
     return SAME, torch.from_numpy(rows)
 
 
 def _nearest(found: Splats, known: Splats, frame: Frame) -> Int[np.ndarray, " M"]:
-    """The row of the most similar known Gaussian for each one, the closest pairs first."""
+    """The known row of each Gaussian, one to one, assigned in order of distance."""
     means = found.means.numpy()
     reach = NEAR * max(np.ptp(np.quantile(means, (0.02, 0.98), axis=0), axis=0).max(), 1e-9)
     mine, theirs = _features(found, SAME, reach), _features(known, frame, reach)
@@ -108,7 +111,7 @@ def _nearest(found: Splats, known: Splats, frame: Frame) -> Int[np.ndarray, " M"
 
 
 def _features(splats: Splats, frame: Frame, reach: float) -> Numbers:
-    """Position, scales and opacity, in units of the tolerated difference."""
+    """Positions, scales and opacities in units of the tolerated differences."""
     means = frame.place(splats.means.double()) / reach
     sizes = (splats.scales.double().sort(dim=1).values + np.log(frame.scale)) / SIZES
     opacities = torch.sigmoid(splats.opacities.double())[:, None] / OPACITIES
@@ -116,7 +119,7 @@ def _features(splats: Splats, frame: Frame, reach: float) -> Numbers:
 
 
 def _motion(found: Splats, known: Splats) -> Frame | None:
-    """The similarity between Gaussians that look alike; with colours, or without if edited."""
+    """The similarity between Gaussians of equal descriptors, by RANSAC."""
     sample = np.random.default_rng(0).permutation(len(found))[:SAMPLE]
     extent = float(np.ptp(found.means.numpy(), axis=0).max())
     if min(len(sample), len(known)) < LEAST:
@@ -142,7 +145,7 @@ def _motion(found: Splats, known: Splats) -> Frame | None:
 
 
 def _descriptors(splats: Splats, colors: bool) -> Numbers:
-    """What no motion changes: opacity, the ratios of the scales and, if wanted, the colour."""
+    """Quantities that no motion changes: opacities, ratios of scales, and maybe colours."""
     parts = [torch.sigmoid(splats.opacities)[:, None], splats.scales.sort(dim=1).values.diff(dim=1)]
     return torch.cat([*parts, splats.sh0[:, 0]] if colors else parts, dim=1).numpy()
 
@@ -150,7 +153,7 @@ def _descriptors(splats: Splats, colors: bool) -> Numbers:
 def _with_identities(
     splats: Splats, known: Splats, rows: Int[Tensor, " M"], here: Bool[Tensor, " M"]
 ) -> Splats:
-    """The splats with the known identities; new ones get that of the surest background."""
+    """The splats with known identities; new Gaussians get the most probable background's."""
     if known.identities is None or known.classifier is None:
         return splats
     nobody = known.identities.new_zeros(known.identities.shape[1])
@@ -171,7 +174,7 @@ def _with_identities(
 def _objects(
     scene: Scene, rows: Int[Tensor, " M"], here: Bool[Tensor, " M"]
 ) -> dict[str, SceneObject]:
-    """The objects that still have Gaussians; a message reports lost ones."""
+    """The objects that still have Gaussians; reports lost ones."""
     objects = dict[str, SceneObject]()
     for name, each in scene.objects.items():
         picked = each.picked[rows] & here
@@ -185,22 +188,19 @@ def _objects(
 
 
 def _is_edited(scene: Scene, splats: Splats, rows: Int[Tensor, " M"]) -> bool:
-    """Whether colours of painted Gaussians were edited; a message says so."""
+    """Whether colours of painted Gaussians were edited; reports that."""
     painted = torch.stack([mask_of(layer, scene) for layer in scene.layers]).any(dim=0)
     mine = (rows >= 0) & painted[rows.clamp(min=0)]
     if not mine.any():
         return True
     change = (splats.sh0[mine] - scene.splats.sh0[rows[mine]]).abs().median()
     if change > EDITED:
-        say(
-            "The colours of what is painted were edited: its paintings are not carried over, they "
-            "stay as they look."
-        )
+        say("The painted colours were edited: the layers of paint become part of the splat.")
     return bool(change > EDITED)
 
 
 def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M"]) -> Scene:
-    """The scene with the known layers on what is left of their rows; canvases come last."""
+    """The scene with the known layers on the remaining rows; canvases come last."""
     known = scene.unpainted
     mine = (rows < len(known)).nonzero()[:, 0]  # new ones too, whose row is -1
     base_rows = rows[mine]
@@ -216,20 +216,19 @@ def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M
         paint = of_degree(replace(known[layer.rows], sh0=layer.sh0, shN=layer.shN), DEGREE)
         canvas = move_splats(of_degree(layer.canvas, DEGREE), frame)
         layer = replace(layer, shN=move_splats(paint, frame).shN, canvas=canvas)
-        part = taken(layer, places, rows[new] - first if layer.is_shown else None)
-        if not (len(part.rows) or len(part.parents)):
-            continue
+        part = layer_subset(layer, places, rows[new] - first if layer.is_shown else None)
         if layer.is_shown:
             order.append(new)
             shapes = {n: getattr(found.splats, n)[new] for n in ("means", "quats", "scales")}
             part = replace(part, canvas=replace(part.canvas, **shapes))
-        layers.append(part)
+        if len(part.rows) or len(part.parents):
+            layers.append(part)
     if not layers:
         return found
     hidden = (covered[base_rows.clamp(min=0)] & (base_rows >= 0)).nonzero()[:, 0]
     before = of_degree(move_splats(known[base_rows[hidden]], frame), DEGREE)
     looks = {n: getattr(before, n) for n in ("sh0", "shN", "opacities")}
     base = found.splats[mine].with_rows(hidden, looks)
-    objects = {name: taken_rows(each, torch.cat(order)) for name, each in found.objects.items()}
+    objects = {name: object_subset(each, torch.cat(order)) for name, each in found.objects.items()}
     splats = compose(base, layers)
     return replace(found, splats=splats, base=base, layers=tuple(layers), objects=objects)

@@ -13,7 +13,7 @@ from stylesplat.progress import track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame
-from stylesplat.scene.projection import project, shown
+from stylesplat.scene.projection import is_in_image, project
 from stylesplat.structure_from_motion.image_measures import SIDE, relative_sharpness, sharpness
 
 # Coverage; lengths are in units of the cameras' median distance from the centre
@@ -184,7 +184,7 @@ def _gain(
 
     The median tolerates that other things hide some of the points.
     """
-    rows = shown(points, camera).nonzero()[:, 0]
+    rows = is_in_image(points, camera).nonzero()[:, 0]
     pixels, _ = project(points[rows], camera)
     height, width = photo.shape[:2]
     pixels = pixels * torch.tensor([width, height]) / torch.tensor(camera.size)

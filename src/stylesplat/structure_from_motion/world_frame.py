@@ -13,7 +13,7 @@ from stylesplat.io.captures.colmap import posed_images, viewmats_of
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.scene.cameras import Cameras, focus_point, up_vector
 from stylesplat.scene.frames import Frame
-from stylesplat.scene.projection import depths_of, shown
+from stylesplat.scene.projection import depths_of, is_in_image
 from stylesplat.scene.sampling import evenly
 
 ROUNDS = 5  # of estimating something from the cameras, and leaving out outliers
@@ -168,7 +168,7 @@ def _geometric_median(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Float[T
     """By Weiszfeld's algorithm; the weight of a point is the number of photos that show it."""
     points = _some_points(points)
     rows = evenly(range(len(cameras)), MAX_CAMERAS)
-    weights = torch.stack([shown(points, cameras[row]) for row in rows]).double().sum(dim=0)
+    weights = torch.stack([is_in_image(points, cameras[row]) for row in rows]).double().sum(dim=0)
     weights = weights if weights.any() else torch.ones_like(weights)
     median = (weights[:, None] * points).sum(dim=0) / weights.sum()
     for _ in range(MEDIAN_STEPS):

@@ -12,7 +12,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.projection import shown
+from stylesplat.scene.projection import is_in_image
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb, sh_bases
 
 OPACITY = 0.1  # of every first Gaussian (official)
@@ -102,7 +102,7 @@ def commonly_visible_points(
     points = focus + reach * (3 * torch.rand(20 * count, 3, generator=generator) - 1.5)
     views = torch.zeros(len(points))
     for camera in cameras:
-        views += shown(points, camera)
+        views += is_in_image(points, camera)
     common = points[views >= max(1.0, MIN_VIEWS * len(cameras))]
     if len(common) < 100:
         raise StyleSplatError(

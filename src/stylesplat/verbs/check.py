@@ -51,21 +51,14 @@ def check(capture: Capture) -> CaptureReport:
 
 
 def advices(report: CaptureReport, *, known: Collection[str] = ()) -> list[str]:
-    """What is not good and what to do about it, a line each, the worst first.
-
-    Args:
-        report: What `check` found.
-        known: Findings of which the user knows the fact; their lines hold the advice alone.
-    """
-    lines = {
-        verdict: [
-            each.advice if each.what in known else each.line
-            for each in report.findings
-            if each.verdict == verdict
-        ]
+    """The poor and then the fair findings, a line each; of `known` findings the advice alone."""
+    lines = [
+        each.advice if each.what in known else each.line
         for verdict in ("poor", "fair")
-    }
-    return [line[:1].upper() + line[1:] for line in lines["poor"] + lines["fair"]]
+        for each in report.findings
+        if each.verdict == verdict
+    ]
+    return [line[:1].upper() + line[1:] for line in lines]
 
 
 def _on_reconstruction(capture: Capture, figures: ModelFigures | None) -> list[Finding]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import fmean
 from typing import Any
 
 import torch
@@ -22,8 +23,8 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.verbs.evaluate import evaluate
 
-VIEWS = 4  # that are shown, unless somebody wants more
-VISIBLE = 8  # levels of 255 in a channel: what differs by less is hard to see
+VIEWS = 4  # by default
+VISIBLE = 8  # levels of 255 in a channel: smaller differences are hard to see
 LONGEST = 960  # pixels of a picture's side
 SCHEMA = "stylesplat-comparison-1"
 
@@ -53,15 +54,10 @@ class Comparison:
 
     def summary(self) -> dict[str, Any]:
         """All but the pictures as plain values, for JSON."""
+        fields = ("name", "metrics", "differences", "from_first")
         scenes = [
-            {
-                "name": each.name,
-                "path": each.scene.path,
-                "gaussians": len(each.scene.splats),
-                "metrics": each.metrics,
-                "differences": each.differences,
-                "from_first": each.from_first,
-            }
+            {"path": each.scene.path, "gaussians": len(each.scene.splats)}
+            | {name: getattr(each, name) for name in fields}
             for each in self.scenes
         ]
         return {"schema": SCHEMA, "views": self.views, "scenes": scenes, "notes": self.notes}
@@ -94,7 +90,7 @@ def compare(
     """
     if len(scenes) < 2:
         raise StyleSplatError(f"Expected at least two scenes to compare, got {len(scenes)}.")
-    shown = tuple(evenly(shared_views(scenes), max(1, views)))
+    names = tuple(evenly(shared_views(scenes), max(1, views)))
     (first, one), *others = scenes.items()
     notes = [
         f"{name} holds out other photos than {first}: their numbers are of different photos."
@@ -106,42 +102,37 @@ def compare(
         metrics: dict[str, Any] = {}
         try:
             metrics = evaluate(scene, (captures or {}).get(name), device=device)
-        except StyleSplatError as error:  # it can be looked at all the same
+        except StyleSplatError as error:  # pictures of it can be compared
             notes.append(f"{name} has no numbers: {error}")
-        cameras = scene.cameras[[*map(scene.cameras.names.index, shown)]]
+        cameras = scene.cameras[[*map(scene.cameras.names.index, names)]]
         splats = scene.splats.to(pick_device(device))
         each = (render_pictures(splats, camera.at_most(LONGEST)) for camera in cameras)
         pictures = tuple(picture for (picture,) in each)
         base = found[0] if found else None
-        gap = metric_differences(metrics, base.metrics if base else metrics)
-        far = picture_differences(pictures, base.pictures if base else pictures)
-        found.append(Compared(name, metrics, gap, far, pictures, scene))
+        differences = metric_differences(metrics, base.metrics if base else metrics)
+        from_first = picture_differences(pictures, base.pictures if base else pictures)
+        found.append(Compared(name, metrics, differences, from_first, pictures, scene))
     for note in notes:
         say(note)
-    return Comparison(shown, tuple(found), tuple(notes))
+    return Comparison(names, tuple(found), tuple(notes))
 
 
 def picture_differences(
     pictures: Sequence[UInt8[Tensor, "_ _ 3"]], first: Sequence[UInt8[Tensor, "_ _ 3"]]
 ) -> dict[str, float]:
-    """How far pictures are from others of the same views; of equal ones all numbers are 0.
+    """Differences of pictures to others of the same views, which are 0 for equal pictures.
 
-    Args:
-        pictures: One per view.
-        first: As many, each as large as its partner.
-
-    Returns:
-        `mean_difference` and `largest_difference` of a channel, in 0..1; `changed_share`, of the
-        pixels a channel of which differs by more than 8 of 255 levels; `ssim_lost`, 1 - SSIM. All
-        but the largest are means over the views.
+    Returns `mean_difference` and `largest_difference` of a channel, in 0..1; `changed_share`, the
+    share of pixels of which a channel differs by more than 8 of 255 levels; and `ssim_lost`,
+    1 - SSIM. All but the largest are means over the views.
     """
     pairs = [(a.float() / 255, b.float() / 255) for a, b in zip(pictures, first, strict=True)]
     gaps = [(a - b).abs() for a, b in pairs]
-    count = len(pairs)
-    changed = [float((gap.amax(dim=-1) > VISIBLE / 255).float().mean()) for gap in gaps]
     return {
-        "mean_difference": sum(float(gap.mean()) for gap in gaps) / count,
+        "mean_difference": fmean(float(gap.mean()) for gap in gaps),
         "largest_difference": max(float(gap.max()) for gap in gaps),
-        "changed_share": sum(changed) / count,
-        "ssim_lost": sum(max(0.0, 1 - float(ssim(a, b))) for a, b in pairs) / count,
+        "changed_share": fmean(
+            float((gap.amax(dim=-1) > VISIBLE / 255).float().mean()) for gap in gaps
+        ),
+        "ssim_lost": fmean(max(0.0, 1 - float(ssim(a, b))) for a, b in pairs),
     }

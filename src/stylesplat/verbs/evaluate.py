@@ -18,7 +18,7 @@ from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import mask_of, without_layers
-from stylesplat.scene.frames import posed_as
+from stylesplat.scene.frames import with_poses_of
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -75,7 +75,7 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
     rows = [row for row, name in enumerate(capture.cameras.names) if name in known]
     if rows and len(rows) < len(capture):  # some were left out when it was trained
         capture = capture.only(rows)
-    capture = posed_as(capture, scene.cameras)
+    capture = with_poses_of(capture, scene.cameras)
     if "splat" in scene.info:
         rows = measured_rows(capture)
     else:
@@ -119,7 +119,7 @@ def _closeness(
     views: Cameras,
     boxes: Sequence[Box],
 ) -> dict[str, float]:
-    """Measure how close an object is to its style; empty if the style or its network is missing."""
+    """Measure how close an object is to its style, if the style and its network are at hand."""
     try:
         style = _style_of(layer)
         network = load_network([style], layer.features, layer.weights, download=False)
@@ -135,11 +135,7 @@ def _closeness(
 
 
 def _style_of(layer: Layer) -> Style:
-    """Read the style of a layer.
-
-    Raises:
-        StyleSplatError: If its pictures are missing or have changed.
-    """
+    """The style of a layer; refuses pictures that are missing or have changed."""
     pictures = list[Path]()
     for source in layer.styles:
         if source.path is None:

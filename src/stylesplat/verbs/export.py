@@ -97,20 +97,9 @@ def export(
 def export_objects(
     scene: Scene, path: Path | str, *, objects: Sequence[str] = (), overwrite: bool = False
 ) -> int:
-    """Write the Gaussians of each object of a scene, and their shares.
+    """Write the rows and shares of objects (by default all) to a `.npz` or `.json` file.
 
-    Args:
-        scene: With objects; its `.ply` has the same rows.
-        path: A file name ending in `.npz` or `.json`.
-        objects: Names or label ids; by default all objects.
-        overwrite: Whether a file of that name may be replaced.
-
-    Returns:
-        How many objects were written.
-
-    Raises:
-        StyleSplatError: If the scene lacks these objects, or the file exists and `overwrite` is
-            off, or it cannot be written.
+    Returns the number of objects.
     """
     refuse_file(path, overwrite=overwrite)
     listed = listed_objects(_scene(scene), objects)
@@ -127,20 +116,9 @@ def export_each(
     overwrite: bool = False,
     sh_degree: int | None = None,
 ) -> list[Path]:
-    """Write each object of a scene into its own file, and the rest into `rest`.
+    """Write each object into its own file of a folder, all or none, and the rest into `rest`.
 
-    Args:
-        scene: With objects.
-        folder: Where the files go, all or none of them.
-        suffix: Of their format; see `export`.
-        overwrite: Whether files of these names may be replaced.
-        sh_degree: See `export`.
-
-    Returns:
-        The files.
-
-    Raises:
-        StyleSplatError: As `export` does, or if the scene has no objects.
+    Returns the files. For `suffix` and `sh_degree` see `export`.
     """
     parts = every_part(_scene(scene))
     names = [f"{name}{suffix}" for name in parts]

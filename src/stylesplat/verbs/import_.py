@@ -19,7 +19,7 @@ from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, at_most
-from stylesplat.scene.frames import known_frames, posed_as, seen_from
+from stylesplat.scene.frames import known_frames, move_cameras, with_poses_of
 from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.scene import ListedObjects, Scene, SceneObject, is_id
@@ -124,8 +124,8 @@ def import_(
 
 def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
     """The scene with cameras in the splat's frame, lifted labels, and PSNR of the photos."""
-    cameras = seen_from(capture.full_cameras, known_frames(capture.full_cameras)[frame])
-    small = posed_as(at_most(capture, WORKING_SIZE), cameras)
+    cameras = move_cameras(capture.full_cameras, known_frames(capture.full_cameras)[frame])
+    small = with_poses_of(at_most(capture, WORKING_SIZE), cameras)
     metrics: dict[str, Any] = {}
     if small.label_maps is None and splats.classifier is None:
         say("No label maps: objects can be picked by --box3d and --sphere only.")

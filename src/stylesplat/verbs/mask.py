@@ -20,7 +20,7 @@ from stylesplat.selection.objects import relabel
 
 Photos = TypeVar("Photos", Capture, Scene)
 Method = Literal["files", "grabcut"] | sam.Method
-# What the ways to make label maps go by; what another goes by would change nothing
+# The arguments of each method; others would have no effect
 TAKES = {"files": {"source"}, "grabcut": {"boxes", "strokes", "scene"}}
 MODELS_TAKE = {"model", "scene", "progress"}
 
@@ -94,15 +94,9 @@ def mask(
 
 
 def settled_method(method: Method | None, given: Mapping[str, Any]) -> Method:
-    """How label maps are to be made, if what is given suffices for it; photos are not needed.
+    """The method that the other arguments of `mask` imply, by name; photos are not needed.
 
-    Args:
-        method: What was asked for, if anything was.
-        given: The other arguments of `mask`, by name.
-
-    Raises:
-        StyleSplatError: If nothing says what to mask, or something given means nothing with the
-            method or is not there.
+    Refuses arguments that the method does not take, and files that are missing.
     """
     source = given.get("source")
     method = method or ("grabcut" if source is None else "files")
@@ -122,7 +116,7 @@ def settled_method(method: Method | None, given: Mapping[str, Any]) -> Method:
 
 
 def _mask_scene(scene: Scene, options: dict[str, Any], device: str) -> Scene:
-    """What the renders of a scene show, lifted onto it."""
+    """Mask renders of a scene without photos, and lift the labels onto it."""
     if not has_no_photos(scene):
         raise StyleSplatError(
             "This scene was made from photos. Mask those, and train or import again; or name what "

@@ -39,20 +39,17 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
             "names": names_of(scene, id),
             "gaussians": int(mask.sum()),
             "own": int((shares.of(mask) > 0).sum()),
-            **_confidence(scene, mask),
-            **(_place(extent_of(scene.splats, mask)) if mask.any() else {}),
+            **(_details(scene, mask) if mask.any() else {}),
         }
         for id, mask in track(found, "listing objects", unit="object", total=len(ids))
     ]
 
 
 def extents(scene: Scene) -> dict[str, Any]:
-    """Where a scene's content and all that has a name are, in world units.
+    """The extents in world units of a scene's content and of its named objects.
 
-    Returns:
-        `content`, without what floats around it or lies far behind it, and by name `named`, with
-        the number of `gaussians`: `box` along the world's axes, as `select` takes a `box3d`, its
-        `centre` and its `size`.
+    Returns `content`, without floaters and far background, and `named` by name, with the number of
+    `gaussians`: `box` along the world's axes as in `select`, its `centre` and its `size`.
     """
     named = {
         name: {"gaussians": int(each.picked.sum()), **_place(extent_of(scene.splats, each.picked))}
@@ -114,14 +111,15 @@ def delete(scene: Scene, name: str) -> Scene:
     return replace(scene, objects=objects)
 
 
+def _details(scene: Scene, mask: Bool[Tensor, " N"]) -> dict[str, Any]:
+    """The mean confidence, if labels were lifted, and the place of an object."""
+    place, confidence = _place(extent_of(scene.splats, mask)), scene.splats.confidence
+    if confidence is None:
+        return place
+    return {"confidence": round(float(confidence[mask].mean()), 3), **place}
+
+
 def _place(extent: Extent) -> dict[str, list[float]]:
     corners = [*extent.low.tolist(), *extent.high.tolist()]
     parts = {"box": corners, "centre": extent.centre.tolist(), "size": extent.size.tolist()}
     return {what: [float(f"{value:.4g}") for value in values] for what, values in parts.items()}
-
-
-def _confidence(scene: Scene, mask: Bool[Tensor, " N"]) -> dict[str, float]:
-    confidence = scene.splats.confidence
-    if confidence is None or not mask.any():
-        return {}
-    return {"confidence": round(float(confidence[mask].mean()), 3)}

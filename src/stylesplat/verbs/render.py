@@ -1,4 +1,4 @@
-"""`render` and `orbit`: pictures of a scene, one per view, and cameras of a round trip."""
+"""`render`, `orbit` and `view`: pictures of a scene, cameras of a round trip, the browser."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,8 +6,10 @@ from typing import Literal
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import some
+from stylesplat.figures.browser import serve_viewer
 from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
 from stylesplat.figures.pictures import depth_step, render_pictures
+from stylesplat.figures.private_server import PrivateServer
 from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device
@@ -16,6 +18,7 @@ from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 
 Which = Literal["test", "train", "all", "orbit"]
@@ -95,11 +98,7 @@ def render(
 
 
 def cameras_of(scene: Scene, views: Which | Names | Cameras, frames: int | None = None) -> Cameras:
-    """The cameras that `render` takes.
-
-    Raises:
-        StyleSplatError: If the scene has no such views.
-    """
+    """The cameras of `render`'s argument `views`."""
     if isinstance(views, Cameras):
         return views
     if views == "orbit":
@@ -138,10 +137,29 @@ def orbit(
     count = FRAMES if frames is None else frames
     picked = None if around is None else find_object(scene, around)
     if has_no_photos(scene):
-        splats, views = scene.splats, scene.cameras
-        content = content_of(splats, picked)
-        return orbit_around(content, views if size is None else views.resize(*size), count)
+        views = scene.cameras if size is None else scene.cameras.resize(*size)
+        return orbit_around(content_of(scene.splats, picked), views, count)
     content = None if picked is None else content_of(scene.splats, picked)
     path = orbit_cameras(scene.cameras, count, content and content.extent.centre)
     path = path if size is None else path.resize(*size)
     return path if content is None else filled(path, content)
+
+
+@check_arguments
+def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> PrivateServer:
+    """Show a scene in a browser: in mean colours, and as it is as soon as the camera rests.
+
+    Args:
+        what: A scene, or splats alone, of which nobody knows what is up.
+        port: Port on 127.0.0.1, or the next free one.
+        block: Serve until Ctrl-C; otherwise return at once.
+
+    Returns:
+        The running server; its `url` opens it, `stop()` ends it.
+
+    Raises:
+        StyleSplatError: If viser is not installed or there is nothing to show.
+    """
+    if isinstance(what, Splats):
+        return serve_viewer(what, port=port, block=block)
+    return serve_viewer(what.splats, cameras=what.cameras, port=port, block=block)

@@ -14,7 +14,7 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.arguments import Places, check_box, parse_places, several
 from stylesplat.scene.scene import Scene, check_name
-from stylesplat.selection.choose import Choice, Rules, choose
+from stylesplat.selection.choose import Choice, choose
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD
 from stylesplat.selection.text import load_detector
@@ -107,8 +107,8 @@ def select(
     if texts:  # places are checked before a model is downloaded
         object_ids(scene.splats)  # refuses splats without objects before a model is downloaded
         detector = load_detector(model, pick_device(device))
-    rules = Rules(threshold, remove_outliers)
-    found = choose(scene, choice, name=name, rules=rules, detector=detector)
+    rules = {"threshold": threshold, "remove_outliers": remove_outliers}
+    found = choose(scene, choice, name=name, detector=detector, **rules)
     if name in scene.objects:
         before = int(scene.objects[name].picked.sum())
         say(f"{name!r} meant {before:,} Gaussians before.")

@@ -115,11 +115,7 @@ def sfm(
 
 
 def source_digest(source: Path) -> str:
-    """SHA-256 of the names and sizes of the files, which tells one set of photos from another.
-
-    Raises:
-        StyleSplatError: If a folder cannot be read.
-    """
+    """SHA-256 of the names and sizes of the photos and videos."""
     folder, names = source.parent, [source.name]
     if source.is_dir():
         found = find_sources(source, skip=partial_of(source))

@@ -15,8 +15,8 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.compose import (
     beneath,
+    canvases_last,
     family,
-    new_ones_last,
     with_layers,
     with_strengths,
     without_layers,
@@ -46,12 +46,11 @@ ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  
 
 @dataclass(frozen=True)
 class Unmeasured:
-    """A painted scene, of which only the times and steps are known yet."""
+    """A painted scene whose metrics contain times and steps only."""
 
     scene: Scene
-    """As `stylize` returns it, but for the metrics that take measuring."""
     surveys: Mapping[str, Sequence[Box]]
-    """Where each painted object shows in the views of the scene, by name."""
+    """The boxes of each painted object in the views of the scene, by name."""
     measures: Sequence[Callable[[Scene], dict[str, Any]]]
     """Functions that measure the objects of each network."""
 
@@ -65,20 +64,18 @@ class Unmeasured:
 
 @dataclass(frozen=True)
 class PaintContexts:
-    """The paint contexts of a scene, whose objects share networks."""
+    """The paint contexts of all tasks of a scene, which share networks."""
 
     scene: Scene
-    """It has the views."""
     tasks: Sequence[PaintTask]
-    """All objects: each network is as deep as the deepest of them needs."""
     max_memory: float
     """GiB for prepared views."""
     device: torch.device
     networks: "dict[Any, FeatureNetwork]"
-    """Networks that were loaded, by their names and files."""
+    """Loaded networks by name and file."""
 
     def of(self, splats: Splats, task: PaintTask) -> PaintContext:
-        """The context in which one object is painted on splats, or measured."""
+        """The context for painting or measuring one object on splats."""
         training, held_out = self.scene.working_views()
         key = task.features, task.weights
         if key not in self.networks:
@@ -145,11 +142,7 @@ def stylize_unmeasured(
     max_memory: float = MAX_MEMORY,
     device: str = "auto",
 ) -> Unmeasured:
-    """As `stylize`, but the scene can be had, and kept, before the painting is measured.
-
-    Raises:
-        StyleSplatError: As `stylize` does.
-    """
+    """As `stylize`, but the scene can be saved before it is measured."""
     start, before, recipe = time.perf_counter(), scene, as_recipe(styles)
     tasks = paint_tasks(recipe, scene, features, weights)
     contexts = PaintContexts(scene, tasks, max_memory, pick_device(device), {})
@@ -216,15 +209,12 @@ def _measure(
     surveys: Mapping[str, Sequence[Box]],
     scene: Scene,
 ) -> dict[str, Any]:
-    """Measure what painting some objects did, with one entry per number.
-
-    The scene before is made from the one after, as two take much memory.
-    """
+    """Measure objects that were painted, in comparison with the scene before, with flat metrics."""
     names = [task.name for task in tasks]
     before = without_layers(scene, names)
     rows = family(before)
     context = contexts.of(before.splats, tasks[0])
-    splats, after = new_ones_last(scene, names)
+    splats, after = canvases_last(scene, names)
     _, held_out = scene.working_views()
     return flat_metrics(
         measure_painted(
@@ -240,7 +230,7 @@ def _measure(
 
 
 def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
-    """Join the numbers of two networks: objects together, counts added, else the later ones."""
+    """Join the metrics of two networks: objects are united, counts added, others replaced."""
     joined = {**earlier, **later}
     for name, value in earlier.items():
         if isinstance(value, dict):

@@ -23,35 +23,32 @@ class Live:
     """An object that is being painted."""
 
     state: PaintState
-    """How far it is."""
     before: Scene
     """The scene as it was given."""
     beneath: Scene
-    """What lies beneath the object's layer."""
+    """The scene beneath the object's layer."""
     place: int
-    """Of the layer in the stack."""
+    """The index of the layer in the stack."""
     task: PaintTask
-    """The object and its style."""
     target: PaintTarget
-    """Its Gaussians among those of `beneath`, and settings."""
+    """The object among the Gaussians of `beneath`, and settings."""
     precision: Precision
-    """Of the features."""
 
     @property
     def layer(self) -> Layer:
-        """What is painted so far."""
+        """The present layer."""
         rows = family(self.beneath).to(self.state.parents.device)
         return self.task.record(layer_of(self.state, self.target, rows), self.precision)
 
     @property
     def splats(self) -> Splats:
-        """As they look now."""
+        """The present look of all Gaussians."""
         layers = self.before.layers
         layers = (*layers[: self.place], self.layer, *layers[self.place + 1 :])
         return compose(self.before.unpainted, layers)
 
     def scene(self) -> Scene:
-        """The scene with what is painted so far, as `stylize` would give it, but not measured."""
+        """The scene with the present layer, not measured."""
         return with_layer(self.before, self.place, self.layer)
 
 
