@@ -8,7 +8,7 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.photos import Fits, evaluate_views, fitted_render
-from stylesplat.metrics.psnr import psnr
+from stylesplat.metrics.images import psnr
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.selection.identities import render_labels

@@ -9,9 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.metrics.images import psnr, ssim
 from stylesplat.metrics.iou import object_iou
-from stylesplat.metrics.psnr import psnr
-from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import track
 from stylesplat.rendering.render import rasterize, render
 from stylesplat.scene.cameras import Cameras

@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.metrics.images import ssim_map
 from stylesplat.metrics.lab import LUMA, cells, distinct, lab_from_rgb, nearest_colors, thinned
-from stylesplat.metrics.ssim import ssim_map
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras

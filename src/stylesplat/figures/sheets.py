@@ -33,7 +33,7 @@ from stylesplat.figures.grid import (
 )
 from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
 from stylesplat.io.captures.capture_folder import open_capture
-from stylesplat.metrics.psnr import psnr
+from stylesplat.metrics.images import psnr
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import pick_device, render
