@@ -1,7 +1,7 @@
 """The sheets that commands draw: objects, selections, label maps, before and after, photos."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import cv2
@@ -16,7 +16,6 @@ from stylesplat.figures.best_views import (
     aim_at,
     best_rows,
     find_views,
-    masks_of,
     most_detailed,
     survey_view,
     visibility,
@@ -50,7 +49,6 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE, object_ids, render_labels
 from stylesplat.selection.pick import each_object
 from stylesplat.selection.soft_picks import own_shares, survey
-from stylesplat.stylization.views import Box
 
 GAP = 8  # pixels between the pictures of one object
 SMALL = (CELL - GAP) // 2  # pixels along the pictures from other sides
@@ -161,15 +159,11 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
 
 @torch.no_grad()
 def before_after(
-    scene: Scene,
-    *,
-    surveys: Mapping[str, Sequence[Box]] | None = None,
-    device: str = "auto",
+    scene: Scene, *, device: str = "auto"
 ) -> tuple[str, UInt8[Tensor, "H W 3"]] | None:
     """Draw the view that shows most of the painted objects and of their detail, before and after.
 
-    It is as large as its photo, up to 2048 pixels a side. `surveys` are the boxes of the painted
-    objects, if they are known.
+    It is as large as its photo, up to 2048 pixels a side.
 
     Returns:
         The view's name and the pictures side by side; None if no view shows painted objects.
@@ -179,12 +173,10 @@ def before_after(
     """
     require_painted(scene)
     base = scene.unpainted.to(pick_device(device))
-    surveyed = surveys is not None and surveys.keys() == {*scene.painted_objects}
-    masks = masks_of(surveys.values(), scene.cameras) if surveys and surveyed else None
     picked = torch.zeros(len(base), dtype=torch.bool, device=base.device)
     for layer in scene.layers:
         picked[layer.rows.to(base.device)] = True
-    found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS, masks=masks)
+    found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
     if not found:
         return None
     camera = scene.cameras[most_detailed(base, scene.cameras, found).row].at_most(LONGEST)

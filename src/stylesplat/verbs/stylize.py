@@ -50,8 +50,6 @@ class Unmeasured:
 
     scene: Scene
     """As `stylize` returns it, but for the metrics that take measuring."""
-    surveys: Mapping[str, Sequence[Box]]
-    """Where each painted object shows in the views of the scene, by name."""
     measures: Sequence[Callable[[Scene], dict[str, Any]]]
     """Functions that measure the objects of each network."""
 
@@ -189,7 +187,7 @@ def stylize_unmeasured(
     for task in tasks:
         groups.setdefault((task.features, task.weights, task.precision), []).append(task)
     measures = [partial(_measure, contexts, each, crops, surveys) for each in groups.values()]
-    return Unmeasured(replace(scene, metrics=metrics), surveys, measures)
+    return Unmeasured(replace(scene, metrics=metrics), measures)
 
 
 stylise = stylize
