@@ -27,7 +27,6 @@ class ObjectRender:
     """The render of an object in one view, before and after it is painted."""
 
     camera: Cameras
-    """One camera."""
     colors: Float[Tensor, "H W 6"]
     """The base scene's and the styled scene's colours, in 0..1."""
     surface: Float[Tensor, "H W 2"]

@@ -40,15 +40,12 @@ class Fits:
     """What is fitted to each photo, as in the training of the splat."""
 
     colors: bool = False
-    """Exposure and white balance."""
     pose: bool = False
-    """A shift of the camera."""
     unit: float = 1.0
     """The unit of length for shifts of cameras."""
 
     @property
     def names(self) -> list[str]:
-        """The names of the fits, as scenes record them."""
         return [name for name in ("colors", "pose") if getattr(self, name)]
 
 

@@ -195,7 +195,6 @@ def _style_colors(job: PaintTarget) -> Float[Tensor, "P 3"]:
 
 
 def renders(splats: Splats, views: Sequence[ObjectView]) -> list[Float[Tensor, "_ _ 3"]]:
-    """Render some views, colours clamped to 0..1."""
     return [render(splats, view.camera)[0].clamp(0, 1) for view in views]
 
 

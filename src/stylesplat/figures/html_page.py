@@ -26,9 +26,7 @@ class Figure:
     """A picture, a video or a page with a splat, with a caption."""
 
     path: Path
-    """The file."""
     caption: str
-    """What it shows."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +34,11 @@ class Section:
     """A heading, a paragraph and figures side by side."""
 
     title: str
-    """The heading."""
     text: str
-    """The paragraph."""
     figures: tuple[Figure, ...] = ()
-    """The figures, left to right."""
 
 
 def page_style() -> str:
-    """The CSS of all pages."""
     return STYLE.read_text(encoding="utf-8")
 
 
@@ -58,7 +52,6 @@ def section_html(section: Section) -> str:
 
 
 def figure_html(url: str, caption: str) -> str:
-    """A picture with a caption."""
     caption = escape(caption)
     return f'<figure><img src="{url}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
 
@@ -74,12 +67,10 @@ def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def file_url(path: Path) -> str:
-    """The data URL of a picture's or video's file."""
     return _url(path.read_bytes(), path.suffix)
 
 
 def picture_url(picture: UInt8[Tensor, "H W 3"]) -> str:
-    """The data URL of a picture, as JPEG."""
     content = BytesIO()
     Image.fromarray(picture.cpu().numpy()).save(content, "JPEG", quality=QUALITY)
     return _url(content.getvalue(), ".jpg")
@@ -107,7 +98,6 @@ class SceneColumn:
     """The pictures and numbers of one scene among others."""
 
     name: str
-    """Its name."""
     metrics: Mapping[str, Any]
     """The result of `evaluate`; empty if nothing could be measured."""
     differences: Mapping[str, Any]
@@ -115,7 +105,6 @@ class SceneColumn:
     from_first: Mapping[str, float]
     """How much its pictures differ from those of the first scene (`picture_differences`)."""
     pictures: tuple[UInt8[Tensor, "_ _ 3"], ...]
-    """One per view."""
 
 
 def comparison_page(

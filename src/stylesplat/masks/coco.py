@@ -24,22 +24,16 @@ Run = Annotated[int, msgspec.Meta(ge=0, le=MAX_PIXELS)]
 
 
 class CocoImage(msgspec.Struct):
-    """A photo."""
-
     id: Id
     file_name: str
 
 
 class CocoCategory(msgspec.Struct):
-    """A kind of object."""
-
     id: Id
     name: Id
 
 
 class CocoAnnotation(msgspec.Struct):
-    """The mask of an object in a photo."""
-
     image_id: Id
     segmentation: Any  # checked when the mask is decoded: masks of other photos do not matter
     category_id: Id | None = None
@@ -47,8 +41,6 @@ class CocoAnnotation(msgspec.Struct):
 
 
 class CocoFile(msgspec.Struct):
-    """A file of annotations."""
-
     images: list[CocoImage]
     annotations: list[CocoAnnotation]
     categories: list[CocoCategory] = []
@@ -69,7 +61,6 @@ class CocoMasks:
     by_photo: Mapping[str, list[tuple[int, Any]]]
     """By photo's name without suffix the objects' ids and their run lengths, unchecked."""
     names: Mapping[int, str]
-    """Names of objects by id, where they are categories."""
 
 
 def read_coco(source: Path) -> CocoMasks:

@@ -26,7 +26,6 @@ class VideoPropagator:
 
     model: Any
     processor: Any
-    """Makes the model's input of photos and masks, and opens sessions."""
 
     @torch.no_grad()
     def propagate(

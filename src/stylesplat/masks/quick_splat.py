@@ -31,7 +31,6 @@ class WorkingSplat:
     """Photos at working size, and a splat of what they show."""
 
     capture: Capture
-    """Without label maps."""
     splats: Splats
     """In the frame of the capture's cameras."""
 

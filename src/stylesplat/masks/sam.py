@@ -120,7 +120,6 @@ class GridProposer:
     """
 
     model: Any
-    """Takes points and gives masks with their quality."""
     processor: Any
     """Makes the model's input of photos, and masks of the photo's size of its output."""
     min_iou: float = 0.88
@@ -130,7 +129,6 @@ class GridProposer:
     max_overlap: float = 0.7
     """IoU of two masks' boxes above which the worse is a duplicate of the better."""
     points_per_side: int = 32
-    """Of the grid."""
     points_at_once: int = 32
     """In one pass: the decoder of SAM 2 takes 35 MB for each."""
 

@@ -37,7 +37,6 @@ def decibels(error: Float[Tensor, ""]) -> Float[Tensor, ""]:
 
 @lru_cache
 def ssim_window() -> Float[Tensor, " 11"]:
-    """The normalised 1D Gaussian that SSIM averages with."""
     x = torch.arange(WINDOW) - WINDOW // 2
     window = torch.exp(-(x**2) / (2 * SIGMA**2))
     return window / window.sum()

@@ -49,7 +49,6 @@ class Coverage:
     lowest: float
     """Elevation above the centre, or of the view where cameras look outward."""
     highest: float
-    """The same."""
     near: float
     """Distance from the centre that a tenth of the cameras is within; the median is 1."""
     far: float
@@ -145,7 +144,6 @@ class PhotoStatistics:
 
 
 def measure_photos(capture: Capture) -> PhotoStatistics:
-    """Measure all photos, one by one."""
     points, colors = capture.points, capture.point_colors
     if points is None or colors is None:
         points, colors = torch.zeros(0, 3), torch.zeros(0, 3, dtype=torch.uint8)

@@ -44,12 +44,9 @@ MAX_REASONS = 3  # that a message names
 
 @dataclass(frozen=True)
 class SourceFiles:
-    """The photos and videos in a folder."""
-
     photos: tuple[str, ...]
     """Paths within the folder, in natural order, with `/` between the parts."""
     videos: tuple[str, ...]
-    """The same."""
     left_out: dict[str, str]
     """By path of a photo that cannot be used, the reason."""
 
@@ -160,11 +157,9 @@ class _Candidate:
     """A photo whose pixels were measured."""
 
     name: str
-    """Its path in the user's folder."""
     small: SmallPhoto = field(repr=False)
     sharpness: float
     time: str | None
-    """When it was taken."""
     suffix: str
     """Of the file that will be written."""
 

@@ -59,13 +59,9 @@ def prepare(source: Path, folder: Path, *, frames: int = 100) -> PreparedPhotos:
 
 @dataclass(frozen=True)
 class _Source:
-    """A folder of photos, or a video."""
-
     path: Path
     files: SourceFiles | None
-    """The photos of the folder; None of a video."""
     frames: int
-    """Keyframes to take of a video."""
 
     def identity(self) -> str:
         """A digest that differs for other files and other settings."""
@@ -126,7 +122,6 @@ class _Record:
     """What a folder of prepared photos holds, so that an interrupted call can continue."""
 
     source: str
-    """`_Source.identity` of what the photos were made of."""
     prepared: PreparedPhotos
 
 

@@ -48,8 +48,6 @@ OFF_CENTRE = 0.5  # share of its sharpness that a frame loses at the ends of its
 
 @dataclass(frozen=True)
 class FrameInfo:
-    """A frame that was measured."""
-
     number: int
     """How many frames were decoded before it."""
     time: float
@@ -61,12 +59,9 @@ class FrameInfo:
 
 @dataclass(frozen=True)
 class Video:
-    """An open video."""
-
     path: Path
     container: InputContainer = field(repr=False)
     stream: VideoStream = field(repr=False)
-    """The pictures, as opposed to sound."""
 
     def frames(self) -> Iterator[tuple[int, VideoFrame]]:
         """All frames that can be decoded, with their numbers, in the order of presentation."""
@@ -170,7 +165,6 @@ def pick_keyframes(frames: Sequence[FrameInfo], most: int) -> list[FrameInfo]:
 
 
 def write_keyframes(path: Path, names: Sequence[str], folder: Path) -> None:
-    """Write keyframes of a video as photos."""
     missing = {*names}
     if not missing:
         return
