@@ -38,7 +38,7 @@ class MaskCheckpoint:
         arrays["missed"] = np.array([*state.missed.items()], np.int64).reshape(-1, 2)
         arrays["next_id"] = np.array(state.next_id)
         with atomic_path(self._file(clip)) as draft, draft.open("wb") as file:
-            np.savez_compressed(file, **arrays)
+            np.savez_compressed(file, allow_pickle=False, **arrays)
 
     def load(self) -> Iterator[tuple[dict[int, Labels], TrackingState]]:
         """What an earlier run saved, clip by clip, up to the first file that is damaged."""
