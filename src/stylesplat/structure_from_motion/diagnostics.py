@@ -63,9 +63,8 @@ class CaptureReport:
 
 def diagnose_count(count: int) -> Finding:
     verdict = _grade(count, 30, 15)
-    advice = "More make it sharper: take 40 to 100."
-    if verdict == "poor":
-        advice = "They are too few for most scenes: take 40 to 100."
+    fault = "They are too few for most scenes" if verdict == "poor" else "More make it sharper"
+    advice = f"{fault}: take 40 to 100."
     return _finding("photos", verdict, count, counted(count, "photo"), advice)
 
 
