@@ -96,7 +96,10 @@ def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
     splats, before = splats[rows], before[rows]
     degree = min(sh_degree, max(needed_degree(splats), needed_degree(before)))
     splats, before = of_degree(splats, degree), of_degree(before, degree)
-    painted = _differ(splats, before)
+    painted = torch.zeros(len(splats), dtype=torch.bool)
+    for name in ("sh0", "shN", "opacities"):
+        differs = splats.tensors()[name] != before.tensors()[name]
+        painted |= differs[:, None].flatten(1).any(dim=1)
     before = before[painted]
     about: dict[str, Any] = {"count": len(splats), "painted": len(before)}
     about["bands"] = splats.shN.shape[1]
@@ -160,12 +163,6 @@ def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Co
         yield palette.unflatten(1, (bands, 3)).permute(1, 0, 2)  # [bands, 256, 3]
     for part in (slice(len(splats)), slice(len(splats), None)):
         yield from (index[part] for index in indices)
-
-
-def _differ(splats: Splats, before: Splats) -> Bool[Tensor, " N"]:
-    mean = splats.sh0.ne(before.sh0).flatten(1).any(dim=1)
-    bands = splats.shN.ne(before.shN).flatten(1).any(dim=1)
-    return mean | bands | splats.opacities.ne(before.opacities)
 
 
 def _range(about: dict[str, Any], name: str, values: Tensor) -> tuple[float, float]:
