@@ -74,11 +74,7 @@ def view_pairs(count: int, gap: int) -> list[tuple[int, int]]:
 
 
 def warped_difference(a: ObjectRender, b: ObjectRender) -> Float[Tensor, "P 6"]:
-    """Colours of the object in `a`, warped to `b`, minus those in `b`.
-
-    Returns:
-        One row per pixel of `b` whose point on the object is visible in `a` too.
-    """
+    """Colours of the object in `a` warped to `b` minus those in `b`, where both show the point."""
     mask = b.surface[..., 0] > COVERED
     coverage, summed = b.surface[mask].unbind(-1)
     pixels = mask.nonzero().flip(1) + 0.5  # x, y

@@ -68,14 +68,8 @@ def evaluate_views(
 ) -> dict[str, Any]:
     """Compare renders with photos, and rendered label maps with the given ones.
 
-    Transparent photos are compared over black.
-
-    Args:
-        splats: The Gaussians.
-        capture: Photos and their cameras.
-        rows: The views to compare, usually the held-out ones.
-        fits: What is fitted to each photo. The left half is fitted on the right one, and the other
-            way round.
+    Transparent photos are compared over black. What is fitted to each photo is fitted to its left
+    half on the right one, and the other way round.
 
     Returns:
         `psnr` and `ssim`, averaged over the views; with fits, also `psnr_unfitted` and

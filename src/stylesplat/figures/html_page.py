@@ -110,13 +110,10 @@ class SceneColumn:
 def comparison_page(
     columns: Sequence[SceneColumn], views: Sequence[str], *, title: str, notes: Sequence[str] = ()
 ) -> str:
-    """An HTML page that needs no other file.
+    """An HTML page that compares scenes with the first of them, and needs no other file.
 
-    Args:
-        columns: The scenes; the others are compared with the first.
-        views: The names of the views, in the order of the scenes' pictures.
-        title: The heading.
-        notes: Sentences above the pictures.
+    `views` are the names of the views, in the order of the scenes' pictures; `notes` are sentences
+    above the pictures.
     """
     heads = ["", *(column.name for column in columns)]
     rows = []
@@ -141,10 +138,7 @@ def comparison_page(
 
 
 def _number_rows(columns: Sequence[SceneColumn]) -> list[list[str]]:
-    """A row per number that any scene has: its name, and for each scene value and difference.
-
-    The first scene's differences are 0 and not shown.
-    """
+    """A row per number that any scene has: its name, and each scene's value and difference."""
     values = [dict(flat(column.metrics)) for column in columns]
     gaps = [{}, *(dict(flat(column.differences)) for column in columns[1:])]
     return [

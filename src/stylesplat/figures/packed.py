@@ -83,12 +83,12 @@ class Packed:
 
 
 def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
-    """Pack what shows of splats, sorted by place.
+    """Pack what shows of splats, at least one Gaussian, sorted by place.
 
     Args:
-        splats: At least one Gaussian that shows.
+        splats: The Gaussians.
         before: The same Gaussians in other colours and opacities, or the same.
-        sh_degree: Up to which degree colours depend on where they are seen from.
+        sh_degree: Highest degree of the colours.
     """
     shown = torch.maximum(splats.opacities, before.opacities)
     rows = (torch.sigmoid(shown) >= MIN_ALPHA).nonzero()[:, 0]

@@ -50,10 +50,7 @@ def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) ->
     Of a scene that is painted, a handle lies between before and after; buttons bring
     each object into sight.
 
-    Args:
-        what: A scene, or splats alone.
-        title: Of the page.
-        sh_degree: Up to which degree, 0 to 3, colours depend on where they are seen from.
+    Colours depend on the direction of view up to `sh_degree`, 0 to 3.
 
     Raises:
         StyleSplatError: If nothing shows.

@@ -119,7 +119,7 @@ def propagate_boxes(
         splats: A scene of the views; its labels do not matter.
         cameras: One per view.
         images: Of `grabcut_images`.
-        boxes: Rows of views, and boxes in their pixels, as `refuse_box` lets pass.
+        boxes: Rows of views, and boxes in their pixels.
         strokes: Rows of views with a box, and strokes in them.
         name: The object's, for the progress bar.
 

@@ -163,14 +163,10 @@ def _sizes_differ(what: str, *sizes: Sequence[int]) -> StyleSplatError:
 
 
 def match_files(keys: Iterable[str], names: Sequence[str]) -> dict[str, str]:
-    """The photo that each mask file is of; files of no photo are left out.
+    """The photo of each mask file, by its path without suffix; files of no photo are left out.
 
     That is the photo whose path the file's path ends with. If there is none, the file's bare name
     decides, as long as it lies in no folder of photos and only one photo has that name.
-
-    Args:
-        keys: The files' paths without suffix.
-        names: The photos' names.
 
     Raises:
         StyleSplatError: If two files are of one photo, or a file is of one of several of which not

@@ -71,13 +71,7 @@ FAMILIES: dict[Method, SamFamily] = {
 def load_proposer(
     method: Method, model: str | None = None, device: torch.device | str = "cpu"
 ) -> "GridProposer":
-    """Load a model that proposes masks.
-
-    Args:
-        method: The family.
-        model: Folder or name of a checkpoint of it; by default a small one.
-        device: Where to compute.
-    """
+    """Load a model that proposes masks; `model` is the folder or name of a checkpoint."""
     family = FAMILIES[method]
     name = model or family.checkpoint
     source = find_model(name, family.proposer_types, job=f"propose masks with {method}")

@@ -68,13 +68,8 @@ def ssim_map(
 def frame_fits(splats: Splats, capture: Capture, frames: Mapping[str, Frame]) -> dict[str, float]:
     """How much closer to the photos renders are than their mean colour, in each frame.
 
-    Args:
-        splats: The scene.
-        capture: Photos, small ones for speed.
-        frames: By name, what turns the capture's world into the splat's.
-
-    Returns:
-        The median over a few views of the gain in PSNR, in dB; more than `CLOSER` fits.
+    A frame turns the capture's world into the splat's. Returns the median over a few views of the
+    gain in PSNR, in dB; more than `CLOSER` fits. Small photos are enough.
     """
     rows = evenly(range(len(capture.cameras)), VIEWS)
     photos = [capture.photos[row].to(splats.means) / 255 for row in rows]
