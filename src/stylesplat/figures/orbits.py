@@ -56,7 +56,7 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
     )
 
 
-def filled(path: Cameras, content: Content) -> Cameras:
+def zoom_to_content(path: Cameras, content: Content) -> Cameras:
     """The path with the focal length at which all content just fits into every frame."""
     centre, tops = content.extent.centre, -path.viewmats[:, 1, :3].double()
     outward = path.positions.double() - centre

@@ -58,7 +58,7 @@ def palette_of(values: Float[Tensor, "M D"], *, seed: int = 0) -> tuple[Bytes, f
     return (entries / strongest * STEPS + MIDDLE).round().byte(), strongest
 
 
-def meant(palette: Bytes, strongest: float) -> Float[Tensor, "E D"]:
+def palette_values(palette: Bytes, strongest: float) -> Float[Tensor, "E D"]:
     """The values of a palette's bytes."""
     return (palette.float() - MIDDLE) / STEPS * strongest
 
@@ -156,7 +156,7 @@ def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Co
     indices = []
     for level in track(range(LEVELS), "packing colours", unit="palette"):
         palette, about["strongest"][level] = palette_of(rest)
-        entries = meant(palette, about["strongest"][level])
+        entries = palette_values(palette, about["strongest"][level])
         index = nearest_entries(rest, entries)
         rest = rest - entries[index]
         indices.append(index.byte())

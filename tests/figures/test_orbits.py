@@ -7,7 +7,7 @@ import torch
 from balls import CAMERAS
 from scenes import figure, floaters, guitar, joined, room, shares
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
+from stylesplat.figures.orbits import orbit_around, orbit_cameras, zoom_to_content
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import FILLED, ring_cameras
@@ -108,7 +108,7 @@ def test_an_object_fills_the_pictures_of_its_round_trip():
     splats = guitar()
     content = content_of(splats, torch.ones(len(splats), dtype=torch.bool))
     cameras = arc([-0.5, 0.0, 0.5]).resize(100, 60)
-    path = filled(orbit_cameras(cameras, 8, content.extent.centre), content)
+    path = zoom_to_content(orbit_cameras(cameras, 8, content.extent.centre), content)
     assert path.size == (100, 60)
     places = torch.nn.functional.pad(content.outline.float(), (0, 1), value=1)
     seen = torch.einsum("cij,cjk,pk->cpi", path.Ks, path.viewmats[:, :3], places)
