@@ -4,8 +4,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.evaluation.changes import CHANGED
+from stylesplat.metrics.images import decibels
 from stylesplat.metrics.lab import lab_from_rgb
-from stylesplat.metrics.psnr import decibels
 from stylesplat.scene.labels import Mask
 
 

@@ -93,12 +93,12 @@ def test_several_styles_are_rows(draw, style: Path, tmp_path: Path):
 def test_settings_start_from_the_preset():
     kinds = parse_variation("preset=paper,default")
     plan = plan_sheet([(Path("a.png"),)], [kinds], settings={"preset": "default"})
-    configs = [style.config for _, style in plan.rows[0].cells]
+    configs = [cell.style.config for cell in plan.cells]
     assert configs == [PRESETS["paper"], PRESETS["default"]]
     assert [style.network for style, _ in plan.runs()] == ["vgg16", "compact"]
     settings = {"preset": "paper", "steps": 9}
     plan = plan_sheet([(Path("a.png"),)], [("seed", (1, 2))], settings=settings)
-    configs = [style.config for _, style in plan.rows[0].cells]
+    configs = [cell.style.config for cell in plan.cells]
     assert [(c.steps, c.seed, c.color) for c in configs] == [(9, seed, "free") for seed in (1, 2)]
 
 

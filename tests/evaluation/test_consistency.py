@@ -91,12 +91,6 @@ def test_what_is_not_the_same_surface_is_left_out():
     assert len(warped_difference(a, b)) == SIDE * (SIDE - 4)
 
 
-def test_what_is_behind_the_other_camera_is_left_out():
-    turned = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
-    found = warped_difference(wall(turned, noise()), wall(torch.eye(4), noise()))
-    assert len(found) == 0
-
-
 def test_a_matte_ball_is_consistent_and_a_glossy_one_is_not(ball: Splats, arc: Cameras):
     shN = torch.zeros_like(ball.shN)
     shN[:, 2] = 1.0  # brighter from one side, along x
@@ -106,18 +100,6 @@ def test_a_matte_ball_is_consistent_and_a_glossy_one_is_not(ball: Splats, arc: C
     # A step of 5 degrees near the y axis changes x by sin(5), the colour by SH_C1 times that.
     assert found["short_range_rmse"] == pytest.approx(0.49 * math.sin(math.radians(5)), rel=0.2)
     assert found["long_range_rmse"] > 4 * found["short_range_rmse"]
-
-
-def test_noise_that_views_share_is_consistent(ball: Splats, arc: Cameras):
-    generator = torch.Generator().manual_seed(0)
-    loud = torch.randn(ball.shN.shape, generator=generator)
-    found = view_consistency(ball, replace(ball, shN=loud), arc, everything(ball))
-    assert found["short_range_rmse"] > 3 * found["short_range_rmse_base"]
-    more = replace(ball, **{k: torch.cat([t, t[:9]]) for k, t in ball.tensors().items()})
-    more.opacities[-9:] = -20.0  # not visible
-    same = view_consistency(ball, more, arc, everything(ball))
-    for name in ("short_range_rmse", "long_range_rmse"):
-        assert same[name] == pytest.approx(same[f"{name}_base"], rel=1e-4)
 
 
 def test_the_rest_of_the_scene_does_not_count(ball: Splats, arc: Cameras):

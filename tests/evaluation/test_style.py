@@ -15,9 +15,7 @@ from stylesplat.evaluation.style import measure_painted, object_nnfm, own_nnfm
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.stylization.features.network import FeatureNetwork, Vgg
-from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.paint import Painted, paint_context, paint_objects
-from stylesplat.stylization.style_image import style_features
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import ObjectView
 
@@ -46,11 +44,8 @@ def job(stripes: torch.Tensor) -> PaintTarget:
     return PaintTarget("ball", ball(0), (stripes,), FAST)
 
 
-@pytest.mark.parametrize("published", [False, True])
-def test_nothing_changes_outside_the_object(
-    job: PaintTarget, network: FeatureNetwork, published: bool
-):
-    job = with_settings(job, published=published, object_size=None, color="free")
+def test_nothing_changes_outside_the_object(job: PaintTarget, network: FeatureNetwork):
+    job = with_settings(job, published=True, object_size=None, color="free")
     _, metrics = measured([job], network)
     assert 0 < metrics["changed_gaussians"] <= 80
     assert (metrics["outside_psnr"], metrics["outside_max_difference"]) == (120, 0)
@@ -83,23 +78,6 @@ def test_each_object_has_its_own_numbers(job: PaintTarget, network: FeatureNetwo
         assert one != other
 
 
-def test_intensity_0_changes_nothing(job: PaintTarget, network: FeatureNetwork):
-    _, metrics = measured([with_settings(job, intensity=0.0, steps=2)], network)
-    assert metrics["changed_gaussians"] == 0
-    numbers = metrics["objects"]["ball"]
-    assert numbers["nnfm_after"] == numbers["nnfm_before"]
-
-
-def test_features_are_compared_with_the_best_match_of_several_pictures(
-    job: PaintTarget, network: FeatureNetwork
-):
-    job = with_settings(job, steps=2)
-    _, alone = measured([job], network)
-    _, both = measured([replace(job, styles=(*job.styles, NOISE))], network)
-    ours, others = both["objects"]["ball"], alone["objects"]["ball"]
-    assert ours["nnfm_before"] <= others["nnfm_before"]
-
-
 def test_a_style_too_small_to_compare_does_not_cost_the_result(
     job: PaintTarget, network: FeatureNetwork, said: list[str]
 ):
@@ -110,21 +88,12 @@ def test_a_style_too_small_to_compare_does_not_cost_the_result(
     assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
 
 
-def test_a_pattern_that_repeats_is_everywhere_as_near_by(network: Vgg):
+def test_how_near_a_style_is_to_itself(network: Vgg):
     repeated = NOISE[:8, :8].repeat(6, 6, 1)  # 48 pixels: features of block 2 span 10
     for pictures in ([repeated], [NOISE, NOISE]):
         assert own_nnfm(pictures, network, (2,), length=48.0) == pytest.approx(0, abs=1e-6)
-
-
-def test_noise_is_far_from_itself_though_every_feature_is_in_it(network: Vgg):
-    (features,) = style_features(NOISE, network, (2,), length=48.0)
-    assert float(nnfm_loss(features, features)) < 1e-6
-    own = own_nnfm([NOISE], network, (2,), length=48.0)
-    assert own is not None and own > 0.005
-
-
-def test_a_picture_that_no_two_places_fit_into(network: Vgg):
-    assert own_nnfm([NOISE[:14, :14]], network, (2,), length=14.0) is None
+    assert (own_nnfm([NOISE], network, (2,), length=48.0) or 0) > 0.005, "no place is like another"
+    assert own_nnfm([NOISE[:14, :14]], network, (2,), length=14.0) is None, "it has one place"
 
 
 def test_the_background_has_no_say(network: FeatureNetwork):

@@ -1,5 +1,7 @@
 """What is said of a stylisation is true."""
 
+from typing import Any
+
 import pytest
 
 from stylesplat.evaluation.summary import (
@@ -11,64 +13,55 @@ from stylesplat.evaluation.summary import (
 )
 
 QUIET = {"changed_outside": 0, "outside_max_difference": 0.0, "stain_pixels": 0}
-VASE = {
-    "nnfm_after": {"vase": 0.12},
-    "nnfm_of_style": {"vase": 0.1},
-    "share_of_way": {"vase": 0.714},
-}
+STAIN = {"stain_pixels": 1200, "stain_view": "a.jpg"}
 
 
-def test_one_object_in_one_line():
-    expected = "vase: 71 % of the way to the painting, nothing else changed."
-    assert style_lines(QUIET | VASE, ["vase"]) == [expected]
-
-
-def test_several_objects_have_a_line_each():
-    lines = style_lines(QUIET | VASE, ["vase", "pot"])
-    assert lines == [
-        "vase: 71 % of the way to the painting.",
-        "pot: painted.",
-        "Nothing else changed.",
-    ]
+def vase(after: float, share: float | None = None, own: float = 0.1, **more: float) -> dict:
+    numbers = {"nnfm_after": after, "nnfm_of_style": own, "share_of_way": share, **more}
+    return QUIET | {name: {"vase": each} for name, each in numbers.items() if each is not None}
 
 
 @pytest.mark.parametrize(
-    ("after", "share", "expected"),
-    [(0.1, 1.0, WHOLE), (0.08, 1.0, WHOLE), (0.1001, 0.999, "99 % of"), (0.3, 0.0, "0 % of")],
+    ("metrics", "expected"),
+    [
+        (vase(0.12, 0.714), "vase: 71 % of the way to the painting, nothing else changed."),
+        (vase(0.08, 1.0), f"vase: {WHOLE}, nothing else changed."),
+        (vase(0.1001, 0.999), "vase: 99 % of the way to the painting, nothing else changed."),
+        (vase(0.05), f"vase: {WHOLE}, nothing else changed."),
+        (vase(0.2), "vase: painted, nothing else changed."),
+        (
+            vase(0.12, 0.714, off_palette=0.123),
+            "vase: 71 % of the way to the painting, 12 % of it in colours that the painting does "
+            "not have, nothing else changed.",
+        ),
+        (
+            vase(0.12, 0.714, off_palette=0.05),
+            "vase: 71 % of the way to the painting, nothing else changed.",
+        ),
+    ],
 )
-def test_the_end_of_the_way(after: float, share: float, expected: str):
-    numbers = {
-        "nnfm_after": {"a": after},
-        "nnfm_of_style": {"a": 0.1},
-        "share_of_way": {"a": share},
-    }
-    assert expected in style_lines(QUIET | numbers, ["a"])[0]
+def test_one_object_in_one_line(metrics: dict[str, Any], expected: str):
+    assert style_lines(metrics, ["vase"]) == [expected]
 
 
-def test_what_was_close_before_has_no_way():
-    near = QUIET | {"nnfm_of_style": {"a": 0.1}}
-    assert WHOLE in style_lines(near | {"nnfm_after": {"a": 0.05}}, ["a"])[0]
-    assert "a: painted" in style_lines(near | {"nnfm_after": {"a": 0.2}}, ["a"])[0]
+def test_several_objects_have_a_line_each():
+    first, second, rest = style_lines(vase(0.12, 0.714), ["vase", "pot"])
+    assert first == "vase: 71 % of the way to the painting." and second == "pot: painted."
+    assert rest == "Nothing else changed."
 
 
-@pytest.mark.parametrize(("share", "words"), [(0.123, "12 % of it in colours"), (0.05, None)])
-def test_colours_that_the_painting_does_not_have_are_named_if_they_are_many(
-    share: float, words: str | None
-):
-    (line,) = style_lines(QUIET | VASE | {"off_palette": {"vase": share}}, ["vase"])
-    assert (words or "71 %") in line and ("colours" in line) == (words is not None)
-
-
-def test_what_changed_around_is_said():
-    assert describe_changes(QUIET) == "nothing else changed"
-    unlooked = {name: value for name, value in QUIET.items() if name != "stain_pixels"}
-    assert describe_changes(unlooked) == "no other Gaussian changed", (
-        "of pixels beside nothing is known"
-    )
-    stained = QUIET | {"stain_pixels": 1200, "stain_view": "a.jpg"}
-    assert describe_changes(stained) == "a stain of 1,200 pixels beside the object in view a.jpg"
-    assert "by 3 of 255 levels" in describe_changes(QUIET | {"outside_max_difference": 3 / 255})
-    assert describe_changes(QUIET | {"changed_outside": 1200}).startswith("1,200 Gaussians outside")
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (STAIN, "a stain of 1,200 pixels beside the object in view a.jpg"),
+        ({"outside_max_difference": 3 / 255}, "pixels beside by 3 of 255 levels at most"),
+        ({"changed_outside": 1200}, "1,200 Gaussians outside changed as well"),
+    ],
+)
+def test_what_changed_around_is_said(change: dict[str, Any], expected: str):
+    assert expected in describe_changes(QUIET | change)
+    unknown = {name: value for name, value in QUIET.items() if name != "stain_pixels"}
+    assert describe_changes(unknown) == "no other Gaussian changed"
 
 
 def test_how_many_gaussians_were_painted():
@@ -80,7 +73,6 @@ def test_how_many_gaussians_were_painted():
 
 def test_photos_and_label_maps():
     assert photo_lines({}) == []
-    photos, objects = photo_lines(
-        {"psnr": 30.554, "ssim": 0.9, "miou": 0.956, "boundary_miou": 0.8}
-    )
+    numbers = {"psnr": 30.554, "ssim": 0.9, "miou": 0.956, "boundary_miou": 0.8}
+    photos, objects = photo_lines(numbers)
     assert "30.55 dB" in photos and "0.96" in objects and "0.80" in objects

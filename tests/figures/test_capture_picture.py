@@ -90,7 +90,6 @@ def test_photos_at_fault_stand_out():
     assert like(some, BLURRED, 30).sum() > 20 and like(some, WEAK, 30).sum() > 20
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_hardly_anything(count: int):
-    picture = capture_picture(capture := photos_of(DOME[:count]), check(capture))
+def test_a_single_photo():
+    picture = capture_picture(capture := photos_of(DOME[:1]), check(capture))
     assert picture.shape[1] == 2 * PANEL + 3 * MARGIN

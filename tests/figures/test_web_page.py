@@ -12,7 +12,6 @@ import torch
 from balls import CAMERAS, SPLATS, enlarged
 from browser import Page, as_url, element, launched, needs_chromium, read, scene
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.packed import meant, nearest_entries, palette_of
 from stylesplat.figures.web_page import page_of
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.rendering.reference import rotation_matrices
@@ -58,12 +57,8 @@ def test_what_does_not_show_is_left_out():
     faint = SPLATS.opacities.clone()
     faint[:100] = -6.0
     assert read(page_of(replace(SPLATS, opacities=faint), title="")).about["count"] == 340
-
-
-def test_colours_may_be_the_same_from_everywhere():
     found = read(page_of(SCENE, title="", sh_degree=0))
     assert (found.about["bands"], found.splats.shN.shape[1]) == (0, 0)
-    assert read(page_of(SPLATS, title="")).about["bands"] == 0, "there are none"
     assert read(page_of(SCENE, title="", sh_degree=1)).about["bands"] == 3
 
 
@@ -107,23 +102,6 @@ def test_refusals(tmp_path: Path):
         with pytest.raises(StyleSplatError, match="No Gaussian shows"):
             export(nothing, tmp_path / "b.html")
     assert [*tmp_path.iterdir()] == [page]
-
-
-def test_palettes():
-    values = torch.randn(90, 9, generator=torch.Generator().manual_seed(0))
-    values[::3] = 0
-    palette, strongest = palette_of(values)
-    entries = meant(palette, strongest)
-    found = entries[nearest_entries(values, entries)]
-    assert (found - values).abs().max() <= 0.51 * strongest / 127, "each has its own entry"
-    assert found[::3].eq(0).all() and nearest_entries(values[:0], entries).shape == (0,)
-    nothing, _ = palette_of(0 * values)
-    assert nothing.eq(128).all()
-    many = torch.randn(600, 2, generator=torch.Generator().manual_seed(1))
-    entries = meant(*palette_of(many))
-    assert (entries[nearest_entries(many, entries)] - many).norm(
-        dim=1
-    ).mean() < 0.075  # 0.082 at random
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import torch
 
 from balls import CAMERAS, SPLATS, enlarged
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks import box_propagation as module
 from stylesplat.masks.box_propagation import Images, grabcut_images, propagate_boxes
 from stylesplat.masks.grabcut import Box, cut_box
 from stylesplat.rendering.render import rasterize
@@ -62,10 +61,9 @@ def test_the_same_box_gives_the_same_masks(seen: Images, monkeypatch: pytest.Mon
     """Also with other numbers of threads, which GrabCut's random numbers must not notice."""
     places = [(1, box(LABELS[1] == 3))]
     first = propagate_boxes(SPLATS, LARGE, seen, places)
-    for threads in (1, 3):
-        monkeypatch.setattr(torch, "get_num_threads", lambda count=threads: count)
-        again = propagate_boxes(SPLATS, LARGE, seen, places)
-        assert all(torch.equal(*each) for each in zip(first, again, strict=True))
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 3)
+    again = propagate_boxes(SPLATS, LARGE, seen, places)
+    assert all(torch.equal(*each) for each in zip(first, again, strict=True))
 
 
 def test_boxes_in_two_photos(seen: Images):
@@ -89,17 +87,6 @@ def test_where_an_object_does_not_show_its_mask_is_empty():
         SPLATS, cameras, photographed(SPLATS, cameras), [(1, box(LABELS[1] == 3))]
     )
     assert [bool(mask.any()) for mask in found] == [True, True, False]
-
-
-def test_surfaces_that_come_into_view_are_found_by_their_colours(monkeypatch: pytest.MonkeyPatch):
-    """A ball in two photos, from 90 degrees apart, of which one has a box."""
-    cameras = LARGE[[6, 4]]
-    photos, truth = photographed(SPLATS, cameras), LABELS[4] == 3
-    places = [(0, box(LABELS[6] == 3))]
-    with_news = iou(propagate_boxes(SPLATS, cameras, photos, places)[1], truth)
-    monkeypatch.setattr(module, "CLOSER", float("inf"))  # nothing is news
-    without = iou(propagate_boxes(SPLATS, cameras, photos, places)[1], truth)
-    assert with_news > 0.85 > without, "measured: 0.90 and 0.79"
 
 
 def test_the_photo_of_a_bad_box_is_named(seen: Images):

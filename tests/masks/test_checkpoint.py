@@ -1,9 +1,7 @@
 """Intermediate results of `mask` that are damaged: they are found again, or refused in one line."""
 
-import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -11,47 +9,31 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.masks.checkpoint import open_checkpoint
 from stylesplat.masks.tracking import TrackingState
 
-
-@pytest.mark.parametrize(
-    ("shape", "width", "kept"),
-    [((1, 4, 1), 8, 60), ((1, 4, 1), 10**12, None), ((1, 5, 1), 8, None), ((4, 1), 7, None)],
-)
-def test_damaged_proposals_are_found_again(
-    shape: tuple[int, ...], width: int, kept: int | None, tmp_path: Path
-):
-    checkpoint = open_checkpoint(tmp_path / "run", {"sizes": [[8, 4]]})
-    path = tmp_path / "run" / "proposals_0.npz"
-    np.savez_compressed(path, bits=np.zeros(shape, np.uint8), width=width)
-    path.write_bytes(path.read_bytes()[:kept])
-    found = torch.ones(4, 8, dtype=torch.bool)
-    (mask,) = checkpoint.proposals(0, lambda: [found])
-    assert torch.equal(mask, found)
-    (again,) = checkpoint.proposals(0, lambda: pytest.fail("asked again"))
-    assert torch.equal(again, found)
+SETTINGS = {"clips": [[0, 1], [1, 2]], "sizes": [[8, 4]] * 3}
 
 
-@pytest.mark.parametrize(
-    "change", [{"clips": -1}, {"next_id": 2**70}, {"missed": {"x": 1}}], ids=str
-)
-def test_a_damaged_state_begins_anew(change: dict, tmp_path: Path, said: list[str]):
-    checkpoint = open_checkpoint(tmp_path / "run", {})
-    labels = torch.ones(4, 8, dtype=torch.int64)
-    checkpoint.save(1, {0: labels}, TrackingState(labels, {1: 0}, 2))
-    assert checkpoint.load()[0] == 1
-    content = json.loads((tmp_path / "run" / "state.json").read_text())
-    (tmp_path / "run" / "state.json").write_text(json.dumps(content | change))
-    assert checkpoint.load() == (0, TrackingState())
-    assert len(said) == 1 and "damaged" in said[0]
+def labels(id: int, width: int = 8) -> torch.Tensor:
+    return torch.full((4, width), id)
 
 
-def test_label_maps_of_another_size_are_refused(tmp_path: Path):
-    checkpoint = open_checkpoint(tmp_path / "run", {"sizes": [[8, 4]]})
-    checkpoint.save(1, {0: torch.ones(4, 9, dtype=torch.int64)}, TrackingState())
-    with pytest.raises(StyleSplatError, match=r"labels_0\.png is of another size .* Delete"):
-        checkpoint.labels(0)
+def test_clips_are_as_they_were_saved_up_to_one_that_is_damaged(tmp_path: Path, said: list[str]):
+    checkpoint = open_checkpoint(tmp_path / "run", SETTINGS)
+    first = {0: labels(1), 1: labels(2)}, TrackingState(labels(2), {2: 1}, 3)
+    second = {1: labels(2), 2: labels(2)}, TrackingState(labels(2), {}, 3)
+    for clip, (maps, state) in enumerate((first, second)):
+        checkpoint.save(clip, maps, state)
+    for (maps, state), (wanted, after) in zip(checkpoint.load(), (first, second), strict=True):
+        assert all(torch.equal(maps[row], wanted[row]) for row in wanted)
+        assert (state.missed, state.next_id) == (after.missed, after.next_id)
+        assert state.known is not None and torch.equal(state.known, labels(2))
+    path = tmp_path / "run" / "clip_1.npz"
+    path.write_bytes(path.read_bytes()[:60])
+    assert len(list(checkpoint.load())) == 1 and "damaged" in said[0]
+    checkpoint.save(0, {0: labels(1), 1: labels(1, width=9)}, TrackingState())
+    assert not list(checkpoint.load()), "of another size than its photo"
 
 
-@pytest.mark.parametrize("left", [[".settings.0123456789ab.json"], ["labels_3.png", "x.json"]])
+@pytest.mark.parametrize("left", [[".settings.0123456789ab.json"], ["clip_3.npz", "x.json"]])
 def test_a_folder_that_a_kill_left_without_settings(left: list[str], tmp_path: Path):
     folder = tmp_path / "object_mask.partial"
     folder.mkdir()
@@ -59,8 +41,8 @@ def test_a_folder_that_a_kill_left_without_settings(left: list[str], tmp_path: P
         (folder / name).touch()
     if "x.json" in left:
         with pytest.raises(StyleSplatError, match="in the way"):
-            open_checkpoint(folder, {})
+            open_checkpoint(folder, SETTINGS)
         assert sorted(path.name for path in folder.iterdir()) == left
     else:
-        open_checkpoint(folder, {})
+        open_checkpoint(folder, SETTINGS)
         assert [path.name for path in folder.iterdir()] == ["settings.json"]

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.json_files import MAX_JSON
 from stylesplat.masks.coco import decode_rle
 from stylesplat.masks.import_masks import import_label_maps
 
@@ -66,7 +65,6 @@ def test_run_lengths(mask: torch.Tensor):
         {"size": [2, 2], "counts": packed([HUGE, HUGE, HUGE, HUGE, 4])},
         {"size": [2, 2], "counts": packed([5, 0, 0]) + "O"},  # ends with -1
         {"size": [2, 2], "counts": ["4"]},
-        {"size": [2, 2], "counts": ""},
         {"size": [2, 2], "counts": "o" * 10**6},  # one run of millions of bits
         {"size": [2, 2], "counts": "\ud800\xff~"},
         {"size": [-2, -2], "counts": [4]},
@@ -74,7 +72,7 @@ def test_run_lengths(mask: torch.Tensor):
         {"size": [1e400, 3], "counts": [6]},
         None,
     ],
-    ids=range(11),
+    ids=range(10),
 )
 def test_run_lengths_that_are_none(rle: object):
     """The first wrote out of bounds: its runs were added up, and wrapped, in 64 bits."""
@@ -97,9 +95,7 @@ def test_an_object_is_a_track_or_else_a_category(id: object, tmp_path: Path):
     ("changes", "expected"),
     [
         ({"category_id": 0}, "the id 0 is not within 1 to 16777215"),
-        ({"category_id": 2**24}, "the id 16777216 is not"),
         ({"category_id": 1.5}, "no number"),
-        ({"category_id": "²"}, "no number"),
         ({"category_id": "1" * 99}, "no number"),
         ({"category_id": [1]}, "category_id"),
         ({"image_id": 77}, "there is no image 77"),
@@ -107,7 +103,6 @@ def test_an_object_is_a_track_or_else_a_category(id: object, tmp_path: Path):
         ({"segmentation": {"size": [6, 8], "counts": [3, 4]}}, "do not hold the pixels of 6x8"),
         ({"segmentation": {"size": [10**9, 10**9], "counts": [3]}}, "Expected `int` <= "),
         ({"add": {"images": 5}}, "images"),
-        ({"add": {"images": [{"id": 5, "file_name": 2}]}}, "file_name"),
         ({"add": {"annotations": [{"image_id": 5, "segmentation": {}}]}}, "no number"),
     ],
     ids=str,
@@ -118,16 +113,6 @@ def test_annotations_that_are_damaged(tmp_path: Path, changes: dict, expected: s
     assert "a.json" in str(caught.value)
 
 
-def test_masks_of_one_photo_that_differ_in_size(tmp_path: Path):
-    path = coco(tmp_path)
-    content = json.loads(path.read_text())
-    other = {**content["annotations"][0], "segmentation": {"size": [2, 2], "counts": [4]}}
-    content["annotations"].append(other)
-    path.write_text(json.dumps(content))
-    with pytest.raises(StyleSplatError, match="differ in size: 2x2 and 8x6"):
-        import_label_maps(path, NAMES)
-
-
 def test_coco_of_photos_in_folders(tmp_path: Path):
     cameras = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
     images = {"images": [{"id": 5, "file_name": "cam1/001.jpg"}, {"id": 6, "file_name": "001.jpg"}]}
@@ -135,9 +120,3 @@ def test_coco_of_photos_in_folders(tmp_path: Path):
     assert maps.keys() == {"cam1/001.jpg"}, "nothing is drawn on the other"
     with pytest.raises(StyleSplatError, match=r"001 may be of cam0/001\.jpg or of cam1"):
         import_label_maps(coco(tmp_path, image_id=6, add=images), cameras)
-
-
-def test_it_may_be_larger_than_a_file_of_a_scene(tmp_path: Path):
-    path = coco(tmp_path)
-    path.write_text(path.read_text() + " " * MAX_JSON)
-    assert "002.png" in import_label_maps(path, NAMES).maps

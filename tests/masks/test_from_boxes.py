@@ -1,13 +1,10 @@
 """`mask` with boxes on the balls, with their scene given so that nothing is trained."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
-from jaxtyping import config
 
 from balls import CAMERAS
 from capture_files import (
@@ -25,7 +22,6 @@ from capture_files import (
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks import quick_splat as working
 from stylesplat.masks.grabcut import Box, Stroke
-from stylesplat.scene.cache import Lazy
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.training.state import State
@@ -75,20 +71,6 @@ def test_boxes_are_in_pixels_of_the_photos_themselves(photos: Path, flat: bool):
     assert min(agreement(masked, 1, 3)) > 0.8
 
 
-def test_photos_are_decoded_once(balls: Capture, monkeypatch: pytest.MonkeyPatch):
-    decoded: list[int] = []
-
-    def decode(row: int) -> torch.Tensor:
-        decoded.append(row)
-        return balls.photos[row]
-
-    monkeypatch.setattr(config, "jaxtyping_disable", True)  # type checks look at photos
-    photos = Lazy([partial(decode, row) for row in range(8)])
-    counted = replace(balls, photos=photos)
-    mask(counted, boxes={"vase": VASE, "cup": CUP}, scene=BALLS, device="cpu")
-    assert sorted(decoded) == [*range(8)]
-
-
 def test_a_splat_is_trained_where_there_is_none(
     balls: Capture, monkeypatch: pytest.MonkeyPatch, said: list[str]
 ):
@@ -110,6 +92,11 @@ def test_a_scene_of_other_photos(balls: Capture, no_work: None):
     other = Scene(PLAIN, replace(CAMERAS, names=names))
     with pytest.raises(StyleSplatError, match=r"scene of other photos: it has no view 0000\.jpg"):
         mask(balls, boxes={"vase": VASE}, scene=other)
+    turned = CAMERAS.viewmats.clone()
+    turned[:, 2, 3] += 2.0
+    other = Scene(PLAIN, replace(CAMERAS, viewmats=turned))
+    with pytest.raises(StyleSplatError, match="does not show what the photos do"):
+        mask(balls, boxes={"vase": VASE}, scene=other, device="cpu")
 
 
 NAN, INF = float("nan"), float("inf")
@@ -119,8 +106,6 @@ NAN, INF = float("nan"), float("inf")
     ("place", "expected"),
     [
         ((-20.0, 0.0, 9.0, 9.0), r"Box -20,0,9,9 is empty or reaches outside 0001\.jpg.*192x144"),
-        ((0.0, 0.0, 210.0, 9.0), "outside"),
-        ((10.0, 10.0, 10.0, 20.0), "empty"),
         ((20.0, 10.0, 10.0, 20.0), "empty"),
         ((NAN, 10.0, 10.0, 20.0), "Box nan,10,10,20 is empty"),
         ((0.0, 0.0, 9.0, INF), "outside"),
@@ -143,12 +128,8 @@ def test_other_boxes_that_say_nothing(balls: Capture, no_work: None):
         mask(balls, boxes={"vase": ("lost.jpg", VASE[1])})
     with pytest.raises(StyleSplatError, match=r"several boxes around 'vase' in 0001\.jpg"):
         mask(balls, boxes={"vase": [VASE, ("0001", CUP[1])], "cup": CUP})
-
-
-@pytest.mark.parametrize("name", ["", " ", "3", "a/b", "a=b", "a\nb", "x" * 101])
-def test_names_that_cannot_be(balls: Capture, no_work: None, name: str):
     with pytest.raises(StyleSplatError, match="Cannot call an object"):
-        mask(balls, boxes={name: VASE})
+        mask(balls, boxes={"a/b": VASE})
 
 
 @pytest.mark.parametrize(
@@ -171,7 +152,6 @@ def test_what_would_change_nothing(balls: Capture, no_work: None, given: dict, e
     ("stroke", "expected"),
     [
         (("vase", "0002.jpg", ((5.0, 5.0),)), r"no box around it there.*--box vase=0002\.jpg"),
-        (("cup", VASE[0], ((5.0, 5.0),)), "no box around it there"),
         (("vase", VASE[0], ((5.0, 5.0), (999.0, 5.0))), "point 999,5 is outside"),
     ],
 )
@@ -180,11 +160,3 @@ def test_strokes_that_say_nothing(balls: Capture, no_work: None, stroke, expecte
     with pytest.raises(StyleSplatError, match=expected):
         strokes = {name: (view, Stroke(points, over_object=True))}
         mask(balls, boxes={"vase": VASE}, strokes=strokes)
-
-
-def test_a_scene_of_other_photos_with_the_same_names(balls: Capture, no_work: None):
-    turned = CAMERAS.viewmats.clone()
-    turned[:, 2, 3] += 2.0
-    other = Scene(PLAIN, replace(CAMERAS, viewmats=turned))
-    with pytest.raises(StyleSplatError, match="does not show what the photos do"):
-        mask(balls, boxes={"vase": VASE}, scene=other, device="cpu")

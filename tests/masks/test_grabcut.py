@@ -10,7 +10,6 @@ from stylesplat.masks.grabcut import (
     cut_box,
     grabcut_image,
     refine_mask,
-    refuse_box,
 )
 
 HEIGHT, WIDTH = 60, 80
@@ -48,31 +47,18 @@ NOWHERE, EVERYWHERE = torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)
 
 
 def test_a_box_gives_what_stands_out_in_it():
-    _, mask = cut_box(seen(painted(DISC)), BOX, PHOTO)
-    assert iou(mask, DISC) > 0.98  # colours this far apart leave some rim pixels to smoothness
-
-
-def test_the_same_box_gives_the_same_mask():
     photo = seen(painted(DISC))
-    look, mask = cut_box(photo, BOX, PHOTO)
+    channels, mask = cut_box(photo, BOX, PHOTO)
+    assert iou(mask, DISC) > 0.98  # colours this far apart leave some rim pixels to smoothness
     cut_box(seen(painted(disc(20, 20, 9))), (8.0, 8.0, 33.0, 33.0), PHOTO)  # uses up random numbers
     again = cut_box(photo, BOX, PHOTO)
-    assert again[0] == look and torch.equal(again[1], mask)
+    assert again[0] == channels and torch.equal(again[1], mask)
 
 
 def test_what_colours_do_not_show_nearness_does():
     nearness = torch.where(DISC, 1.0, 0.2)
     _, mask = cut_box(seen(painted(), nearness), BOX, PHOTO)
     assert iou(mask, DISC) > 0.98
-
-
-def test_channels_are_stretched_and_do_not_depend_on_the_unit_of_nearness():
-    nearness = torch.linspace(0.1, 0.9, HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
-    one, other = (seen(painted(DISC), scale * nearness) for scale in (1.0, 1000.0))
-    assert abs(one.astype(int) - other.astype(int)).max() <= 1  # rounding of float32
-    assert one[..., 3].min() == 0 and one[..., 3].max() == 255
-    assert abs(one[..., 1:3].astype(int) - 128)[~DISC.numpy()].mean() < 20, "grey has no chroma"
-    assert one[..., 1][DISC.numpy()].mean() > 200, "red has"
 
 
 def test_strays_and_what_hangs_on_by_a_thread_are_left_out():
@@ -87,14 +73,6 @@ def test_a_box_that_holds_nothing():
     flat = torch.full((HEIGHT, WIDTH, 4), 90, dtype=torch.uint8).numpy()
     with pytest.raises(StyleSplatError, match=r"box in a\.jpg holds looks like .* tighter"):
         cut_box(flat, BOX, PHOTO)
-
-
-@pytest.mark.parametrize(
-    "box", [(0.0, 0.0, 80.0, 60.0), (9.0, 9.0, 12.0, 12.0), (0.0, 0.0, 80.0, 59.9)], ids=str
-)
-def test_boxes_that_leave_nothing_to_compare(box: tuple[float, float, float, float]):
-    with pytest.raises(StyleSplatError, match=r"box in a\.jpg is too small, or leaves too little"):
-        refuse_box(box, (WIDTH, HEIGHT), PHOTO)
 
 
 def test_a_contour_moves_to_the_edge_nearby():

@@ -14,7 +14,7 @@ OPTIONS = distill.Options(teacher=Path(), steps=20, batch=1, crop=96)
 
 @pytest.fixture(scope="module")
 def pictures() -> torch.Tensor:
-    return training_pictures(16, seed=0)
+    return training_pictures(8, seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +43,9 @@ def few_batches(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_pictures_are_many_and_the_same_again(pictures: torch.Tensor):
-    assert pictures.shape == (16, SIZE, SIZE, 3)
-    assert torch.equal(pictures, training_pictures(16, seed=0))
-    assert len({bytes(picture.numpy()) for picture in pictures}) > 12  # a collage may repeat one
+    assert pictures.shape == (8, SIZE, SIZE, 3)
+    assert torch.equal(pictures, training_pictures(8, seed=0))
+    assert len({bytes(picture.numpy()) for picture in pictures}) > 3  # a collage may repeat one
     assert pictures.float().std(dim=(1, 2, 3)).min() > 2, "none is blank"
 
 

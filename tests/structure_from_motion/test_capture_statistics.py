@@ -62,12 +62,6 @@ def test_a_part_of_a_ring(photos: int, verdict: str):
     assert diagnose_sides(coverage, 40).verdict == ("poor" if photos == 1 else "fair")
 
 
-def test_two_parts_on_opposite_sides_leave_two_gaps():
-    coverage = covered(DOME[[*range(6), *range(12, 18)]])
-    assert coverage.arc == pytest.approx(150, abs=5)
-    assert coverage.largest_gap == pytest.approx(105, abs=5)
-
-
 def test_photos_of_a_wall_are_no_fault():
     wall = torch.rand(2000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
     wall[:, 0] = -0.1  # behind what these cameras look at: they stand at positive x
@@ -124,21 +118,18 @@ def verdicts(capture: Capture) -> dict[str, str]:
     return {each.what: each.verdict for each in found}
 
 
-@pytest.mark.parametrize("gain", [0.5, 0.75])
-def test_exposure_is_measured_in_stops(capture: Capture, gain: float):
-    before = measure_photos(capture)
-    after = measure_photos(changed(capture, 4, capture.photos[4].numpy() * gain))
+def test_exposure_and_white_balance_are_measured_in_stops(capture: Capture):
+    before, photo = measure_photos(capture), capture.photos[4].numpy()
+    after = measure_photos(changed(capture, 4, photo * 0.5))
     # The tracer's sRGB is a power of 2.2 but for its darkest part
-    assert after.stops[4] - before.stops[4] == pytest.approx(2.2 * np.log2(gain), abs=0.15)
+    assert after.stops[4] - before.stops[4] == pytest.approx(-2.2, abs=0.15)
     others = torch.arange(len(capture)) != 4
     assert (after.stops - before.stops)[others].abs().max() < 0.1
-
-
-def test_white_balance_is_no_exposure(capture: Capture):
-    before = measure_photos(capture)
-    after = measure_photos(changed(capture, 4, capture.photos[4].numpy() * [1.12, 1.0, 0.88]))
-    assert after.warmth[4] - before.warmth[4] > 0.5
-    assert abs(after.stops[4] - before.stops[4]) < 0.15
+    warmer = measure_photos(changed(capture, 4, photo * [1.12, 1.0, 0.88]))
+    assert warmer.warmth[4] - before.warmth[4] > 0.5
+    assert abs(warmer.stops[4] - before.stops[4]) < 0.15
+    black = measure_photos(changed(capture, 4, 0 * photo))
+    assert black.stops[4].isnan() and black.stops[others].isfinite().all()
 
 
 def test_verdicts_on_photos(capture: Capture):
@@ -159,9 +150,3 @@ def test_without_points_whole_photos_are_compared(capture: Capture):
     bare = replace(capture, points=None, point_colors=None)
     dark = measure_photos(changed(bare, 4, bare.photos[4].numpy() * 0.5))
     assert not dark.by_points and dark.stops[4] < -1.5
-
-
-def test_the_exposure_of_a_black_photo_is_unknown(capture: Capture):
-    found = measure_photos(changed(capture, 4, np.zeros((120, 160, 3))))
-    assert found.stops[4].isnan() and found.stops.isfinite().sum() == 11
-    assert found.sharpness[4] == 0

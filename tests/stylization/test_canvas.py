@@ -8,7 +8,7 @@ import torch
 
 from balls import CAMERAS, ROWS, SCENE, SPLATS, UNSEEN, enlarged, same
 from balls import STRETCHED_PICKED as PICKED
-from stylesplat.metrics.psnr import psnr
+from stylesplat.metrics.images import psnr
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import colors_and_coverage, coverage
 from stylesplat.scene.compose import UNSEEN as UNSEEN_LOGIT

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import stylesplat as ss
 from stylesplat.errors import StyleSplatError
@@ -15,9 +15,6 @@ from stylesplat.io.files import DISK_FULL, reason
 from stylesplat.progress import say, write_lines
 from stylesplat.scene.arguments import pasted
 from stylesplat.signals import WHOLE, report_interruption
-
-if TYPE_CHECKING:
-    from stylesplat.stylization.views import Box
 
 T = TypeVar("T")
 BEFORE_AFTER = "before_after.png"
@@ -107,13 +104,7 @@ def rewrite_scene(
     return after
 
 
-def draw_before_after(
-    scene: "ss.Scene",
-    folder: Path,
-    *,
-    surveys: "Mapping[str, Sequence[Box]] | None" = None,
-    device: str = "auto",
-) -> dict[str, Any]:
+def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") -> dict[str, Any]:
     """Draw a painted scene before and after, for `before_after_line`."""
     from stylesplat.figures.sheets import before_after
     from stylesplat.io.atomic import changing
@@ -122,7 +113,7 @@ def draw_before_after(
     target = folder / BEFORE_AFTER
     with optional_picture(), changing(target):
         target.unlink(missing_ok=True)  # it shows an earlier painting
-        found = before_after(scene, surveys=surveys, device=device)
+        found = before_after(scene, device=device)
         if found is not None:
             write_image(found[1], target)
             return {"before_after": target, "before_after_view": found[0]}

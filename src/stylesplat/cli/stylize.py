@@ -85,9 +85,7 @@ class Stylize(Command):
             save_or_rescue(painted.scene, self.output, overwrite=self.overwrite)
             say(f"The painted scene is in {self.output}. Measuring and drawing are left to do.")
             tidy_heap()
-            picture = draw_before_after(
-                painted.scene, self.output, surveys=painted.surveys, device=self.device
-            )
+            picture = draw_before_after(painted.scene, self.output, device=self.device)
             tidy_heap()
             styled = painted.measured()
             revise(painted.scene, styled, self.output)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.metrics.psnr import decibels
+from stylesplat.metrics.images import decibels
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import (
     COVERED,

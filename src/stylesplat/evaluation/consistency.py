@@ -27,7 +27,6 @@ class ObjectRender:
     """The render of an object in one view, before and after it is painted."""
 
     camera: Cameras
-    """One camera."""
     colors: Float[Tensor, "H W 6"]
     """The base scene's and the styled scene's colours, in 0..1."""
     surface: Float[Tensor, "H W 2"]
@@ -75,11 +74,7 @@ def view_pairs(count: int, gap: int) -> list[tuple[int, int]]:
 
 
 def warped_difference(a: ObjectRender, b: ObjectRender) -> Float[Tensor, "P 6"]:
-    """Colours of the object in `a`, warped to `b`, minus those in `b`.
-
-    Returns:
-        One row per pixel of `b` whose point on the object is visible in `a` too.
-    """
+    """Colours of the object in `a` warped to `b` minus those in `b`, where both show the point."""
     mask = b.surface[..., 0] > COVERED
     coverage, summed = b.surface[mask].unbind(-1)
     pixels = mask.nonzero().flip(1) + 0.5  # x, y

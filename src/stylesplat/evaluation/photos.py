@@ -9,9 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.metrics.images import psnr, ssim
 from stylesplat.metrics.iou import object_iou
-from stylesplat.metrics.psnr import psnr
-from stylesplat.metrics.ssim import ssim
 from stylesplat.progress import track
 from stylesplat.rendering.render import rasterize, render
 from stylesplat.scene.cameras import Cameras
@@ -41,15 +40,12 @@ class Fits:
     """What is fitted to each photo, as in the training of the splat."""
 
     colors: bool = False
-    """Exposure and white balance."""
     pose: bool = False
-    """A shift of the camera."""
     unit: float = 1.0
     """The unit of length for shifts of cameras."""
 
     @property
     def names(self) -> list[str]:
-        """The names of the fits, as scenes record them."""
         return [name for name in ("colors", "pose") if getattr(self, name)]
 
 
@@ -72,14 +68,8 @@ def evaluate_views(
 ) -> dict[str, Any]:
     """Compare renders with photos, and rendered label maps with the given ones.
 
-    Transparent photos are compared over black.
-
-    Args:
-        splats: The Gaussians.
-        capture: Photos and their cameras.
-        rows: The views to compare, usually the held-out ones.
-        fits: What is fitted to each photo. The left half is fitted on the right one, and the other
-            way round.
+    Transparent photos are compared over black. What is fitted to each photo is fitted to its left
+    half on the right one, and the other way round.
 
     Returns:
         `psnr` and `ssim`, averaged over the views; with fits, also `psnr_unfitted` and

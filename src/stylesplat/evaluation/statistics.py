@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.metrics.images import ssim_map
 from stylesplat.metrics.lab import LUMA, cells, distinct, lab_from_rgb, nearest_colors, thinned
-from stylesplat.metrics.ssim import ssim_map
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
@@ -90,10 +90,8 @@ def content_ssim(
 def off_palette(colors: Float[Tensor, "P 3"], style: Float[Tensor, "Q 3"]) -> float:
     """The share of colours that are farther than 10 in Lab (CIE 1976) from all of the style.
 
-    Args:
-        colors: In 0..1; a large set is sampled evenly.
-        style: Colours of the pictures, in 0..1. Those that differ by less than about 1 count as
-            one.
+    All are in 0..1. A large set is sampled evenly; colours of the style that differ by less than
+    about 1 count as one.
     """
     lab = lab_from_rgb(thinned(colors))
     palette = lab_from_rgb(distinct(style, SAME))

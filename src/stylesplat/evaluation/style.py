@@ -50,8 +50,8 @@ STATISTICS = (1, 2, 3)  # blocks of the network whose mean and covariance are co
 
 
 def measure_painted(
-    studio: PaintContext,
-    jobs: Sequence[PaintTarget],
+    context: PaintContext,
+    targets: Sequence[PaintTarget],
     styled: Splats,
     *,
     held_out: Cameras | None = None,
@@ -62,10 +62,10 @@ def measure_painted(
     """Measure how painting some objects changed them and the rest of the scene.
 
     Args:
-        studio: The scene before, and the views that were optimised on.
-        jobs: The objects and their styles.
-        styled: The scene after, which may have more Gaussians.
-        held_out: Views to measure on instead of those of the studio.
+        context: The scene before, and the views that were optimised on.
+        targets: The objects and their styles.
+        styled: The scene after; new Gaussians are at its end.
+        held_out: Views to measure on instead.
         surveys: By name, the boxes of objects in the views, if they are known.
         cuts: By name, the part of a large scene that an object is measured in, as rows of the base.
         families: The rows of the base that the Gaussians before and after belong to, for `cuts`.
@@ -74,36 +74,42 @@ def measure_painted(
         The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
         which are empty where the style is too small to be compared.
     """
-    base = studio.splats
-    measured = replace(studio, cameras=held_out or studio.cameras)
-    jobs = [job.to(base) for job in jobs]
+    base = context.splats
+    measured = replace(context, cameras=held_out or context.cameras)
+    targets = [target.to(base) for target in targets]
     objects = {}
-    for job in jobs:
-        part, own, after = measured, job, styled
-        if cuts and job.name in cuts:
+    for target in targets:
+        part, own, after = measured, target, styled
+        if cuts and target.name in cuts:
             assert families is not None
-            rows, rows_after = (cuts[job.name].rows_in(each.to(base.device)) for each in families)
-            cut = replace(cuts[job.name], rows=rows)
-            part, own, after = cut.context(measured), cut.target(job), styled[rows_after]
+            rows, rows_after = (
+                cuts[target.name].rows_in(each.to(base.device)) for each in families
+            )
+            cut = replace(cuts[target.name], rows=rows)
+            part, own, after = cut.context(measured), cut.target(target), styled[rows_after]
         if surveys is None:
             survey = find_boxes(part.splats, part.all_cameras, own.mask)
         else:
-            survey = surveys[job.name]
+            survey = surveys[target.name]
         boxes = boxes_in(survey, part.cameras) or survey
         try:
-            objects[job.name] = measure_style(part, own, after, boxes=boxes)
+            objects[target.name] = measure_style(part, own, after, boxes=boxes)
         except StyleSplatError as error:  # the object is painted all the same
-            say(f"{job.name} is not compared with its style: {error}")
-            objects[job.name] = {}
-    picked = torch.stack([job.mask for job in jobs]).any(dim=0)
+            say(f"{target.name} is not compared with its style: {error}")
+            objects[target.name] = {}
+    picked = torch.stack([target.mask for target in targets]).any(dim=0)
     return measure_changes(base, styled, measured.cameras, picked) | {"objects": objects}
 
 
 @torch.no_grad()
 def measure_style(
-    studio: PaintContext, job: PaintTarget, styled: Splats, *, boxes: Sequence[Box] | None = None
+    context: PaintContext,
+    target: PaintTarget,
+    styled: Splats,
+    *,
+    boxes: Sequence[Box] | None = None,
 ) -> dict[str, float]:
-    """Measure how close an object is to its style by NNFM, in float32, in the views of `studio`.
+    """Measure how close an object is to its style by NNFM, in float32, in the views of `context`.
 
     Returns:
         `nnfm_before` and `nnfm_after`; if the pictures are large enough, `nnfm_of_style` (see
@@ -114,29 +120,29 @@ def measure_style(
     Raises:
         StyleSplatError: If the object is not visible, or a picture is too small to compare.
     """
-    blocks, network = job.config.layers, studio.network
-    boxes = boxes or require_boxes(studio, job, studio.cameras)
-    views, targets = _views_and_targets(studio, job, boxes, blocks)
+    blocks, network = target.config.layers, context.network
+    boxes = boxes or require_boxes(context, target, context.cameras)
+    views, style_feats = _views_and_features(context, target, boxes, blocks)
     images = renders(styled, views)
     before, after = (
-        object_nnfm(each, views, targets, network, blocks)
-        for each in (renders(studio.splats, views), images)
+        object_nnfm(each, views, style_feats, network, blocks)
+        for each in (renders(context.splats, views), images)
     )
     numbers = {"nnfm_before": before, "nnfm_after": after}
-    own = own_nnfm(job.styles, network, blocks, length=job.config.scale * LENGTH)
+    own = own_nnfm(target.styles, network, blocks, length=target.config.scale * LENGTH)
     if own is not None:
         numbers["nnfm_of_style"] = own
         if before > own:
             numbers["share_of_way"] = min(1.0, max(0.0, (before - after) / (before - own)))
-    if job.config.color == "style":
+    if target.config.color == "style":
         colors = [image[view.pixels] for image, view in zip(images, views, strict=True)]
-        numbers["off_palette"] = off_palette(torch.cat(colors), _style_colors(job))
+        numbers["off_palette"] = off_palette(torch.cat(colors), _style_colors(target))
     return numbers
 
 
 @torch.no_grad()
 def measure_statistics(
-    studio: PaintContext, job: PaintTarget, styled: Splats, *, boxes: Sequence[Box]
+    context: PaintContext, target: PaintTarget, styled: Splats, *, boxes: Sequence[Box]
 ) -> dict[str, float]:
     """Compare the statistics of an object with those of its style.
 
@@ -147,16 +153,16 @@ def measure_statistics(
     Raises:
         StyleSplatError: As `measure_style` does.
     """
-    blocks = STATISTICS[: studio.network.depth]
-    views, targets = _views_and_targets(studio, job, boxes, blocks)
+    blocks = STATISTICS[: context.network.depth]
+    views, style_feats = _views_and_features(context, target, boxes, blocks)
     before, after = (
-        object_statistics_distance(splats, views, targets, studio.network, blocks)
-        for splats in (studio.splats, styled)
+        object_statistics_distance(splats, views, style_feats, context.network, blocks)
+        for splats in (context.splats, styled)
     )
     numbers = {"statistics_before": before, "statistics_after": after}
-    if job.config.color == "style":
+    if target.config.color == "style":
         colors = object_colors(styled, views)
-        numbers["palette_distance"] = palette_distance(colors, _style_colors(job))
+        numbers["palette_distance"] = palette_distance(colors, _style_colors(target))
     return numbers
 
 
@@ -180,29 +186,28 @@ def measure_look(
     return numbers | view_consistency(base, styled, cameras, picked, boxes=boxes)
 
 
-def _views_and_targets(
-    studio: PaintContext, job: PaintTarget, boxes: Sequence[Box], blocks: Sequence[int]
+def _views_and_features(
+    context: PaintContext, target: PaintTarget, boxes: Sequence[Box], blocks: Sequence[int]
 ) -> tuple[list[ObjectView], list[Tensor]]:
     """Views of the object, and the features of its style."""
-    config = replace(job.config, layers=tuple(blocks))
+    config = replace(target.config, layers=tuple(blocks))
     zoom = LENGTH / typical_length(boxes)
-    views = object_views(studio, replace(job, config=config), boxes, zoom)
-    return evenly(views, VIEWS), target_features(studio, config, job.styles, LENGTH)
+    views = object_views(context, replace(target, config=config), boxes, zoom)
+    return evenly(views, VIEWS), target_features(context, config, target.styles, LENGTH)
 
 
-def _style_colors(job: PaintTarget) -> Float[Tensor, "P 3"]:
-    return torch.cat([picture.reshape(-1, 3) for picture in job.styles])
+def _style_colors(target: PaintTarget) -> Float[Tensor, "P 3"]:
+    return torch.cat([picture.reshape(-1, 3) for picture in target.styles])
 
 
 def renders(splats: Splats, views: Sequence[ObjectView]) -> list[Float[Tensor, "_ _ 3"]]:
-    """Render some views, colours clamped to 0..1."""
     return [render(splats, view.camera)[0].clamp(0, 1) for view in views]
 
 
 def object_nnfm(
     images: Sequence[Float[Tensor, "_ _ 3"]],
     views: Sequence[ObjectView],
-    targets: Sequence[Float[Tensor, "_ _"]],
+    style_feats: Sequence[Float[Tensor, "_ _"]],
     network: FeatureNetwork,
     blocks: Sequence[int],
 ) -> float:
@@ -210,7 +215,9 @@ def object_nnfm(
     losses = [
         nnfm_loss(block[cells][:: 1 + int(cells.sum()) // MAX_FEATURES], target)
         for image, view in zip(images, views, strict=True)
-        for block, cells, target in zip(network(image, blocks), view.cells, targets, strict=True)
+        for block, cells, target in zip(
+            network(image, blocks), view.cells, style_feats, strict=True
+        )
     ]
     return float(torch.stack(losses).mean())
 

@@ -31,11 +31,7 @@ def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
 
 
 def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """Say how close renders are to photos, and rendered labels to label maps.
-
-    Args:
-        metrics: As `evaluate_views` reports them; of nothing compared, no lines.
-    """
+    """Say how close renders are to photos, and labels to label maps, by `evaluate_views`."""
     lines = []
     if {"psnr", "ssim"} <= metrics.keys():
         close = f"PSNR {metrics['psnr']:.2f} dB, SSIM {metrics['ssim']:.3f}"

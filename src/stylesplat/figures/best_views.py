@@ -1,9 +1,8 @@
 """Choose the views that show an object best, and from different sides."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 
 import cv2
 import numpy as np
@@ -25,7 +24,7 @@ from stylesplat.scene.projection import crop, share_in_images
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.stylization.views import SURVEY_SIZE, Box
+from stylesplat.stylization.views import SURVEY_SIZE
 
 VIEWS = 3  # of an object
 OVERSCAN = 0.5  # of the view on each side, to show what the border of the photo cuts off
@@ -38,12 +37,10 @@ MOST = 0.5  # of the largest share of an object in an image: views with less are
 
 @dataclass(frozen=True)
 class ObjectMask:
-    """An object in one view."""
+    """The row of a camera, and an object's pixels in the view that `survey_view` makes of it."""
 
     row: int
-    """The camera's."""
     mask: Bool[Tensor, "h w"]
-    """The pixels that show it, in the camera that `survey_view` returns."""
 
 
 @torch.no_grad()
@@ -53,12 +50,10 @@ def find_views(
     picked: Bool[Tensor, " N"],
     *,
     count: int = VIEWS,
-    masks: Mapping[int, Bool[Tensor, "h w"]] | None = None,
 ) -> list[ObjectMask]:
     """The views that show most of an object from sides that differ, the best one first.
 
-    There are fewer than `count` if it is visible in fewer. `masks` are those of `masks_of`, which
-    save the search.
+    There are fewer than `count` if it is visible in fewer.
     """
     surface = splats.means[solid(splats, picked)]
     shares = share_in_images(surface, cameras)
@@ -68,40 +63,25 @@ def find_views(
     def mask(row: int) -> Tensor:
         return coverage(splats, survey_view(cameras[row]), picked) > MIN_COVERAGE
 
-    if masks is None:
-        found = at_once(mask, rows, splats.device)
-        found = track(found, "looking for the object", total=len(rows))
-        masks = dict(zip(rows, found, strict=True))
-    scores = {row: visibility(masks[row]) for row in rows if row in masks}
+    found = track(at_once(mask, rows, splats.device), "looking for the object", total=len(rows))
+    masks = dict(zip(rows, found, strict=True))
+    scores = {row: visibility(mask) for row, mask in masks.items()}
     return [ObjectMask(row, masks[row]) for row in best_rows(cameras, surface, scores, count)]
-
-
-def masks_of(surveys: Iterable[Sequence[Box]], cameras: Cameras) -> dict[int, Bool[Tensor, "h w"]]:
-    """The masks of some objects together, by row of the camera, from the boxes of each object."""
-    masks = dict[int, Tensor]()
-    for box in chain.from_iterable(surveys):
-        (name,) = box.camera.names
-        row = cameras.index(name)
-        width, height = survey_view(cameras[row]).size
-        mask = masks.setdefault(row, torch.zeros(height, width, dtype=torch.bool))
-        scale = box.points.new_tensor([width, height]) / box.camera.sizes[0]
-        x, y = (box.points * scale).long().unbind(1)
-        mask[y.clamp(max=height - 1), x.clamp(max=width - 1)] = True
-    return masks
 
 
 @torch.no_grad()
 def most_detailed(splats: Splats, cameras: Cameras, found: Sequence[ObjectMask]) -> ObjectMask:
     """The view that shows most of an object and of its own detail: a face rather than a back."""
-    return max(found, key=lambda each: _detail(splats, survey_view(cameras[each.row]), each.mask))
 
+    def detail(view: ObjectMask) -> float:
+        """Visibility, times the mean difference of luminance between neighbouring pixels."""
+        mask = view.mask
+        luminance = lab_from_rgb(render(splats, survey_view(cameras[view.row]))[0])[..., 0]
+        down = luminance.diff(dim=0)[mask[1:] & mask[:-1]]
+        right = luminance.diff(dim=1)[mask[:, 1:] & mask[:, :-1]]
+        return visibility(mask) * float(torch.cat([down, right]).abs().mean().nan_to_num())
 
-def _detail(splats: Splats, camera: Cameras, mask: Bool[Tensor, "h w"]) -> float:
-    """The visibility of an object, times its mean difference of luminance between neighbours."""
-    luminance = lab_from_rgb(render(splats, camera)[0])[..., 0]
-    down = (luminance[1:] - luminance[:-1]).abs()[mask[1:] & mask[:-1]]
-    right = (luminance[:, 1:] - luminance[:, :-1]).abs()[mask[:, 1:] & mask[:, :-1]]
-    return visibility(mask) * float(torch.cat([down, right]).mean().nan_to_num())
+    return max(found, key=detail)
 
 
 def best_rows(
@@ -121,10 +101,10 @@ def best_rows(
     return [rows[each] for each in chosen]
 
 
-def visibility(shown: Bool[Tensor, "h w"]) -> float:
+def visibility(mask: Bool[Tensor, "h w"]) -> float:
     """Pixels that show an object, fewer if the border cuts it: a quarter for a square."""
-    area = float(shown.sum())
-    border = sum(float(edge.sum()) for edge in (shown[0], shown[-1], shown[:, 0], shown[:, -1]))
+    area = float(mask.sum())
+    border = sum(float(edge.sum()) for edge in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
     return area / (1 + border / math.sqrt(area)) ** 2 if area else 0.0
 
 

@@ -1,6 +1,7 @@
 """A capture from above and from the side: its cameras, its points and the sides it covers."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,30 +27,38 @@ COVERED, UNCOVERED, BEHIND_WALL = (20, 140, 70), (205, 85, 60), (150, 152, 158)
 DASH = math.radians(3)  # length of a dash along a gap, and of the space between two
 MAX_POINTS = 60_000
 POINTS_SHOWN = (0.04, 0.96)  # quantiles of the points that fit in; others may lie outside
-FRUSTUM = 0.07  # of a panel's width: length of a camera
+FRUSTUM, CROSS = 0.07, 0.014  # of a panel's width: length of a camera, of half the middle's cross
 RIM = 1.08  # radius of the arc around the cameras, relative to their distance
 PADDING = 1.16  # of the panels, relative to what has to fit in
 
 Color = tuple[int, ...]
+Line = Float[Tensor, "_ 3"]
 
 
 @dataclass(frozen=True)
 class _Panel:
-    """A view along an axis."""
+    """A view along an axis; `scale` is pixels of `image` per unit of the working frame."""
 
     axes: Float[Tensor, "2 3"]
     centre: Float[Tensor, "3"]
     scale: float
-    """Pixels of `image` per unit of the working frame."""
     image: Image.Image
 
     def pixels(self, points: Float[Tensor, "M 3"]) -> Float[Tensor, "M 2"]:
         flat = (points.double() - self.centre) @ self.axes.T * self.scale
         return flat * torch.tensor([1.0, -1.0]).double() + self.image.width / 2
 
-    def draw_line(self, points: Float[Tensor, "M 3"], color: Color, width: int) -> None:
+    def draw_line(self, points: Line, color: Color, width: int = 1) -> None:
         places = [(x, y) for x, y in self.pixels(points).tolist()]
         ImageDraw.Draw(self.image).line(places, color, width * OVERSAMPLING, "curve")
+
+    def draw_points(self, points: Float[Tensor, "M 3"], rgb: UInt8[Tensor, "M 3"]) -> None:
+        """Draw points as squares in their colours, the nearest last."""
+        order = (points @ torch.linalg.cross(*self.axes)).argsort()
+        draw, side = ImageDraw.Draw(self.image), 2 * OVERSAMPLING - 1
+        places = self.pixels(points)[order].floor().int().tolist()
+        for (x, y), color in zip(places, rgb[order].tolist(), strict=True):
+            draw.rectangle((x, y, x + side, y + side), tuple(color))
 
 
 def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H W 3"]:
@@ -61,6 +70,8 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
         that they cover.
     """
     points = torch.zeros(0, 3) if capture.points is None else capture.points
+    colors = capture.point_colors
+    colors = torch.full(points.shape, 90).byte() if colors is None else colors
     some = slice(None, None, max(1, len(points) // MAX_POINTS))
     placed = report.frame.place(points[some].double())
     covered, gaps = _arcs(report)
@@ -72,16 +83,20 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
     for axes in (ABOVE, SIDE):
         image = Image.new("RGB", (side, side), GROUND)
         panel = _Panel(torch.tensor(axes).double(), centre, side / units, image)
-        if len(placed):
-            colors = capture.point_colors
-            _draw_points(panel, placed, None if colors is None else colors[some])
+        panel.draw_points(placed, colors[some])
         if axes == ABOVE:
             for arc in covered:
                 panel.draw_line(arc, COVERED, 3)
             for arc in gaps:
                 for start in range(0, len(arc) - 1, 2):
                     panel.draw_line(arc[start : start + 2], gap_color, 2)
-        _draw_cameras(panel, capture, report)
+        for axis in panel.axes:
+            panel.draw_line(torch.stack([-axis, axis]) * CROSS * units, INK)
+        for color, lines in _camera_lines(capture, report, FRUSTUM * units):
+            for line in lines:
+                panel.draw_line(line, color)
+            ((x, y),) = panel.pixels(lines[0][:1]).tolist()
+            ImageDraw.Draw(image).circle((x, y), 2 * OVERSAMPLING, color)
         images.append(torch.from_numpy(np.array(image.reduce(OVERSAMPLING))))
     name = "" if capture.path is None else f"{capture.path.resolve().name}, "
     coverage = report.coverage
@@ -100,7 +115,7 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
     return add_legend(draw_grid([Row([*zip(images, captions, strict=True)])]), key)
 
 
-def _arcs(report: CaptureReport) -> tuple[list[Tensor], list[Tensor]]:
+def _arcs(report: CaptureReport) -> tuple[list[Line], list[Line]]:
     """Lines on a circle around the cameras: over the covered sides, and over the gaps."""
     sides = report.coverage.sides.deg2rad().tolist()
     radius = RIM * report.coverage.far
@@ -114,7 +129,7 @@ def _arcs(report: CaptureReport) -> tuple[list[Tensor], list[Tensor]]:
 
 
 def _extent(
-    capture: Capture, report: CaptureReport, points: Float[Tensor, "M 3"], arcs: list[Tensor]
+    capture: Capture, report: CaptureReport, points: Float[Tensor, "M 3"], arcs: list[Line]
 ) -> tuple[Float[Tensor, "3"], float]:
     """The middle of the panels, and their width: all cameras and most points fit in."""
     cameras = report.frame.place(capture.cameras.positions.double())
@@ -128,40 +143,19 @@ def _extent(
     return (low + high) / 2, PADDING * float((high - low).max().clamp(min=1e-6))
 
 
-def _draw_points(
-    panel: _Panel, points: Float[Tensor, "M 3"], colors: UInt8[Tensor, "M 3"] | None
-) -> None:
-    """Draw points as squares in their colours, the nearest last."""
-    order = (points @ torch.linalg.cross(panel.axes[0], panel.axes[1])).argsort()
-    rgb = torch.full((len(points), 3), 90) if colors is None else colors
-    draw = ImageDraw.Draw(panel.image)
-    side = 2 * OVERSAMPLING - 1
-    places = panel.pixels(points)[order].floor().int().tolist()
-    for (x, y), color in zip(places, rgb[order].tolist(), strict=True):
-        draw.rectangle((x, y, x + side, y + side), tuple(color))
-
-
-def _draw_cameras(panel: _Panel, capture: Capture, report: CaptureReport) -> None:
-    """Draw a cross in the middle of the content, and each camera as a pyramid."""
-    size = panel.image.width / panel.scale
-    for axis in panel.axes:
-        arm = 0.014 * size * axis
-        panel.draw_line(torch.stack([-arm, arm]), INK, 1)
+def _camera_lines(
+    capture: Capture, report: CaptureReport, length: float
+) -> Iterator[tuple[Color, list[Line]]]:
+    """The colour of each camera, and a pyramid of this length; its lines begin at the camera."""
     cameras = move_cameras(capture.cameras, report.frame)
-    shares = torch.linspace(0, 1, len(capture))[:, None]
-    by_order = torch.tensor(FIRST) * (1 - shares) + torch.tensor(LAST) * shares
     for row, name in enumerate(cameras.names):
-        color: Color = tuple(by_order[row].round().int().tolist())
-        color = WEAK if name in report.weak else color
-        color = BLURRED if name in report.blurred else color
+        share = row / max(len(cameras) - 1, 1)
+        color = tuple(round((1 - share) * a + share * b) for a, b in zip(FIRST, LAST, strict=True))
+        color = BLURRED if name in report.blurred else WEAK if name in report.weak else color
         width, height = cameras.sizes[row].tolist()
         corners = [(0.0, 0.0, 1.0), (width, 0.0, 1.0), (width, height, 1.0), (0.0, height, 1.0)]
         rays = torch.tensor(corners).double() @ torch.linalg.inv(cameras.Ks[row].double()).T
-        rays = rays * FRUSTUM * size / rays.norm(dim=1, keepdim=True)
+        rays = rays * length / rays.norm(dim=1, keepdim=True)
         eye = cameras.positions[row].double()
         rim = eye + rays @ cameras.viewmats[row, :3, :3].double()
-        panel.draw_line(torch.cat([rim, rim[:1]]), color, 1)
-        for corner in rim:
-            panel.draw_line(torch.stack([eye, corner]), color, 1)
-        ((x, y),) = panel.pixels(eye[None]).tolist()
-        ImageDraw.Draw(panel.image).circle((x, y), 2 * OVERSAMPLING, color)
+        yield color, [torch.stack([eye, corner]) for corner in rim] + [torch.cat([rim, rim[:1]])]

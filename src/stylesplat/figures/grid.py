@@ -26,12 +26,8 @@ GridCell = tuple[GridPicture, str] | None
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a grid."""
-
     cells: Sequence[GridCell]
-    """Pictures with their captions."""
     label: str = ""
-    """Text at the left of the row."""
     pictures: Sequence[GridPicture] = ()
     """Pictures of any size, drawn small below the label."""
 
@@ -74,7 +70,6 @@ def draw_grid(rows: Sequence[Row]) -> UInt8[Tensor, "H W 3"]:
 
 
 def wrap_cells(cells: Sequence[GridCell], columns: int) -> list[Row]:
-    """Rows of so many cells each."""
     return [Row(cells[first : first + columns]) for first in range(0, len(cells), columns)]
 
 

@@ -26,9 +26,7 @@ class Figure:
     """A picture, a video or a page with a splat, with a caption."""
 
     path: Path
-    """The file."""
     caption: str
-    """What it shows."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +34,11 @@ class Section:
     """A heading, a paragraph and figures side by side."""
 
     title: str
-    """The heading."""
     text: str
-    """The paragraph."""
     figures: tuple[Figure, ...] = ()
-    """The figures, left to right."""
 
 
 def page_style() -> str:
-    """The CSS of all pages."""
     return STYLE.read_text(encoding="utf-8")
 
 
@@ -58,7 +52,6 @@ def section_html(section: Section) -> str:
 
 
 def figure_html(url: str, caption: str) -> str:
-    """A picture with a caption."""
     caption = escape(caption)
     return f'<figure><img src="{url}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
 
@@ -74,12 +67,10 @@ def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def file_url(path: Path) -> str:
-    """The data URL of a picture's or video's file."""
     return _url(path.read_bytes(), path.suffix)
 
 
 def picture_url(picture: UInt8[Tensor, "H W 3"]) -> str:
-    """The data URL of a picture, as JPEG."""
     content = BytesIO()
     Image.fromarray(picture.cpu().numpy()).save(content, "JPEG", quality=QUALITY)
     return _url(content.getvalue(), ".jpg")
@@ -107,7 +98,6 @@ class SceneColumn:
     """The pictures and numbers of one scene among others."""
 
     name: str
-    """Its name."""
     metrics: Mapping[str, Any]
     """The result of `evaluate`; empty if nothing could be measured."""
     differences: Mapping[str, Any]
@@ -115,19 +105,15 @@ class SceneColumn:
     from_first: Mapping[str, float]
     """How much its pictures differ from those of the first scene (`picture_differences`)."""
     pictures: tuple[UInt8[Tensor, "_ _ 3"], ...]
-    """One per view."""
 
 
 def comparison_page(
     columns: Sequence[SceneColumn], views: Sequence[str], *, title: str, notes: Sequence[str] = ()
 ) -> str:
-    """An HTML page that needs no other file.
+    """An HTML page that compares scenes with the first of them, and needs no other file.
 
-    Args:
-        columns: The scenes; the others are compared with the first.
-        views: The names of the views, in the order of the scenes' pictures.
-        title: The heading.
-        notes: Sentences above the pictures.
+    `views` are the names of the views, in the order of the scenes' pictures; `notes` are sentences
+    above the pictures.
     """
     heads = ["", *(column.name for column in columns)]
     rows = []
@@ -152,10 +138,7 @@ def comparison_page(
 
 
 def _number_rows(columns: Sequence[SceneColumn]) -> list[list[str]]:
-    """A row per number that any scene has: its name, and for each scene value and difference.
-
-    The first scene's differences are 0 and not shown.
-    """
+    """A row per number that any scene has: its name, and each scene's value and difference."""
     values = [dict(flat(column.metrics)) for column in columns]
     gaps = [{}, *(dict(flat(column.differences)) for column in columns[1:])]
     return [

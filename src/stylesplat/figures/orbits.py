@@ -31,14 +31,10 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
     fro over the arc that they cover. The height is the photos' mean, with some of their spread, and
     the distance is that of the farther ones.
 
-    Args:
-        cameras: The capture's cameras.
-        count: Number of frames; the one after the last would be the first again.
-        focus: What to look at; by default the point that the cameras look at.
-
     Returns:
-        Cameras of one even size, with the intrinsics of the photo whose view is median in width
-        and the principal point in the centre.
+        `count` cameras of one even size, with the intrinsics of the photo whose view is median in
+        width and the principal point in the centre. They look at `focus`, by default the point
+        that the capture's cameras look at.
 
     Raises:
         StyleSplatError: If the view axes do not meet in front of the cameras.
@@ -60,7 +56,7 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
     )
 
 
-def filled(path: Cameras, content: Content) -> Cameras:
+def zoom_to_content(path: Cameras, content: Content) -> Cameras:
     """The path with the focal length at which all content just fits into every frame."""
     centre, tops = content.extent.centre, -path.viewmats[:, 1, :3].double()
     outward = path.positions.double() - centre
@@ -76,7 +72,7 @@ def filled(path: Cameras, content: Content) -> Cameras:
 def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
     """A smooth closed path around the content of a splat without photos, all of it in every frame.
 
-    The views tell the upward direction and the pictures' size.
+    The pictures are upright as the views are, and of their size.
     """
     up, size = up_vector(views), views.size
     focal = LENS * max(size)

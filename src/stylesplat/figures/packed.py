@@ -57,7 +57,7 @@ def palette_of(values: Float[Tensor, "M D"], *, seed: int = 0) -> tuple[Bytes, f
     return (entries / strongest * STEPS + MIDDLE).round().byte(), strongest
 
 
-def meant(palette: Bytes, strongest: float) -> Float[Tensor, "E D"]:
+def palette_values(palette: Bytes, strongest: float) -> Float[Tensor, "E D"]:
     """The values of a palette's bytes."""
     return (palette.float() - MIDDLE) / STEPS * strongest
 
@@ -82,12 +82,12 @@ class Packed:
 
 
 def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
-    """Pack what shows of splats, sorted by place.
+    """Pack what shows of splats, at least one Gaussian, sorted by place.
 
     Args:
-        splats: At least one Gaussian that shows.
+        splats: The Gaussians.
         before: The same Gaussians in other colours and opacities, or the same.
-        sh_degree: Up to which degree colours depend on where they are seen from.
+        sh_degree: Highest degree of the colours.
     """
     shown = torch.maximum(splats.opacities, before.opacities)
     rows = (torch.sigmoid(shown) >= MIN_ALPHA).nonzero()[:, 0]
@@ -95,7 +95,10 @@ def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
     splats, before = splats[rows], before[rows]
     degree = min(sh_degree, max(needed_degree(splats), needed_degree(before)))
     splats, before = of_degree(splats, degree), of_degree(before, degree)
-    painted = _differ(splats, before)
+    painted = torch.zeros(len(splats), dtype=torch.bool)
+    for name in ("sh0", "shN", "opacities"):
+        differs = splats.tensors()[name] != before.tensors()[name]
+        painted |= differs[:, None].flatten(1).any(dim=1)
     before = before[painted]
     about: dict[str, Any] = {"count": len(splats), "painted": len(before)}
     about["bands"] = splats.shN.shape[1]
@@ -152,19 +155,13 @@ def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Co
     indices = []
     for level in track(range(LEVELS), "packing colours", unit="palette"):
         palette, about["strongest"][level] = palette_of(rest)
-        entries = meant(palette, about["strongest"][level])
+        entries = palette_values(palette, about["strongest"][level])
         index = nearest_entries(rest, entries)
         rest = rest - entries[index]
         indices.append(index.byte())
         yield palette.unflatten(1, (bands, 3)).permute(1, 0, 2)  # [bands, 256, 3]
     for part in (slice(len(splats)), slice(len(splats), None)):
         yield from (index[part] for index in indices)
-
-
-def _differ(splats: Splats, before: Splats) -> Bool[Tensor, " N"]:
-    mean = splats.sh0.ne(before.sh0).flatten(1).any(dim=1)
-    bands = splats.shN.ne(before.shN).flatten(1).any(dim=1)
-    return mean | bands | splats.opacities.ne(before.opacities)
 
 
 def _range(about: dict[str, Any], name: str, values: Tensor) -> tuple[float, float]:

@@ -1,13 +1,13 @@
 """The sheets that commands draw: objects, selections, label maps, before and after, photos."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -16,7 +16,6 @@ from stylesplat.figures.best_views import (
     aim_at,
     best_rows,
     find_views,
-    masks_of,
     most_detailed,
     survey_view,
     visibility,
@@ -25,7 +24,6 @@ from stylesplat.figures.grid import (
     CARD,
     CELL,
     PAPER,
-    GridPicture,
     Row,
     add_legend,
     draw_grid,
@@ -33,7 +31,7 @@ from stylesplat.figures.grid import (
 )
 from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
 from stylesplat.io.captures.capture_folder import open_capture
-from stylesplat.metrics.psnr import psnr
+from stylesplat.metrics.images import psnr
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import pick_device, render
@@ -42,7 +40,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.compose import require_painted
 from stylesplat.scene.content import solid
-from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
+from stylesplat.scene.labels import BACKGROUND, ids_of
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
@@ -50,7 +48,6 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE, object_ids, render_labels
 from stylesplat.selection.pick import each_object
 from stylesplat.selection.soft_picks import own_shares, survey
-from stylesplat.stylization.views import Box
 
 GAP = 8  # pixels between the pictures of one object
 SMALL = (CELL - GAP) // 2  # pixels along the pictures from other sides
@@ -66,11 +63,10 @@ ROOM = 3.0  # length of a panel in lengths of the object, unless the view is sho
 MIN_ROOM = 1 / 6  # of the view, which a panel shows at least, so that the place is recognised
 
 PHOTOS, PHOTO_COLUMNS = 8, 4  # of a preview of label maps
-PHOTO_WIDTH, PHOTO_HEIGHT = 400, 300  # pixels of such a photo at most
+PHOTO_SIDE = 400  # pixels of such a photo's longer side at most
 TINT = 0.55  # how much of an object's colour covers the photo
 
 LONGEST = 2048  # pixels of a side: photos of phones have more than a screen shows
-NARROWEST = 450  # pixels of the width of a picture, so that its caption can be read
 
 
 @torch.no_grad()
@@ -144,14 +140,16 @@ def selection_picture(
 
 def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H W 3"]:
     """Draw label maps over photos from the first to the last, with a legend of the objects."""
-    maps = capture.label_maps or []
+    maps, small = capture.label_maps or [], at_most(capture, PHOTO_SIDE)
     rows = [row for row in range(len(capture)) if maps[row] is not None]
     cells, ids = [], set[int]()
     for row in evenly(rows, PHOTOS):
-        labels = maps[row]
+        labels, photo = small.labels(row), small.photos[row].float()
         assert labels is not None
         ids |= ids_of(labels) - {BACKGROUND}
-        cells.append((_tinted(capture.photos[row], labels), ""))
+        tinted = TINT * label_colors(labels) + (1 - TINT) * photo
+        shown = tinted.where((labels != BACKGROUND)[..., None], photo)
+        cells.append((shown.round().byte(), ""))
     key = [
         (names.get(id, str(id)), label_colors(torch.tensor([[id]]))[0, 0].tolist())
         for id in sorted(ids)
@@ -161,15 +159,11 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
 
 @torch.no_grad()
 def before_after(
-    scene: Scene,
-    *,
-    surveys: Mapping[str, Sequence[Box]] | None = None,
-    device: str = "auto",
+    scene: Scene, *, device: str = "auto"
 ) -> tuple[str, UInt8[Tensor, "H W 3"]] | None:
     """Draw the view that shows most of the painted objects and of their detail, before and after.
 
-    It is as large as its photo, up to 2048 pixels a side. `surveys` are the boxes of the painted
-    objects, if they are known.
+    It is as large as its photo, up to 2048 pixels a side.
 
     Returns:
         The view's name and the pictures side by side; None if no view shows painted objects.
@@ -179,12 +173,10 @@ def before_after(
     """
     require_painted(scene)
     base = scene.unpainted.to(pick_device(device))
-    surveyed = surveys is not None and surveys.keys() == {*scene.painted_objects}
-    masks = masks_of(surveys.values(), scene.cameras) if surveys and surveyed else None
     picked = torch.zeros(len(base), dtype=torch.bool, device=base.device)
     for layer in scene.layers:
         picked[layer.rows.to(base.device)] = True
-    found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS, masks=masks)
+    found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
     if not found:
         return None
     camera = scene.cameras[most_detailed(base, scene.cameras, found).row].at_most(LONGEST)
@@ -198,8 +190,8 @@ def beside_photo(
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw a photo and the render of its view, with their PSNR.
 
-    The photo is drawn at its full size if the capture is smaller, up to 2048 pixels a side and no
-    narrower than 450. The PSNR is measured at the size of the capture.
+    The photo is drawn at its full size if the capture is smaller, up to 2048 pixels a side. The
+    PSNR is measured at the size of the capture.
 
     Raises:
         StyleSplatError: If the photos cannot be read again at their own size.
@@ -213,7 +205,7 @@ def beside_photo(
     pair = _photo_and_render(scene, splats, at_most(whole, LONGEST), name)
     held_out = "held-out " if name in scene.held_out else ""
     captions = f"{held_out}photo {name}", f"render, PSNR {decibels:.1f} dB"
-    return draw_grid([Row([*zip(map(_wide_enough, pair), captions, strict=True)])])
+    return draw_grid([Row([*zip(pair, captions, strict=True)])])
 
 
 @torch.no_grad()
@@ -269,18 +261,6 @@ def _panel(
     return torch.from_numpy(cv2.drawContours(panel, edges, -1, OUTLINE, THICKNESS, cv2.LINE_AA))
 
 
-def _tinted(photo: UInt8[Tensor, "H W 3"], labels: Int[Tensor, "H W"]) -> GridPicture:
-    """A small photo with each object in its colour."""
-    height, width, _ = photo.shape
-    factor = min(PHOTO_WIDTH / width, PHOTO_HEIGHT / height, 1.0)
-    size = max(1, round(width * factor)), max(1, round(height * factor))
-    resized = cv2.resize(photo.numpy(), size, interpolation=cv2.INTER_AREA)
-    mapped = resize_labels(labels, size[::-1])
-    plain = torch.from_numpy(resized).float()
-    tinted = TINT * label_colors(mapped) + (1 - TINT) * plain
-    return tinted.where((mapped != BACKGROUND)[..., None], plain).round().byte()
-
-
 def _render(splats: Splats, camera: Cameras) -> UInt8[Tensor, "H W 3"]:
     return next(iter(render_pictures(splats, camera)))
 
@@ -292,12 +272,3 @@ def _photo_and_render(
     row, own = capture.cameras.index(name), scene.cameras[scene.cameras.index(name)]
     camera = replace(capture.cameras[row], viewmats=own.viewmats)
     return capture.photos[row], _render(splats, camera)
-
-
-def _wide_enough(picture: UInt8[Tensor, "h w 3"]) -> UInt8[Tensor, "H W 3"]:
-    """A picture that is wide enough to read its caption."""
-    height, width, _ = picture.shape
-    if width >= NARROWEST:
-        return picture
-    size = NARROWEST, round(height * NARROWEST / width)
-    return torch.from_numpy(cv2.resize(picture.numpy(), size, interpolation=cv2.INTER_CUBIC))

@@ -1,9 +1,9 @@
 """The layout of a sheet: one object in a grid of styles and settings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import GridPicture, Row
@@ -16,41 +16,33 @@ Variation = tuple[str, tuple[Any, ...]]
 FIELDS = {"stroke_size": "scale"}  # options of `stylize` that settings call otherwise
 
 
-class SheetCell(NamedTuple):
-    """A cell of a sheet, and the intensity that it shows."""
+@dataclass(frozen=True)
+class SheetCell:
+    """A cell of a sheet, counted from 0: what to paint there, and its caption."""
 
     row: int
     column: int
-    intensity: float
-
-
-@dataclass(frozen=True)
-class PlannedRow:
-    """A row of a sheet before it is painted."""
-
-    label: str
-    """What its cells have in common."""
-    cells: tuple[tuple[str, Style], ...]
-    """Captions and styles, all of the same pictures."""
+    caption: str
+    style: Style
 
 
 @dataclass(frozen=True)
 class SheetPlan:
     """What to draw."""
 
-    rows: tuple[PlannedRow, ...]
-    """All of the same length."""
+    labels: tuple[str, ...]
+    """What the cells of each row have in common."""
+    cells: tuple[SheetCell, ...]
+    """Row by row; the cells of a row are styles of the same pictures."""
 
     def runs(self) -> list[tuple[Style, list[SheetCell]]]:
         """The styles to paint, at full intensity, and the cells that each painting gives."""
         runs: dict[object, tuple[Style, list[SheetCell]]] = {}
-        for number, row in enumerate(self.rows):
-            for column, (_, style) in enumerate(row.cells):
-                config = replace(style.config, intensity=1.0)
-                full = Style(*style.pictures, config=config, preset=style.preset)
-                same_pictures = tuple(map(id, style.pictures))  # colours cannot be hashed
-                _, cells = runs.setdefault((same_pictures, config, style.network), (full, []))
-                cells.append(SheetCell(number, column, style.config.intensity))
+        for cell in self.cells:
+            style, config = cell.style, replace(cell.style.config, intensity=1.0)
+            full = Style(*style.pictures, config=config, preset=style.preset)
+            same_pictures = tuple(map(id, style.pictures))  # colours cannot be hashed
+            runs.setdefault((same_pictures, config, style.network), (full, []))[1].append(cell)
         return list(runs.values())
 
 
@@ -74,16 +66,15 @@ def plan_sheet(
             f"Got {len(styles)} styles and --vary {keys}. A sheet has rows and columns: one style "
             "and up to two --vary, or several styles and one."
         )
-    columns, lines = _choices(variations[:1]), _choices(variations[1:])
-    rows = []
+    columns, rows = (list(_choices(some)) for some in (variations[:1], variations[1:]))
+    labels, cells = list[str](), list[SheetCell]()
     for pictures in styles:
-        for label, changed in lines:
-            cells = tuple(
-                (caption or "styled", Style(*pictures, **{**settings, **changed, **more}))
-                for caption, more in columns
-            )
-            rows.append(PlannedRow(label or " + ".join(map(_picture_title, pictures)), cells))
-    return SheetPlan(tuple(rows))
+        for label, changed in rows:
+            for column, (caption, more) in enumerate(columns):
+                style = Style(*pictures, **{**settings, **changed, **more})
+                cells.append(SheetCell(len(labels), column, caption or "styled", style))
+            labels.append(label or " + ".join(map(_picture_title, pictures)))
+    return SheetPlan(tuple(labels), tuple(cells))
 
 
 def caption_rows(
@@ -93,27 +84,28 @@ def caption_rows(
 
     Captions begin with the row and the column, counted from 1.
     """
-    rows, last = [], None
-    for number, row in enumerate(plan.rows):
-        cells = [
-            (pictures[number, at], f"{number + 1},{at + 1}: {caption}")
-            for at, (caption, _) in enumerate(row.cells)
+    rows, last = list[Row](), ()
+    for number, label in enumerate(plan.labels):
+        cells = [cell for cell in plan.cells if cell.row == number]
+        captioned = [
+            (pictures[number, at], f"{number + 1},{at + 1}: {cell.caption}")
+            for at, cell in enumerate(cells)
         ]
-        style = row.cells[0][1]
-        is_new = last is None or style.pictures != last
-        leading = [to_uint8(image) for image in Style(*style.pictures).read()] if is_new else []
-        rows.append(Row([None if number else (before, "before"), *cells], row.label, leading))
-        last = style.pictures
+        own = cells[0].style.pictures
+        is_new = [*map(id, own)] != [*map(id, last)]
+        leading = [to_uint8(image) for image in Style(*own).read()] if is_new else []
+        rows.append(Row([None if rows else (before, "before"), *captioned], label, leading))
+        last = own
     return rows
 
 
-def _choices(variations: Sequence[Variation]) -> list[tuple[str, dict[str, Any]]]:
+def _choices(variations: Sequence[Variation]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Captions and settings by value of a variation; one without any if there is none."""
     if not variations:
-        return [("", {})]
-    ((key, values),) = variations
-    words = key.replace("_", " ")
-    return [(f"{words} {_value_text(value)}", {FIELDS.get(key, key): value}) for value in values]
+        yield "", {}
+    for key, values in variations:
+        for value in values:
+            yield f"{key.replace('_', ' ')} {_value_text(value)}", {FIELDS.get(key, key): value}
 
 
 def _value_text(value: Any) -> str:

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.figures.orbits import first_view
@@ -32,14 +30,7 @@ CODE = ("unpack.js", "sort.js", "draw.js", "camera.js", "hands.js", "main.js")
 def write_page(
     what: Scene | Splats, path: Path, *, overwrite: bool = False, sh_degree: int | None = None
 ) -> None:
-    """Write the page of splats, called like its file.
-
-    Args:
-        what: A scene, or splats alone, of which nobody knows what is up.
-        path: The HTML file to make.
-        overwrite: Whether a file of that name may be replaced.
-        sh_degree: Up to which degree, 0 to 3, colours depend on where they are seen from; by
-            default as far as they do.
+    """Write the page of `page_of`, called like its file.
 
     Raises:
         StyleSplatError: If nothing shows, there is no such degree, or the file exists or cannot be
@@ -59,10 +50,7 @@ def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) ->
     Of a scene that is painted, a handle lies between before and after; buttons bring
     each object into sight.
 
-    Args:
-        what: A scene, or splats alone.
-        title: Of the page.
-        sh_degree: Up to which degree, 0 to 3, colours depend on where they are seen from.
+    Colours depend on the direction of view up to `sh_degree`, 0 to 3.
 
     Raises:
         StyleSplatError: If nothing shows.
@@ -99,13 +87,14 @@ def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
     named = {name: each.picked for name, each in scene.objects.items()}
     for name, picked in {**painted, **named}.items():
         if picked.any():
-            yield _object(scene, name, picked) | {"painted": name in painted}
-
-
-def _object(scene: Scene, name: str, picked: Bool[Tensor, " N"]) -> dict[str, Any]:
-    extent = extent_of(scene.splats, picked)
-    radius = float(extent.size.norm()) / 2
-    return {"name": name, "centre": extent.centre.tolist(), "radius": radius}
+            extent = extent_of(scene.splats, picked)
+            radius, is_painted = float(extent.size.norm()) / 2, name in painted
+            yield {
+                "name": name,
+                "centre": extent.centre.tolist(),
+                "radius": radius,
+                "painted": is_painted,
+            }
 
 
 def _filled(values: dict[str, str]) -> str:

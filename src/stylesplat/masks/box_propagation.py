@@ -40,8 +40,6 @@ Images = Callable[[int], GrabCutImage]
 
 
 def grabcut_images(splats: Splats, capture: Capture) -> Images:
-    """The GrabCut images of a capture, made on access and kept."""
-
     @cache
     @torch.no_grad()
     def image_of(row: int) -> GrabCutImage:
@@ -60,7 +58,6 @@ class MaskVotes:
     """What the masks of some views say about each Gaussian."""
 
     rows: frozenset[int]
-    """Of these views."""
     votes: Float[Tensor, "N 2"]
     """Its pixels within the masks, and outside."""
     closest: Float[Tensor, " N"]
@@ -72,7 +69,6 @@ class MaskVotes:
         return self.votes[:, 0] / (self.votes.sum(dim=1) + PRIOR)
 
     def merged(self, other: "MaskVotes") -> "MaskVotes":
-        """The votes of these views and others together."""
         closest = torch.maximum(self.closest, other.closest)
         return MaskVotes(self.rows | other.rows, self.votes + other.votes, closest)
 
@@ -123,7 +119,7 @@ def propagate_boxes(
         splats: A scene of the views; its labels do not matter.
         cameras: One per view.
         images: Of `grabcut_images`.
-        boxes: Rows of views, and boxes in their pixels, as `refuse_box` lets pass.
+        boxes: Rows of views, and boxes in their pixels.
         strokes: Rows of views with a box, and strokes in them.
         name: The object's, for the progress bar.
 

@@ -1,7 +1,5 @@
 """COCO annotations with run-length masks."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
@@ -24,22 +22,16 @@ Run = Annotated[int, msgspec.Meta(ge=0, le=MAX_PIXELS)]
 
 
 class CocoImage(msgspec.Struct):
-    """A photo."""
-
     id: Id
     file_name: str
 
 
 class CocoCategory(msgspec.Struct):
-    """A kind of object."""
-
     id: Id
     name: Id
 
 
 class CocoAnnotation(msgspec.Struct):
-    """The mask of an object in a photo."""
-
     image_id: Id
     segmentation: Any  # checked when the mask is decoded: masks of other photos do not matter
     category_id: Id | None = None
@@ -47,8 +39,6 @@ class CocoAnnotation(msgspec.Struct):
 
 
 class CocoFile(msgspec.Struct):
-    """A file of annotations."""
-
     images: list[CocoImage]
     annotations: list[CocoAnnotation]
     categories: list[CocoCategory] = []
@@ -62,18 +52,13 @@ class RunLengths(msgspec.Struct):
     counts: str | list[Run]
 
 
-@dataclass(frozen=True)
-class CocoMasks:
-    """The masks in a file, not yet decoded."""
+def read_coco(source: Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[int, str]]:
+    """Read the masks in a file; an object is a track, or else a category.
 
-    by_photo: Mapping[str, list[tuple[int, Any]]]
-    """By photo's name without suffix the objects' ids and their run lengths, unchecked."""
-    names: Mapping[int, str]
-    """Names of objects by id, where they are categories."""
-
-
-def read_coco(source: Path) -> CocoMasks:
-    """Read the masks in a file; an object is a track, or else a category."""
+    Returns:
+        By photo's name without suffix the objects' ids and their run lengths, unchecked; and by
+        id the names of categories.
+    """
     content = read_json_as(source, CocoFile, REMEDY, most=MAX_BYTES)
     files = {
         image.id: PurePosixPath(image.file_name).with_suffix("").as_posix()
@@ -97,7 +82,7 @@ def read_coco(source: Path) -> CocoMasks:
         if not tracked and number in kinds:
             names[number] = kinds[number]
         found.setdefault(files[each.image_id], []).append((number, each.segmentation))
-    return CocoMasks(found, names)
+    return found, names
 
 
 def rle_size(rle: Any, source: Path) -> tuple[int, int]:

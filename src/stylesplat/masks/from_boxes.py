@@ -82,10 +82,10 @@ def _place_boxes(boxes: Boxes, full: Cameras, small: Cameras) -> dict[tuple[str,
                     "around all of it, or give them different names."
                 )
             x0, y0, x1, y1 = check_box(box, full[row].size, full.names[row])
-            across, down = _shrinkage(full[row], small[row])
-            scaled = (x0 * across, y0 * down, x1 * across, y1 * down)
-            refuse_box(scaled, small[row].size, full.names[row])
-            placed[name, row] = scaled
+            left, top = _scaled((x0, y0), full[row], small[row])
+            right, bottom = _scaled((x1, y1), full[row], small[row])
+            placed[name, row] = left, top, right, bottom
+            refuse_box(placed[name, row], small[row].size, full.names[row])
     return placed
 
 
@@ -115,13 +115,14 @@ def _place_strokes(
                         f"The stroke's point {x:g},{y:g} is outside {full.names[row]}, which is "
                         f"{width}x{height} pixels. Give pixels of the photo."
                     )
-            across, down = _shrinkage(full[row], small[row])
-            points = tuple((x * across, y * down) for x, y in stroke.points)
+            points = tuple(_scaled(point, full[row], small[row]) for point in stroke.points)
             placed.append((name, row, replace(stroke, points=points)))
     return placed
 
 
-def _shrinkage(camera: Cameras, small: Cameras) -> tuple[float, float]:
-    """How many times smaller the working size is, across and down."""
+def _scaled(
+    point: tuple[float | int, float | int], camera: Cameras, small: Cameras
+) -> tuple[float, float]:
+    """A point in pixels of the working size."""
     (width, height), (across, down) = camera.size, small.size
-    return across / width, down / height
+    return point[0] * across / width, point[1] * down / height

@@ -12,7 +12,7 @@ from stylesplat.masks.propagation import propagate_through_splat
 from stylesplat.masks.quick_splat import with_label_maps, working_splat
 from stylesplat.masks.repair import repair_ids
 from stylesplat.masks.sam import FAMILIES, Method, load_propagator, load_proposer
-from stylesplat.masks.tracking import Segmenter, split_clips, track_clip
+from stylesplat.masks.tracking import Segmenter, TrackingState, split_clips, track_clip
 from stylesplat.progress import task
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, at_most, fingerprint
@@ -42,17 +42,21 @@ def mask_with_model(
     small, place = at_most(capture, SIZE), pick_device(device)
     proposer = load_proposer(method, model, place)
     propagator = load_propagator(method, model, place) if FAMILIES[method].video_types else None
-    settings = {"method": method, "model": model, "sizes": small.cameras.sizes.tolist()}
     bare = replace(small, label_maps=None, object_names={})
-    photos = fingerprint(bare, photos=len(bare))
-    settings |= {"photos": photos, "clips": split_clips(small.cameras)}
+    settings = {
+        "method": method,
+        "model": model,
+        "sizes": small.cameras.sizes.tolist(),
+        "photos": fingerprint(bare, photos=len(bare)),
+        "clips": split_clips(small.cameras),
+    }
     with TemporaryDirectory() as temporary:
         checkpoint = open_checkpoint(progress or Path(temporary) / "progress", settings)
         working = working_splat(small, scene, device)
         photos, cameras = working.capture.photos, working.capture.cameras
 
         def propose(row: int) -> list[Mask]:
-            return checkpoint.proposals(row, lambda: proposer.propose(photos[row]))
+            return [mask.cpu() for mask in proposer.propose(photos[row])]
 
         def propagate(rows: Sequence[int], seeds: Mapping[int, Mask]) -> list[dict[int, Mask]]:
             if propagator is None:
@@ -63,8 +67,7 @@ def mask_with_model(
             width, height = cameras[row].size
             return height, width
 
-        segmenter = Segmenter(size, propose, propagate)
-        tracked = _track(small, segmenter, checkpoint)
+        tracked = _track(Segmenter(size, propose, propagate), checkpoint)
     maps = repair_ids(working.splats, cameras, tracked)
     if not any(labels.any() for labels in maps):
         raise StyleSplatError(
@@ -76,13 +79,16 @@ def mask_with_model(
     )
 
 
-def _track(capture: Capture, segmenter: Segmenter, checkpoint: MaskCheckpoint) -> list[Labels]:
+def _track(segmenter: Segmenter, checkpoint: MaskCheckpoint) -> list[Labels]:
     """The label maps of all photos, from where an earlier run stopped."""
-    clips = split_clips(capture.cameras)
-    done, state = checkpoint.load()
-    with task("finding objects", len(clips), unit="clip", done=done) as bar:
-        for number, rows in enumerate(clips[done:], start=done + 1):
-            maps, state = track_clip(rows, state, segmenter)
-            checkpoint.save(number, maps, state)
+    maps, state, done = dict[int, Labels](), TrackingState(), 0
+    for found, after in checkpoint.load():
+        maps, state = maps | found, after
+        done += 1
+    with task("finding objects", len(checkpoint.clips), unit="clip", done=done) as bar:
+        for clip, rows in enumerate(checkpoint.clips[done:], start=done):
+            found, state = track_clip(rows, state, segmenter)
+            checkpoint.save(clip, found, state)
+            maps |= found
             bar.advance()
-    return [checkpoint.labels(row) for row in range(len(capture))]
+    return [maps[row] for row in range(len(maps))]

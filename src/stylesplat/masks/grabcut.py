@@ -57,13 +57,7 @@ def grabcut_image(
 
 
 def refuse_box(box: Box, size: tuple[int, int], photo: str) -> None:
-    """Check that a box leaves enough pixels on both sides to learn colours from.
-
-    Args:
-        box: Left, top, right, bottom in pixels.
-        size: Width and height of the photo.
-        photo: Its name.
-    """
+    """Refuse a box that leaves too few pixels of the photo inside or outside to learn from."""
     inside = _inside(box, size)
     if min(inside.sum(), (~inside).sum()) < MIN_PIXELS:
         raise StyleSplatError(
@@ -77,16 +71,8 @@ def cut_box(
 ) -> tuple[Channels, Mask]:
     """Cut out what a box holds, the rest of the photo being background.
 
-    Of the cuts by different channels the one is taken that agrees with the others most.
-
-    Args:
-        image: Of the photo.
-        box: Left, top, right, bottom in its pixels, as `refuse_box` lets pass.
-        photo: Its name.
-        strokes: What is known to be the object, and what not.
-
-    Returns:
-        The channels of that cut, and the object's mask.
+    Returns the mask, of the cuts by different channels the one that agrees with the others most,
+    and its channels.
     """
     height, width, _ = image.shape
     marks = np.where(_inside(box, (width, height)), cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
@@ -118,13 +104,9 @@ def refine_mask(
     novelty: Float[Tensor, "H W"],
     channels: Channels,
 ) -> Mask:
-    """The mask of an object from its probability, with the contour moved to an edge.
+    """The mask of an object from its probability in each pixel, with the contour moved to an edge.
 
-    Args:
-        image: Of the photo.
-        probability: That a pixel shows the object.
-        novelty: Share of surfaces in a pixel that no known view shows: there colours decide.
-        channels: Of the image.
+    Colours decide where `novelty` is high: the share of surfaces that no known view shows.
     """
     likely = probability.numpy()
     mask = np.zeros(likely.shape, bool)

@@ -1,6 +1,6 @@
 """Masks of other programs as label maps: pictures of ids, binary masks by object, COCO's RLE."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
@@ -45,7 +45,11 @@ def import_label_maps(source: Path, names: Sequence[str]) -> ImportedMasks:
     if source.suffix.lower() == ".json":
         found = _import_coco(source, names)
     else:
-        found = _import_by_object(source, names) or _import_by_photo(source, names)
+        found = _import_by_object(source, names)
+    if found is None:
+        files = _find_pictures(source)
+        matches = match_files(files, names).items()
+        found = ImportedMasks({photo: DrawnLabels.on_disk(files[key]) for key, photo in matches})
     if not found.maps:
         raise StyleSplatError(
             f"No mask in {source} belongs to a photo of this capture. Name them like the photos: "
@@ -68,13 +72,6 @@ def check_mask_source(source: Path) -> None:
         )
     if not (source.is_dir() or (source.is_file() and source.suffix.lower() == ".json")):
         raise StyleSplatError(f"There is no folder or .json file {source}. Check --from.")
-
-
-def _import_by_photo(source: Path, names: Sequence[str]) -> ImportedMasks:
-    """Pictures of ids, in any sub-folder."""
-    files = _find_pictures(source)
-    matches = match_files(files, names)
-    return ImportedMasks({photo: DrawnLabels.on_disk(files[key]) for key, photo in matches.items()})
 
 
 def _import_by_object(source: Path, names: Sequence[str]) -> ImportedMasks | None:
@@ -127,19 +124,19 @@ def _object_ids(folders: Sequence[str]) -> dict[int, str]:
 
 
 def _import_coco(source: Path, names: Sequence[str]) -> ImportedMasks:
-    found = read_coco(source)
+    by_photo, titles = read_coco(source)
 
     def decode(layers: Sequence[tuple[int, Any]]) -> Labels:
         return overlay_masks((id, decode_rle(rle, source)) for id, rle in layers)
 
     maps = {}
-    for file, photo in match_files(found.by_photo, names).items():
-        layers, what = found.by_photo[file], f"of {file} in {source}"
+    for file, photo in match_files(by_photo, names).items():
+        layers, what = by_photo[file], f"of {file} in {source}"
         sizes = sorted({rle_size(rle, source) for _, rle in layers})
         if len(sizes) > 1:
             raise _sizes_differ(what, *sizes[:2])
         maps[photo] = DrawnLabels(size=sizes[0], read=partial(decode, layers), what=what)
-    return ImportedMasks(maps, dict(found.names))
+    return ImportedMasks(maps, titles)
 
 
 def overlay_masks(masks: Iterable[tuple[int, Mask]]) -> Labels:
@@ -166,14 +163,10 @@ def _sizes_differ(what: str, *sizes: Sequence[int]) -> StyleSplatError:
 
 
 def match_files(keys: Iterable[str], names: Sequence[str]) -> dict[str, str]:
-    """The photo that each mask file is of; files of no photo are left out.
+    """The photo of each mask file, by its path without suffix; files of no photo are left out.
 
     That is the photo whose path the file's path ends with. If there is none, the file's bare name
     decides, as long as it lies in no folder of photos and only one photo has that name.
-
-    Args:
-        keys: The files' paths without suffix.
-        names: The photos' names.
 
     Raises:
         StyleSplatError: If two files are of one photo, or a file is of one of several of which not
@@ -204,18 +197,13 @@ def match_files(keys: Iterable[str], names: Sequence[str]) -> dict[str, str]:
             )
         if left:
             matches[key] = left[0]
-    _refuse_duplicates(matches)
-    return matches
-
-
-def _refuse_duplicates(matches: Mapping[str, str]) -> None:
     keys: dict[str, str] = {}
     for key, photo in matches.items():
-        if photo in keys:
+        if (other := keys.setdefault(photo, key)) != key:
             raise StyleSplatError(
-                f"Both {keys[photo]} and {key} are named like {photo}. Give the folder of one kind."
+                f"Both {other} and {key} are named like {photo}. Give the folder of one kind."
             )
-        keys[photo] = key
+    return matches
 
 
 def _path_ends(path: str) -> list[str]:

@@ -26,17 +26,12 @@ class VideoPropagator:
 
     model: Any
     processor: Any
-    """Makes the model's input of photos and masks, and opens sessions."""
 
     @torch.no_grad()
     def propagate(
         self, photos: Sequence[UInt8[Tensor, "H W 3"]], seeds: Mapping[int, Mask]
     ) -> list[dict[int, Mask]]:
-        """Find the objects of the first photo in all of them.
-
-        Args:
-            photos: Of one size, neighbours showing much of the same. Each is read once.
-            seeds: The objects' masks in the first photo, by id.
+        """Find the objects whose masks in the first photo are `seeds`, by id, in all photos.
 
         Returns:
             Masks by id for each photo, on the seeds' device. The first photo's are the seeds.
@@ -116,16 +111,9 @@ def _forget(session: Any, row: int, config: Any) -> None:
 def propagate_through_splat(
     splats: Splats, cameras: Cameras, rows: Sequence[int], seeds: Mapping[int, Mask]
 ) -> list[dict[int, Mask]]:
-    """Propagate masks of the first photo by lifting them onto the Gaussians that show there.
+    """Propagate masks of the first of some photos by lifting them onto the Gaussians there.
 
-    Args:
-        splats: A scene of the photos.
-        cameras: Of all photos.
-        rows: The photos.
-        seeds: Masks by id that do not overlap.
-
-    Returns:
-        Masks by id for each photo; those of the first are the seeds.
+    Returns masks by id for each photo; those of the first are the seeds, which do not overlap.
     """
     if not seeds:
         return [{} for _ in rows]

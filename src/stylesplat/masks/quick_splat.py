@@ -9,7 +9,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
+from stylesplat.metrics.images import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.cache import Lazy
@@ -31,7 +31,6 @@ class WorkingSplat:
     """Photos at working size, and a splat of what they show."""
 
     capture: Capture
-    """Without label maps."""
     splats: Splats
     """In the frame of the capture's cameras."""
 

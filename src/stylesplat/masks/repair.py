@@ -49,11 +49,6 @@ def repair_ids(splats: Splats, cameras: Cameras, maps: Sequence[OwnLabels]) -> l
     two objects are cut, objects that a view has missed are filled in. Borders stay where they
     were drawn. What only one view shows is no object.
 
-    Args:
-        splats: A scene of the views; its labels do not matter.
-        cameras: One per label map, of its size.
-        maps: With ids that may differ from view to view.
-
     Returns:
         New label maps; ids count from 1, larger objects first.
     """
@@ -125,9 +120,7 @@ def cluster_parts(
 ) -> Int[np.ndarray, " P"]:
     """Groups of parts: the two with the greatest IoU united, until none have enough.
 
-    Args:
-        intersections: Of every two parts; overwritten, to save memory.
-        unions: The same.
+    The tables, of every two parts, are overwritten to save memory.
     """
     group = np.arange(len(intersections))
     np.fill_diagonal(intersections, 0)

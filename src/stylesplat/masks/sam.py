@@ -71,13 +71,7 @@ FAMILIES: dict[Method, SamFamily] = {
 def load_proposer(
     method: Method, model: str | None = None, device: torch.device | str = "cpu"
 ) -> "GridProposer":
-    """Load a model that proposes masks.
-
-    Args:
-        method: The family.
-        model: Folder or name of a checkpoint of it; by default a small one.
-        device: Where to compute.
-    """
+    """Load a model that proposes masks; `model` is the folder or name of a checkpoint."""
     family = FAMILIES[method]
     name = model or family.checkpoint
     source = find_model(name, family.proposer_types, job=f"propose masks with {method}")
@@ -120,7 +114,6 @@ class GridProposer:
     """
 
     model: Any
-    """Takes points and gives masks with their quality."""
     processor: Any
     """Makes the model's input of photos, and masks of the photo's size of its output."""
     min_iou: float = 0.88
@@ -130,7 +123,6 @@ class GridProposer:
     max_overlap: float = 0.7
     """IoU of two masks' boxes above which the worse is a duplicate of the better."""
     points_per_side: int = 32
-    """Of the grid."""
     points_at_once: int = 32
     """In one pass: the decoder of SAM 2 takes 35 MB for each."""
 

@@ -99,13 +99,7 @@ def track_clip(
 ) -> tuple[dict[int, Labels], TrackingState]:
     """Label one clip: detect objects in its keyframe, the first photo, and propagate them.
 
-    Args:
-        rows: Of photos of one size, along the camera's path.
-        state: After the clip before; a new one to begin with.
-        segmenter: Detects and propagates objects.
-
-    Returns:
-        The label maps by row, and the state for the clip that begins with the last row.
+    Returns the label maps by row, and the state for the clip that begins with the last row.
     """
     views = list(_hypotheses(rows[:WINDOW], segmenter))
     size = segmenter.size(rows[0])
@@ -137,12 +131,8 @@ def separate_masks(masks: Sequence[Mask]) -> list[Mask]:
 def confirm_masks(views: Sequence[Sequence[Mask]]) -> list[Mask]:
     """The masks of one photo that its neighbours confirm; where only they have one, theirs.
 
-    Args:
-        views: What was found in the photo; then what was found in each neighbour, propagated into
-            the photo. If there is no neighbour, everything is confirmed.
-
-    Returns:
-        Masks that do not overlap, those first that most photos agree on.
+    `views` are what was found in the photo, then what was found in each neighbour, propagated into
+    it. The masks do not overlap, and those that most photos agree on come first.
     """
     pool = [(view, mask) for view, masks in enumerate(views) for mask in masks]
     if not pool:
@@ -159,12 +149,7 @@ def confirm_masks(views: Sequence[Sequence[Mask]]) -> list[Mask]:
 def associate_ids(
     known: Mapping[int, Mask], found: Sequence[Mask], next_id: int
 ) -> tuple[dict[int, Mask], set[int]]:
-    """Give masks of a photo the ids of those that were propagated there.
-
-    Args:
-        known: Masks by id, propagated from earlier photos.
-        found: Masks that do not overlap.
-        next_id: The first id for new objects.
+    """Give masks of a photo, which do not overlap, the ids of `known` ones propagated there.
 
     Returns:
         Masks by id that do not overlap: the found ones with the ids of known ones, known ones that

@@ -39,15 +39,7 @@ def cells(lab: Float[Tensor, "P 3"], size: float) -> Int[Tensor, " P"]:
 
 
 def distinct(colors: Float[Tensor, "P 3"], size: float) -> Float[Tensor, "_ 3"]:
-    """The mean of the colours of each cube of Lab that holds any.
-
-    Args:
-        colors: In 0..1.
-        size: Of the cubes.
-
-    Returns:
-        Colours in 0..1.
-    """
+    """The mean of the colours, in 0..1, of each cube of Lab of this size that holds any."""
     places = cells(lab_from_rgb(colors), size)
     _, owners, counts = places.unique(return_inverse=True, return_counts=True)
     return colors.new_zeros(len(counts), 3).index_add_(0, owners, colors) / counts[:, None]

@@ -4,14 +4,13 @@ import math
 from dataclasses import dataclass
 
 import cv2
-import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
+from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.projection import is_in_image, project
 from stylesplat.structure_from_motion.image_measures import SIDE, relative_sharpness, sharpness
@@ -49,7 +48,6 @@ class Coverage:
     lowest: float
     """Elevation above the centre, or of the view where cameras look outward."""
     highest: float
-    """The same."""
     near: float
     """Distance from the centre that a tenth of the cameras is within; the median is 1."""
     far: float
@@ -145,19 +143,19 @@ class PhotoStatistics:
 
 
 def measure_photos(capture: Capture) -> PhotoStatistics:
-    """Measure all photos, one by one."""
     points, colors = capture.points, capture.point_colors
     if points is None or colors is None:
         points, colors = torch.zeros(0, 3), torch.zeros(0, 3, dtype=torch.uint8)
     step = max(1, len(points) // MAX_POINTS)
     points, colors = points[::step], colors[::step]
+    small = at_most(capture, SIDE)
     sharp, means, gains = [], [], []
-    for row in track(range(len(capture)), "measuring photos", unit="photo"):
-        photo = _small(capture.photos[row])
-        sharp.append(sharpness(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY)))
-        mean = torch.from_numpy(photo).float().flatten(0, 1).mean(dim=0)
+    for row in track(range(len(small)), "measuring photos", unit="photo"):
+        photo = small.photos[row]
+        sharp.append(sharpness(cv2.cvtColor(photo.numpy(), cv2.COLOR_RGB2GRAY)))
+        mean = photo.float().flatten(0, 1).mean(dim=0)
         means.append(GAMMA * (mean.clamp(min=1) / 255).log2())
-        gains.append(_gain(photo, capture.cameras[row], points, colors))
+        gains.append(_gain(photo, small.cameras[row], points, colors))
     stops = torch.stack(gains)  # [C, 3]
     by_points = bool(stops.isfinite().all(dim=1).float().mean() > MIN_PHOTOS_BY_POINTS)
     stops = stops if by_points else torch.stack(means)
@@ -167,15 +165,8 @@ def measure_photos(capture: Capture) -> PhotoStatistics:
     return PhotoStatistics(relative, stops.mean(dim=1), warmth, by_points)
 
 
-def _small(photo: UInt8[Tensor, "H W 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    height, width = photo.shape[:2]
-    factor = min(1.0, SIDE / max(width, height))
-    size = (max(1, round(factor * width)), max(1, round(factor * height)))
-    return cv2.resize(photo.cpu().numpy(), size, interpolation=cv2.INTER_AREA)
-
-
 def _gain(
-    photo: UInt8[np.ndarray, "h w 3"],
+    photo: UInt8[Tensor, "h w 3"],
     camera: Cameras,
     points: Float[Tensor, "M 3"],
     colors: UInt8[Tensor, "M 3"],
@@ -186,10 +177,9 @@ def _gain(
     """
     rows = is_in_image(points, camera).nonzero()[:, 0]
     pixels, _ = project(points[rows], camera)
-    height, width = photo.shape[:2]
-    pixels = pixels * torch.tensor([width, height]) / torch.tensor(camera.size)
+    width, height = camera.size
     x, y = pixels.long().unbind(dim=1)
-    here = torch.from_numpy(photo)[y.clamp(max=height - 1), x.clamp(max=width - 1)].float()
+    here = photo[y.clamp(max=height - 1), x.clamp(max=width - 1)].float()
     average = colors[rows].float()
     valid = ((here > DARK) & (here < BRIGHT) & (average > DARK) & (average < BRIGHT)).all(dim=1)
     if valid.sum() < MIN_POINTS:

@@ -26,36 +26,27 @@ ZOOM = 1.1  # ratio of focal lengths, beyond which lenses differ
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of a report."""
-
     what: str
-    """What was measured, in a word or two."""
     verdict: Verdict
     number: float | int | None
     """The figure that the verdict depends on."""
     says: str
-    """The fact, with the figure."""
     advice: str = ""
     """What to do; empty where all is well."""
 
     @property
     def line(self) -> str:
-        """The fact and what to do."""
         return f"{self.says}. {self.advice}".strip() if self.advice else f"{self.says}."
 
 
 @dataclass(frozen=True)
 class CaptureReport:
-    """What `check` found."""
-
     findings: tuple[Finding, ...]
-    """One a line: what, verdict, number, what it says and what to do."""
     blurred: tuple[str, ...]
     """Photos that are much less sharp than their neighbours."""
     weak: tuple[str, ...]
     """Photos that few points connect with the others."""
     coverage: Coverage
-    """The directions that photos cover."""
     frame: Frame
     """Where up is -y, the content is in the middle and the cameras' median distance is 1."""
 
@@ -71,11 +62,9 @@ class CaptureReport:
 
 
 def diagnose_count(count: int) -> Finding:
-    """How many photos there are."""
     verdict = _grade(count, 30, 15)
-    advice = "More make it sharper: take 40 to 100."
-    if verdict == "poor":
-        advice = "They are too few for most scenes: take 40 to 100."
+    fault = "They are too few for most scenes" if verdict == "poor" else "More make it sharper"
+    advice = f"{fault}: take 40 to 100."
     return _finding("photos", verdict, count, counted(count, "photo"), advice)
 
 
@@ -133,7 +122,6 @@ def weakly_connected(shared: dict[str, int]) -> list[str]:
 
 
 def diagnose_points(count: int) -> Finding:
-    """How many points there are to start from."""
     if not count:
         advice = "Training starts from random ones and ends with less detail."
         return Finding("points", "fair", 0, "there are no points", advice)
@@ -165,7 +153,6 @@ def diagnose_sides(coverage: Coverage, photos: int) -> Finding:
 
 
 def diagnose_heights(coverage: Coverage) -> Finding:
-    """From how many heights the photos show the middle."""
     says = f"{counted(coverage.heights, 'height')}, {coverage.elevations}"
     advice = "Go around again with the camera higher, looking down, or lower."
     return _finding("heights", _grade(coverage.heights, 2, 1), coverage.heights, says, advice)
@@ -192,7 +179,6 @@ def blurred_rows(photos: PhotoStatistics) -> list[int]:
 
 
 def diagnose_photos(photos: PhotoStatistics, names: Sequence[str]) -> list[Finding]:
-    """Blur, exposure and white balance."""
     blurred = [names[row] for row in blurred_rows(photos)]
     stops, warmth = _range(photos.stops), _range(photos.warmth)
     basis = "" if photos.by_points else ", going by whole photos"
@@ -224,7 +210,6 @@ def diagnose_photos(photos: PhotoStatistics, names: Sequence[str]) -> list[Findi
 
 
 def diagnose_lenses(cameras: Cameras) -> Finding:
-    """How many sizes and focal lengths there are."""
     sizes = {(w, h) for w, h in cameras.sizes.tolist()}
     # Relative to the longer side, so that a phone on its side counts as the same
     focal = (cameras.Ks[:, 0, 0].cpu() / cameras.sizes.amax(dim=1)).double()

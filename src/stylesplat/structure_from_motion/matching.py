@@ -31,10 +31,7 @@ Pairs = set[tuple[int, int]]
 
 @dataclass(frozen=True)
 class MatchTable:
-    """The pairs of photos that were matched."""
-
     compared: int
-    """How many pairs were compared."""
     matches: dict[tuple[str, str], int]
     """By two names, in either order, the matches that fit one geometry; only where there are."""
     planar: int
@@ -42,7 +39,6 @@ class MatchTable:
 
     @property
     def matched(self) -> int:
-        """How many pairs match."""
         return len(self.matches) // 2
 
     def partners(self, name: str) -> Counter[str]:

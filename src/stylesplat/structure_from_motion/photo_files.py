@@ -41,10 +41,7 @@ MIN_FOR_OPENCV = 10
 
 @dataclass(frozen=True)
 class CameraGroup:
-    """Photos that share a camera."""
-
     rows: tuple[int, ...]
-    """Their indices in the list of photos."""
 
     @property
     def model(self) -> str:
@@ -129,7 +126,6 @@ def write_jpeg(
     exif: bytes = b"",
     icc_profile: bytes | None = None,
 ) -> None:
-    """Write a picture of high quality."""
     with atomic_path(target) as temporary:
         Image.fromarray(pixels).save(
             temporary, "JPEG", quality=QUALITY, subsampling=0, exif=exif, icc_profile=icc_profile

@@ -44,12 +44,9 @@ MAX_REASONS = 3  # that a message names
 
 @dataclass(frozen=True)
 class SourceFiles:
-    """The photos and videos in a folder."""
-
     photos: tuple[str, ...]
     """Paths within the folder, in natural order, with `/` between the parts."""
     videos: tuple[str, ...]
-    """The same."""
     left_out: dict[str, str]
     """By path of a photo that cannot be used, the reason."""
 
@@ -160,11 +157,9 @@ class _Candidate:
     """A photo whose pixels were measured."""
 
     name: str
-    """Its path in the user's folder."""
     small: SmallPhoto = field(repr=False)
     sharpness: float
     time: str | None
-    """When it was taken."""
     suffix: str
     """Of the file that will be written."""
 
@@ -172,23 +167,42 @@ class _Candidate:
 def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
     """Leave out the photos of a folder that are unreadable, masked, blurred or near duplicates."""
     left_out = {**files.left_out, **dict.fromkeys(files.videos, "a video among photos")}
-    photos = _without_masked(source, _measure(source, files.photos, left_out), left_out)
+    photos = _measure(source, files.photos, left_out)
+    masked = {p.name: kind for p in photos if (kind := missing_background(p.small))}
+    if len(masked) > MAX_MASKED * len(photos):
+        kind = Counter(masked.values()).most_common(1)[0][0]
+        raise StyleSplatError(
+            f"{len(masked)} of {len(photos)} photos of {source} have no background: it is {kind}. "
+            "The background is needed to find the cameras; give the photos as they were taken."
+        )
+    left_out |= {name: f"its background is {kind}" for name, kind in masked.items()}
+    photos = [photo for photo in photos if photo.name not in masked]
     timed = all(photo.time for photo in photos)
     series = is_series([photo.name for photo in photos]) if photos else False
     if timed and not series:
         photos = sorted(photos, key=lambda photo: photo.time or "")
-    values = relative_sharpness([photo.sharpness for photo in photos])
-    sharp = {photo.name: value for photo, value in zip(photos, values, strict=True)}
-    photos = _without_blurred(source, photos, sharp, left_out)
-    photos = _without_duplicates(photos, sharp, left_out)
+    measured = [photo.sharpness for photo in photos]
+    if len(photos) >= MIN_PHOTOS and np.median(measured) < ALL_BLURRED:
+        raise StyleSplatError(
+            f"The photos of {source} are all blurred. Hold the camera still for each photo, in "
+            "more light, and let it focus."
+        )
+    sharp = {p.name: value for p, value in zip(photos, relative_sharpness(measured), strict=True)}
+    left_out |= {name: "blurred" for name, value in sharp.items() if value < BLURRED}
+    photos = [photo for photo in photos if photo.name not in left_out]
+    worth = [(float(np.prod(photo.small.size)), sharp[photo.name]) for photo in photos]
+    repeats = near_duplicates([photo.small.grey for photo in photos], worth)
+    for row, kept in sorted(repeats.items()):
+        left_out[photos[row].name] = f"nearly the same as {photos[kept].name}"
+    photos = [photo for row, photo in enumerate(photos) if row not in repeats]
     if len(photos) < MIN_PHOTOS:
         raise too_few_photos(source, len(photos), left_out)
-    names = _written_names(photos)
+    written = dict(zip(_written_names(photos), photos, strict=True))
     return PreparedPhotos(
-        names=names,
+        names=tuple(written),
         ordered=series or timed,
-        origins={name: photo.name for name, photo in zip(names, photos, strict=True)},
-        sharpness={name: sharp[photo.name] for name, photo in zip(names, photos, strict=True)},
+        origins={name: photo.name for name, photo in written.items()},
+        sharpness={name: sharp[photo.name] for name, photo in written.items()},
         left_out=left_out,
     )
 
@@ -221,52 +235,13 @@ def _measure(source: Path, names: Sequence[str], left_out: dict[str, str]) -> li
     return [photo for photo in found if isinstance(photo, _Candidate)]
 
 
-def _without_masked(
-    source: Path, photos: list[_Candidate], left_out: dict[str, str]
-) -> list[_Candidate]:
-    found = {photo.name: missing_background(photo.small) for photo in photos}
-    masked = {name: kind for name, kind in found.items() if kind}
-    if len(masked) > MAX_MASKED * len(photos):
-        kind = Counter(masked.values()).most_common(1)[0][0]
-        raise StyleSplatError(
-            f"{len(masked)} of {len(photos)} photos of {source} have no background: it is {kind}. "
-            "The background is needed to find the cameras; give the photos as they were taken."
-        )
-    left_out.update({name: f"its background is {kind}" for name, kind in masked.items()})
-    return [photo for photo in photos if photo.name not in masked]
-
-
-def _without_blurred(
-    source: Path, photos: list[_Candidate], sharp: Mapping[str, float], left_out: dict[str, str]
-) -> list[_Candidate]:
-    typical = np.median([photo.sharpness for photo in photos]) if photos else ALL_BLURRED
-    if len(photos) >= MIN_PHOTOS and typical < ALL_BLURRED:
-        raise StyleSplatError(
-            f"The photos of {source} are all blurred. Hold the camera still for each photo, in "
-            "more light, and let it focus."
-        )
-    left_out.update({p.name: "blurred" for p in photos if sharp[p.name] < BLURRED})
-    return [photo for photo in photos if photo.name not in left_out]
-
-
-def _without_duplicates(
-    photos: list[_Candidate], sharp: Mapping[str, float], left_out: dict[str, str]
-) -> list[_Candidate]:
-    worth = [(float(np.prod(photo.small.size)), sharp[photo.name]) for photo in photos]
-    repeats = near_duplicates([photo.small.grey for photo in photos], worth)
-    for row, kept in sorted(repeats.items()):
-        left_out[photos[row].name] = f"nearly the same as {photos[kept].name}"
-    return [photo for photo in photos if photo.name not in left_out]
-
-
-def _written_names(photos: Sequence[_Candidate]) -> tuple[str, ...]:
+def _written_names(photos: Sequence[_Candidate]) -> Iterator[str]:
     """The names of the written photos: their own, with the suffix of what is written.
 
     Label maps are named like photos without suffix, so names differ without it, and also where
     case is lost.
     """
     taken: set[str] = set()
-    names = []
     for photo in photos:
         own = PurePosixPath(photo.name).suffix
         stem = photo.name.removesuffix(own)
@@ -275,5 +250,4 @@ def _written_names(photos: Sequence[_Candidate]) -> tuple[str, ...]:
         choices = chain((stem, f"{stem}_{own[1:].lower()}"), numbered)
         free = next(choice for choice in choices if choice.casefold() not in taken)
         taken.add(free.casefold())
-        names.append(free + (own if same_kind else photo.suffix))
-    return tuple(names)
+        yield free + (own if same_kind else photo.suffix)

@@ -59,13 +59,9 @@ def prepare(source: Path, folder: Path, *, frames: int = 100) -> PreparedPhotos:
 
 @dataclass(frozen=True)
 class _Source:
-    """A folder of photos, or a video."""
-
     path: Path
     files: SourceFiles | None
-    """The photos of the folder; None of a video."""
     frames: int
-    """Keyframes to take of a video."""
 
     def identity(self) -> str:
         """A digest that differs for other files and other settings."""
@@ -97,7 +93,18 @@ class _Source:
 
 def _open_source(source: Path, folder: Path, frames: int) -> _Source:
     if source.is_dir():
-        return _open_folder(source, folder, frames)
+        if folder.resolve() == source.resolve():
+            raise StyleSplatError(f"{folder} holds the photos themselves. Choose another folder.")
+        files = find_sources(source, skip=folder)
+        if files.photos:
+            return _Source(source, files, frames)
+        if not files.videos:
+            raise too_few_photos(source, 0, files.left_out)
+        if len(files.videos) > 1:
+            raise StyleSplatError(
+                f"{source} holds {len(files.videos)} videos: {', '.join(files.videos)}. Give one."
+            )
+        return _Source(source / files.videos[0], None, frames)
     require_regular(source)
     if not source.exists():
         raise StyleSplatError(f"There is no folder or video {source}. Check the name.")
@@ -106,27 +113,11 @@ def _open_source(source: Path, folder: Path, frames: int) -> _Source:
     return _Source(source, None, frames)
 
 
-def _open_folder(source: Path, folder: Path, frames: int) -> _Source:
-    if folder.resolve() == source.resolve():
-        raise StyleSplatError(f"{folder} holds the photos themselves. Choose another folder.")
-    files = find_sources(source, skip=folder)
-    if files.photos:
-        return _Source(source, files, frames)
-    if len(files.videos) > 1:
-        raise StyleSplatError(
-            f"{source} holds {len(files.videos)} videos: {', '.join(files.videos)}. Give one."
-        )
-    if files.videos:
-        return _Source(source / files.videos[0], None, frames)
-    raise too_few_photos(source, 0, files.left_out)
-
-
 @dataclass(frozen=True)
 class _Record:
     """What a folder of prepared photos holds, so that an interrupted call can continue."""
 
     source: str
-    """`_Source.identity` of what the photos were made of."""
     prepared: PreparedPhotos
 
 

@@ -2,8 +2,6 @@
 
 import shutil
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +25,8 @@ from stylesplat.structure_from_motion.workspace import (
     open_workspace,
 )
 
+STAGES = ("features", "matching", "mapping")
+
 
 @dataclass(frozen=True)
 class Reconstruction:
@@ -48,18 +48,18 @@ def reconstruct(
     An interrupted call loses nothing that its database holds: the next one with the same photos
     and settings continues.
     """
-    names, seconds = prepared.names, dict[str, float]()
+    names, times = prepared.names, [time.perf_counter()]
     with changing(work):
-        with _timed(seconds, "features"):
-            workspace = open_workspace(work, photos, names, config)
-            extract_features(workspace)
+        workspace = open_workspace(work, photos, names, config)
+        extract_features(workspace)
         counts = feature_counts(workspace)
         check_features(counts, len(names))
-        with _timed(seconds, "matching"):
-            table = match_pairs(workspace, ordered=prepared.ordered)
+        times.append(time.perf_counter())
+        table = match_pairs(workspace, ordered=prepared.ordered)
         check_matches(table)
-        with _timed(seconds, "mapping"):
-            models = _map_photos(workspace)
+        times.append(time.perf_counter())
+        models = _map_photos(workspace)
+        times.append(time.perf_counter())
     check_models(models, table, len(names))
     model = models[0]
     return Reconstruction(
@@ -73,7 +73,10 @@ def reconstruct(
             "compared_pairs": table.compared,
             "matched_pairs": table.matched,
             "models": len(models),
-            "seconds": seconds,
+            "seconds": {
+                stage: round(end - start, 2)
+                for stage, start, end in zip(STAGES, times, times[1:], strict=False)
+            },
         },
     )
 
@@ -93,10 +96,3 @@ def _map_photos(workspace: Workspace) -> list[pycolmap.Reconstruction]:
         for image in model.images.values():
             image.name = workspace.name_of[image.name]
     return sorted(models, key=lambda model: -model.num_reg_images())
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
-    start = time.perf_counter()
-    yield
-    seconds[stage] = round(time.perf_counter() - start, 2)

@@ -48,8 +48,6 @@ OFF_CENTRE = 0.5  # share of its sharpness that a frame loses at the ends of its
 
 @dataclass(frozen=True)
 class FrameInfo:
-    """A frame that was measured."""
-
     number: int
     """How many frames were decoded before it."""
     time: float
@@ -58,15 +56,22 @@ class FrameInfo:
     """How far the picture has moved since the start, in longer sides."""
     sharpness: float
 
+    @property
+    def name(self) -> str:
+        return _frame_name(self.number)
+
+    @property
+    def title(self) -> str:
+        """What the user finds it by in a player."""
+        time = "" if math.isnan(self.time) else f" at {self.time:.2f} s"
+        return f"frame {self.number}{time}"
+
 
 @dataclass(frozen=True)
 class Video:
-    """An open video."""
-
     path: Path
     container: InputContainer = field(repr=False)
     stream: VideoStream = field(repr=False)
-    """The pictures, as opposed to sound."""
 
     def frames(self) -> Iterator[tuple[int, VideoFrame]]:
         """All frames that can be decoded, with their numbers, in the order of presentation."""
@@ -141,14 +146,14 @@ def select_keyframes(path: Path, most: int) -> PreparedPhotos:
             "differ. Film while you walk around."
         )
     values = relative_sharpness([frame.sharpness for frame in keyframes])
-    sharp = {_name(f): value for f, value in zip(keyframes, values, strict=True)}
-    kept = [frame for frame in keyframes if sharp[_name(frame)] >= SOFT]
+    sharp = {f.name: value for f, value in zip(keyframes, values, strict=True)}
+    kept = [frame for frame in keyframes if sharp[frame.name] >= SOFT]
     return PreparedPhotos(
-        names=tuple(map(_name, kept)),
+        names=tuple(frame.name for frame in kept),
         ordered=True,
-        origins={_name(frame): _title(frame) for frame in kept},
-        sharpness={_name(frame): sharp[_name(frame)] for frame in kept},
-        left_out={_title(frame): "blurred" for frame in keyframes if frame not in kept},
+        origins={frame.name: frame.title for frame in kept},
+        sharpness={frame.name: sharp[frame.name] for frame in kept},
+        left_out={frame.title: "blurred" for frame in keyframes if frame not in kept},
     )
 
 
@@ -170,7 +175,6 @@ def pick_keyframes(frames: Sequence[FrameInfo], most: int) -> list[FrameInfo]:
 
 
 def write_keyframes(path: Path, names: Sequence[str], folder: Path) -> None:
-    """Write keyframes of a video as photos."""
     missing = {*names}
     if not missing:
         return
@@ -215,13 +219,3 @@ def _small_grey(frame: VideoFrame) -> UInt8[np.ndarray, "h w"]:
 
 def _frame_name(number: int) -> str:
     return f"frame_{number:06d}.jpg"
-
-
-def _name(frame: FrameInfo) -> str:
-    return _frame_name(frame.number)
-
-
-def _title(frame: FrameInfo) -> str:
-    """What the user finds it by in a player."""
-    time = "" if math.isnan(frame.time) else f" at {frame.time:.2f} s"
-    return f"frame {frame.number}{time}"

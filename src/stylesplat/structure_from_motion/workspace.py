@@ -34,17 +34,14 @@ class Workspace:
     files: tuple[str, ...]
     """The same, as the database names them."""
     groups: tuple[CameraGroup, ...]
-    """Which of them share a camera."""
     config: SfmConfig
 
     @property
     def database(self) -> Path:
-        """Features and matches."""
         return self.folder / "database.db"
 
     @property
     def photos(self) -> Path:
-        """Copies of the photos."""
         return self.folder / "numbered"
 
     @property

@@ -106,10 +106,7 @@ def _axes(cameras: Cameras, up: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
 
 @dataclass(frozen=True)
 class Centre:
-    """What cameras look at."""
-
     position: Float[Tensor, "3"]
-    """In the world, 64 bits."""
     outward: bool
     """Whether the cameras stand in its midst and look away from each other, as in a room."""
 

@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.summary import metric_differences
 from stylesplat.figures.html_page import SceneColumn
 from stylesplat.figures.pictures import render_pictures
-from stylesplat.metrics.ssim import ssim
+from stylesplat.metrics.images import ssim
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture

@@ -15,7 +15,7 @@ from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import evaluate_views, measured_rows
 from stylesplat.io.gaussian_lists import read_objects
 from stylesplat.io.splats.splat_files import read_splats
-from stylesplat.metrics.frame_fit import CHECK_SIZE, CLOSER, frame_fits
+from stylesplat.metrics.images import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, at_most

@@ -7,7 +7,7 @@ from typing import Literal
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import some
 from stylesplat.figures.browser import serve_viewer
-from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
+from stylesplat.figures.orbits import orbit_around, orbit_cameras, zoom_to_content
 from stylesplat.figures.pictures import depth_step, render_pictures
 from stylesplat.figures.private_server import PrivateServer
 from stylesplat.io.images import ViewPicture
@@ -142,7 +142,7 @@ def orbit(
     content = None if picked is None else content_of(scene.splats, picked)
     path = orbit_cameras(scene.cameras, count, content and content.extent.centre)
     path = path if size is None else path.resize(*size)
-    return path if content is None else filled(path, content)
+    return path if content is None else zoom_to_content(path, content)
 
 
 @check_arguments

@@ -98,11 +98,12 @@ def sheet(
     bare = replace(with_strengths(scene, {name: 0.0}), path=scene.path)
     how = {"features": features, "weights": weights, "device": device}
     pictures = {}
-    for style, places in track(runs, name, unit="painting"):
+    for style, cells in track(runs, name, unit="painting"):
         painted = stylize_unmeasured(bare, {name: style}, **how).scene
-        for place in places:
-            shown = with_strengths(painted, {name: place.intensity}).splats.to(splats.device)
-            pictures[place.row, place.column] = _picture(shown, camera)
+        for cell in cells:
+            intensity = {name: cell.style.config.intensity}
+            blended = with_strengths(painted, intensity).splats.to(splats.device)
+            pictures[cell.row, cell.column] = _picture(blended, camera)
     grid = draw_grid(caption_rows(plan, pictures, _picture(splats, camera)))
     return StyleSheet(grid, camera.names[0], len(pictures), len(runs))
 

@@ -49,8 +49,7 @@ class Unmeasured:
     """A painted scene whose metrics contain times and steps only."""
 
     scene: Scene
-    surveys: Mapping[str, Sequence[Box]]
-    """The boxes of each painted object in the views of the scene, by name."""
+    """As `stylize` returns it, but for the metrics that take measuring."""
     measures: Sequence[Callable[[Scene], dict[str, Any]]]
     """Functions that measure the objects of each network."""
 
@@ -182,7 +181,7 @@ def stylize_unmeasured(
     for task in tasks:
         groups.setdefault((task.features, task.weights, task.precision), []).append(task)
     measures = [partial(_measure, contexts, each, crops, surveys) for each in groups.values()]
-    return Unmeasured(replace(scene, metrics=metrics), surveys, measures)
+    return Unmeasured(replace(scene, metrics=metrics), measures)
 
 
 stylise = stylize

@@ -7,8 +7,8 @@ import torch
 from balls import CAMERAS
 from scenes import figure, floaters, guitar, joined, room, shares
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.orbits import filled, orbit_around, orbit_cameras
-from stylesplat.scene.cameras import Cameras, look_at, up_vector
+from stylesplat.figures.orbits import orbit_around, orbit_cameras, zoom_to_content
+from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import FILLED, ring_cameras
 from stylesplat.scene.splats import Splats
@@ -34,11 +34,6 @@ def azimuths(cameras: Cameras) -> torch.Tensor:
     return torch.atan2(x, -y)
 
 
-def test_up_of_cameras_that_look_down_to_one_side():
-    up = up_vector(arc([-0.5, 0.0, 0.5]))
-    assert torch.rad2deg(torch.acos(up @ UP)) < 8  # their tops alone say 18 degrees
-
-
 def test_all_frames_look_at_the_focus_upright():
     orbit = orbit_cameras(CAMERAS, 12)
     target = orbit.viewmats @ torch.tensor([0.0, 0.0, 0.0, 1.0])
@@ -46,10 +41,6 @@ def test_all_frames_look_at_the_focus_upright():
     assert (target[:, 2] > 1).all()
     assert (orbit.viewmats[:, 1, :3] @ UP.float() < -0.5).all()
     assert torch.allclose(torch.linalg.det(orbit.viewmats), torch.ones(12), atol=1e-5)
-
-
-def test_circle_keeps_distance_and_height():
-    orbit = orbit_cameras(CAMERAS, 12)
     assert torch.allclose(orbit.positions[:, 2], torch.full((12,), 1.5), atol=1e-4)
     assert torch.allclose(orbit.positions[:, :2].norm(dim=1), torch.full((12,), 3.0), atol=1e-4)
 
@@ -113,20 +104,11 @@ def test_without_photos_all_content_is_in_every_frame(splats: Splats, own: int):
         assert path.positions[:, :2].abs().max() < 3, "within the walls"
 
 
-def test_an_object_is_gone_around_before_what_would_hide_it():
-    splats, own = room(), torch.arange(len(room())) < 6000
-    content = content_of(splats, own)
-    path = orbit_around(content, ring_cameras(splats, UP.float()), 12)
-    assert min(shares(path, splats.means[:6000])) > 0.98
-    assert path.positions[:, :2].abs().max() < 3, "within the walls"
-    assert (content.extent.size > 0).all() and len(content.others)
-
-
 def test_an_object_fills_the_pictures_of_its_round_trip():
     splats = guitar()
     content = content_of(splats, torch.ones(len(splats), dtype=torch.bool))
     cameras = arc([-0.5, 0.0, 0.5]).resize(100, 60)
-    path = filled(orbit_cameras(cameras, 8, content.extent.centre), content)
+    path = zoom_to_content(orbit_cameras(cameras, 8, content.extent.centre), content)
     assert path.size == (100, 60)
     places = torch.nn.functional.pad(content.outline.float(), (0, 1), value=1)
     seen = torch.einsum("cij,cjk,pk->cpi", path.Ks, path.viewmats[:, :3], places)

@@ -3,8 +3,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from stylesplat.metrics.psnr import psnr
-from stylesplat.metrics.ssim import ssim
+from stylesplat.metrics.images import psnr, ssim
 
 
 def noise(seed: int = 0) -> torch.Tensor:
