@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
-import stylesplat
 from processes import as_nobody, public_folder
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import atomic
@@ -83,17 +82,6 @@ def test_disk_full_is_said(writer: Writer, number: int, tmp_path: Path):
     ):
         raise OSError(number, "No space left")
     assert tree(tmp_path) == {}
-
-
-def test_a_disk_that_is_full_only_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def full(_: int) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    target = fill(tmp_path, a_txt="old") / "a.txt"
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(StyleSplatError, match="disk full"), atomic_path(target) as draft:
-        draft.write_text("new")
-    assert tree(tmp_path) == {"a.txt": "old"}
 
 
 @pytest.mark.parametrize("exists", [False, True])
@@ -286,41 +274,6 @@ def test_another_process_is_told_of_and_refused(
     with changing(tmp_path / "scene"):  # a killed process does not keep it
         pass
     assert names(tmp_path) == [] and len(said) == 1
-
-
-COUNTER = """
-import sys
-from pathlib import Path
-from stylesplat.io.atomic import changing
-folder = Path(sys.argv[1])
-total = folder / "total"
-for _ in range(40):
-    with changing(folder / "scene"):
-        total.write_text(str(int(total.read_text()) + 1))
-"""
-
-
-def test_processes_exclude_one_another_though_the_lock_file_goes(tmp_path: Path):
-    (tmp_path / "total").write_text("0")
-    environment = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
-    command = [sys.executable, "-c", COUNTER, tmp_path]
-    counting = [subprocess.Popen(command, env=environment) for _ in range(3)]
-    assert [process.wait() for process in counting] == [0, 0, 0]
-    assert tree(tmp_path) == {"total": "120"}
-
-
-def test_where_nothing_can_be_made_beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    place, elsewhere = tmp_path / "place", tmp_path / "elsewhere"
-    place.mkdir()
-    elsewhere.mkdir()
-    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != place)
-    monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
-    with changing(place / "scene"):
-        assert names(place) == []
-        (one,) = names(elsewhere)
-        with changing(place / "other"):
-            assert len(names(elsewhere)) == 2
-    assert one.startswith("stylesplat-") and names(elsewhere) == []
 
 
 @pytest.mark.parametrize(

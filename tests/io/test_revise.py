@@ -1,48 +1,23 @@
 """Scenes on disk, changed: whole or not at all, and nothing else."""
 
-import errno
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from scenes import assert_same, contents, full_scene, plain_scene
-from stylesplat.errors import StyleSplatError
-from stylesplat.io import atomic, scene_folder
+from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise
 from stylesplat.scene.compose import with_layers, with_strengths, without_layers
 from stylesplat.scene.scene import Scene
 
 # All calls that change what lies in a folder, deletions aside, which come last
-CHANGES = [(os, "replace"), (os, "rename"), (os, "link"), (os, "mkdir"), (atomic, "_exchange")]
 
 
 def inodes(folder: Path) -> dict[str, int]:
     files = (path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): path.stat().st_ino for path in files}
-
-
-@contextmanager
-def failing(number: int, error: BaseException, *, for_good: bool = False) -> Iterator[list[str]]:
-    """Let a call that changes the file system fail, and all after it; none if it is below 0."""
-    calls: list[str] = []
-    with pytest.MonkeyPatch.context() as patch:
-        for module, name in CHANGES:
-            real = getattr(module, name)
-
-            def call(*args: Any, real: Any = real, name: str = name, **options: Any) -> Any:
-                calls.append(f"{len(calls)}: {name}")
-                due = len(calls) - 1
-                if due == number or (for_good and 0 <= number < due):
-                    raise error
-                return real(*args, **options)
-
-            patch.setattr(module, name, call)
-        yield calls
 
 
 EVERYTHING: list[Callable[[Scene], Scene]] = [
@@ -103,52 +78,6 @@ def test_a_folder_of_layers_that_leads_elsewhere_is_not_written_into(tmp_path: P
     revise(scene, without_layers(scene, ["fox"]), folder)
     assert contents(elsewhere) == before
     assert scene_folder.open(folder).painted_objects == ("7", "Brücke")
-
-
-class Killed(BaseException):
-    """The end of the process, as far as a test can have it."""
-
-
-@pytest.mark.parametrize(
-    ("error", "exchange", "for_good"),
-    [
-        (OSError(errno.EIO, "Input/output error"), True, False),
-        (Killed(), True, True),  # nothing is done after the call, not even what would mend it
-        (Killed(), False, False),  # where the system cannot swap two names
-    ],
-    ids=["error", "killed", "two renames"],
-)
-def test_a_revision_is_whole_or_not_at_all(
-    error: BaseException,
-    exchange: bool,
-    for_good: bool,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-):
-    """Whichever call to the file system fails."""
-    folder = tmp_path / "scene"
-    scene_folder.save(full_scene(), folder)
-    if not exchange:
-        monkeypatch.setattr(atomic, "_exchange", lambda one, other: False)
-    (folder / "notes.txt").write_text("mine")
-    scene = scene_folder.open(folder)
-    changed = replace(without_layers(scene), splats=plain_scene().splats, metrics={})
-    whole = [contents(folder)]
-    with failing(-1, error) as calls:
-        revise(scene, changed, folder)
-    if exchange and not any("_exchange" in call for call in calls):
-        pytest.skip("this file system cannot swap two folders at once")
-    whole.append(contents(folder))
-    assert len(calls) > 10 and whole[0] != whole[1]
-    for number in range(len(calls)):
-        revise(changed, scene, folder)
-        with (
-            failing(number, error, for_good=for_good),
-            suppress(StyleSplatError, Killed),
-        ):
-            revise(scene, changed, folder)
-        assert contents(folder) in whole, calls[number]
-        assert for_good or [path.name for path in tmp_path.iterdir()] == ["scene"], calls[number]
 
 
 def test_a_reader_never_mixes_two_states(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

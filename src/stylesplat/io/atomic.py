@@ -26,21 +26,11 @@ if TYPE_CHECKING:
 
 REPLACING = "`--overwrite` (in Python overwrite=True)"  # how a user allows a replacement
 PARTIAL = ".partial"  # suffix of the folder that keeps the work of an interrupted run
-MARK = "[0-9a-f]{12}"  # what `mark` returns
+MARK = "[0-9a-f]{12}"  # what makes the name of a draft unique
 DRAFT = ".stylesplat."  # begins the name of a draft inside the folder that it will replace
 MAX_NAME_BYTES = 255  # of one part of a path, on all common file systems
 PATIENCE = 10.0  # seconds to wait for another process: `select` takes as long, `train` longer
 ANYBODY = 0o666  # mode of a lock file: another user may lock the same place later
-
-
-def mark() -> str:
-    """Twelve random digits that make a hidden name unique."""
-    return secrets.token_hex(6)
-
-
-def _draft_name(path: Path) -> Path:
-    """A new hidden name in the folder of a path, with the same suffix."""
-    return path.with_name(f".{path.stem}.{mark()}{path.suffix}")
 
 
 def partial_of(path: Path) -> Path:
@@ -64,7 +54,6 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         with draft.open("rb+") as file:
             os.fsync(file.fileno())  # a full disk may show only now
         draft.replace(path)
-        _sync_folder(path.parent)
     except OSError as error:
         raise cannot_write(path, error) from error
     finally:
@@ -160,7 +149,7 @@ def _acquire(path: Path) -> "FileLock | None":
             "Wait until it is done, or end it."
         ) from error
     except (OSError, NotImplementedError) as error:
-        # Whoever writes reports a name that is too long, or a folder that cannot be made
+        # The writer reports a name that is too long, or a folder that cannot be made
         if getattr(error, "errno", None) not in (errno.ENAMETOOLONG, errno.ENOENT):
             _warn_unlocked(path.parent)
         return None
@@ -216,6 +205,11 @@ def _refuse_place(path: Path) -> None:
         raise cannot_write(path, OSError(errno.EACCES, os.strerror(errno.EACCES)))
 
 
+def _draft_name(path: Path) -> Path:
+    """A new hidden name in the folder of a path, with the same suffix."""
+    return path.with_name(f".{path.stem}.{secrets.token_hex(6)}{path.suffix}")
+
+
 def _has_entries(path: Path) -> bool:
     return any(not entry.name.startswith(DRAFT) for entry in path.iterdir())
 
@@ -232,7 +226,7 @@ def _draft_of(path: Path) -> Iterator[Path]:
         and os.access(path.parent, os.W_OK | os.X_OK)
         and not Path.cwd().is_relative_to(path)
     )
-    draft = path.with_name(f".{path.name}.{mark()}") if swaps else path / f"{DRAFT}{mark()}"
+    draft = _draft_name(path) if swaps else path / f"{DRAFT}{secrets.token_hex(6)}"
     try:
         yield draft
     except OSError as error:
@@ -243,13 +237,11 @@ def _draft_of(path: Path) -> Iterator[Path]:
 
 def _replace_folder(draft: Path, path: Path) -> None:
     """Give a draft the place of a folder; the draft is then the earlier version, or gone."""
-    if path.exists() and draft.parent == path:
-        kept = {*_files_in(draft)}
-        _move_files(draft, path, [name for name in _files_in(path) if name not in kept])
-        return
-    _sync_folders(draft)
     if not path.exists():
         draft.rename(path)
+    elif draft.parent == path:
+        kept = {*_files_in(draft)}
+        _move_files(draft, path, [name for name in _files_in(path) if name not in kept])
     elif not _exchange(draft, path):
         old = _draft_name(path)
         path.rename(old)
@@ -259,7 +251,6 @@ def _replace_folder(draft: Path, path: Path) -> None:
             old.rename(path)
             raise
         shutil.rmtree(old, ignore_errors=True)
-    _sync_folder(path.parent)
 
 
 def _move_files(draft: Path, path: Path, gone: Sequence[Path]) -> None:
@@ -279,22 +270,13 @@ def _move_files(draft: Path, path: Path, gone: Sequence[Path]) -> None:
             raise StyleSplatError(
                 f"Cannot write {target}: {taken} is in the way. Move it elsewhere."
             )
-
-    def move() -> None:
-        for name in _files_in(draft):
-            (path / name).parent.mkdir(parents=True, exist_ok=True)
-            (draft / name).replace(path / name)
-        for name in gone:
-            (path / name).unlink(missing_ok=True)
-            with suppress(OSError):  # not empty
-                (path / name).parent.rmdir()
-
-    try:
-        move()
-    except KeyboardInterrupt:  # what has begun is completed
-        move()
-        raise
-    _sync_folders(path)
+    for name in _files_in(draft):
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (draft / name).replace(path / name)
+    for name in gone:
+        (path / name).unlink()
+        with suppress(OSError):  # not empty
+            (path / name).parent.rmdir()
 
 
 def _files_in(folder: Path) -> list[Path]:
@@ -321,19 +303,3 @@ def _exchange(one: Path, other: Path) -> bool:
     if hasattr(system, "renameat2"):  # Linux; -100: relative to the current folder; 2: exchange
         return system.renameat2(-100, paths[0], -100, paths[1], 2) == 0
     return hasattr(system, "renamex_np") and system.renamex_np(*paths, 2) == 0  # macOS; 2: swap
-
-
-def _sync_folders(folder: Path) -> None:
-    """Flush the names in a folder and below to the disk; files are flushed when written."""
-    for path in (folder, *folder.rglob("*")):
-        if path.is_dir() and not path.is_symlink():
-            _sync_folder(path)
-
-
-def _sync_folder(path: Path) -> None:
-    with suppress(OSError):  # not every system can
-        folder = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)

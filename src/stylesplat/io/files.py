@@ -13,11 +13,12 @@ from typing import BinaryIO
 from stylesplat.errors import StyleSplatError, brief
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+ANOTHER_PLACE = "Choose a place that this user may write to."
 WRITE_REMEDIES = {
-    errno.ENAMETOOLONG: " Choose a shorter name.",
-    errno.EACCES: " Choose a place that this user may write to.",
-    errno.EPERM: " Choose a place that this user may write to.",
-    errno.EROFS: " Choose a place that can be written to.",
+    errno.ENAMETOOLONG: "Choose a shorter name.",
+    errno.EACCES: ANOTHER_PLACE,
+    errno.EPERM: ANOTHER_PLACE,
+    errno.EROFS: ANOTHER_PLACE,
 }
 READ_REMEDIES = {
     errno.ENOENT: "Check the name.",
@@ -43,10 +44,9 @@ def read_bytes(path: Path | str, *, most: int | None = None, first: int = -1) ->
 @contextmanager
 def open_binary(path: Path | str) -> Iterator[BinaryIO]:
     """Open a plain file; errors of the system within the block become StyleSplatErrors."""
-    path = Path(path)
     require_regular(path)
     try:
-        with path.open("rb") as file:
+        with Path(path).open("rb") as file:
             yield file
     except OSError as error:
         raise cannot_read(path, error) from error
@@ -54,6 +54,20 @@ def open_binary(path: Path | str) -> Iterator[BinaryIO]:
         raise StyleSplatError(
             f"Cannot read {path}: it is larger than the free memory. Close other programs."
         ) from error
+
+
+@contextmanager
+def reading(path: Path | str, remedy: str, *, what: str = "") -> Iterator[None]:
+    """Turn any error that damaged content causes in the block into a StyleSplatError.
+
+    The message names the file, perhaps says `what` it should have been, and ends with `remedy`.
+    """
+    try:
+        yield
+    except (StyleSplatError, AssertionError):
+        raise
+    except Exception as error:
+        raise StyleSplatError(f"Cannot read {path}{what}: {reason(error)}. {remedy}") from error
 
 
 def require_regular(path: Path | str) -> None:
@@ -141,9 +155,8 @@ def cannot_write(path: Path, error: OSError) -> StyleSplatError:
     """The error to raise for a place that cannot be written to."""
     if error.errno in DISK_FULL:
         return StyleSplatError(f"Cannot write {path}: disk full. Free some space and try again.")
-    remedy = WRITE_REMEDIES.get(error.errno or 0, " Choose another place.")
-    remedy = remedy if error.strerror else ""
-    return StyleSplatError(f"Cannot write {path}: {error.strerror or error}.{remedy}")
+    remedy = WRITE_REMEDIES.get(error.errno or 0, "Choose another place.")
+    return StyleSplatError(f"Cannot write {path}: {error.strerror or error}. {remedy}")
 
 
 def cannot_read(path: Path | str, error: OSError) -> StyleSplatError:

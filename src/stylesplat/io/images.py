@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, Shaped, UInt8, UInt16
+from jaxtyping import Float, Int, UInt8, UInt16
 from PIL import ExifTags, Image, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
 from torch import Tensor
@@ -20,8 +20,8 @@ from stylesplat.io.files import reason, require_regular
 
 # What Pillow decodes itself or by libraries that every browser has, and that cameras write
 FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "TGA")
-# Decoding takes up to 7 bytes a pixel, so less than 1 GiB; the 108 megapixels of phones and 100 of
-# medium format cameras pass
+# Decoding takes up to 12 bytes a pixel, so 1.5 GiB; the 108 megapixels of phones and 100 of medium
+# format cameras pass
 MAX_PIXELS = 2**27
 # For phones of 200 megapixels: JPEGs are decoded at half their sides at little cost, but those in
 # several scans keep 6 bytes a pixel on the way, 1.5 GiB
@@ -106,7 +106,7 @@ def decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W D"]:
     """The pixels of a picture as RGB, or as RGBA if the file has transparency."""
     with open_image(path) as image:
         turn = TURNS.get(orientation(image)) if upright else None
-        pixels = map_rows(image, pixels_of)
+        pixels = pixels_of(image)
     return np.ascontiguousarray(turn(pixels)) if turn else pixels
 
 
@@ -133,22 +133,6 @@ def row_bands(width: int, height: int) -> Iterator[slice]:
     """The rows of a picture in bands, so that copies of a band take little memory."""
     rows = max(1, ROWS_PIXELS // width)
     return (slice(start, min(start + rows, height)) for start in range(0, height, rows))
-
-
-def map_rows(
-    image: Image.Image, convert: Callable[[Image.Image], Shaped[np.ndarray, "h W *D"]]
-) -> Shaped[np.ndarray, "H W *D"]:
-    """The result of a conversion that is applied to one band of rows after the other."""
-    image.load()
-    width, height = image.size
-    whole = None
-    for rows in row_bands(width, height):
-        piece = convert(image.crop((0, rows.start, width, rows.stop)))
-        if whole is None:
-            whole = np.empty((height, *piece.shape[1:]), piece.dtype)
-        whole[rows] = piece
-    assert whole is not None
-    return whole
 
 
 def pixels_of(image: Image.Image) -> UInt8[np.ndarray, "H W D"]:

@@ -45,7 +45,11 @@ def json_object(content: bytes, path: Path | str) -> dict[str, Any]:
         ) from error
     if not isinstance(found, dict):
         raise StyleSplatError(f"Cannot read {path}: expected a JSON object. {RESTORE}")
-    if _is_deep(found):
+    level = [found]
+    for _ in range(MAX_DEPTH):
+        inner = (item for x in level for item in (x.values() if isinstance(x, dict) else x))
+        level = [item for item in inner if isinstance(item, dict | list)]
+    if level:
         raise StyleSplatError(
             f"Cannot read {path}: it is nested more than {MAX_DEPTH} deep. {RESTORE}"
         )
@@ -83,14 +87,6 @@ def strict_json(content: Any, *, indent: int | None = None) -> str:
         '{"psnr": null, "file": "a.ply"}'
     """
     return json.dumps(_strict(content), indent=indent, allow_nan=False, default=os.fspath)
-
-
-def _is_deep(content: dict[str, Any]) -> bool:
-    level: list[Any] = [content]
-    for _ in range(MAX_DEPTH):
-        inner = (item for x in level for item in (x.values() if isinstance(x, dict) else x))
-        level = [item for item in inner if isinstance(item, dict | list)]
-    return bool(level)
 
 
 def _strict(value: Any) -> Any:

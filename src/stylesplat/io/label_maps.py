@@ -17,7 +17,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import REPLACING, atomic_folder, atomic_path, refuse_occupied
 from stylesplat.io.captures.photos import Photo, same_shape
 from stylesplat.io.files import inside, is_file, require_regular
-from stylesplat.io.images import image_sizes, map_rows, open_image
+from stylesplat.io.images import image_sizes, open_image
 from stylesplat.io.json_files import fitting, read_json, write_json
 from stylesplat.progress import track
 from stylesplat.scene.cache import Lazy
@@ -36,7 +36,8 @@ def read_label_map(path: Path | str) -> Int[Tensor, "H W"]:
     with open_image(Path(path)) as image:
         if image.format == "JPEG" or image.mode not in ID_MODES:
             raise ValueError(f"{image.format} pixels of type {image.mode} cannot be label ids")
-        return torch.from_numpy(map_rows(image, _ids))
+        pixels = np.asarray(image).astype(np.int32)
+        return torch.from_numpy(pixels if pixels.ndim == 2 else pixels[:, :, :3] @ RGB_CODE)
 
 
 def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
@@ -184,8 +185,3 @@ def _map_path(folder: Path, name: str) -> Path:
 
 def _key(path: Path) -> str:
     return path.with_suffix("").as_posix()
-
-
-def _ids(image: Image.Image) -> Int[np.ndarray, "H W"]:
-    pixels = np.asarray(image).astype(np.int32)
-    return pixels if pixels.ndim == 2 else pixels[:, :, :3] @ RGB_CODE

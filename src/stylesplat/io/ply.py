@@ -12,9 +12,8 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from jaxtyping import Shaped
 
-from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import open_binary, reason
+from stylesplat.io.files import open_binary, reading
 from stylesplat.progress import say
 
 PLY_TYPES = {  # PLY's two sets of names, and numpy's
@@ -23,7 +22,7 @@ PLY_TYPES = {  # PLY's two sets of names, and numpy's
     **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
 }
 PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
-ASCII, LITTLE_ENDIAN, BIG_ENDIAN = "ascii", "binary_little_endian", "binary_big_endian"
+BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
 AT_ONCE = 1 << 11  # rows: half a MB of a splat, which stays in the cache while columns are copied
 REMEDY = "Copy or export it again, as a PLY of vertices."
@@ -58,26 +57,23 @@ def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
 def ply_rows(path: Path | str, *, at_once: int) -> Iterator[PlyRows]:
     """The vertices of a PLY file in blocks of `at_once` rows: files may exceed the free memory.
 
-    The counts of the header are checked against the file's size before memory is allocated.
-    Elements after the vertices, such as faces, are skipped; a message reports bytes that the header
-    does not announce. Vertices with lists, or after other elements, are a StyleSplatError.
+    The count of the header is checked against the file's size before memory is allocated. Elements
+    after the vertices, such as faces, are skipped; a message reports bytes that the header does not
+    announce. Vertices with lists, or after other elements, are a StyleSplatError.
     """
     with open_binary(path) as file:
-        try:
-            rows, extra, unit = _open_rows(file, at_once)
-        except (ValueError, OverflowError) as error:
-            raise StyleSplatError(f"Cannot read {path}: {reason(error)}. {REMEDY}") from error
-        report_extra(path, extra, unit)
+        with reading(path, REMEDY):
+            rows, *extra = _open_rows(file, at_once)
+        report_extra(path, *extra)
         yield rows
 
 
-def report_extra(path: Path | str, count: int, unit: str = "byte") -> None:
+def report_extra(path: Path | str, count: int, unit: str = "bytes") -> None:
     """Say that a file holds more than its header announces, if it does."""
     if count:
-        plural = "" if count == 1 else "s"
         say(
-            f"{path} goes on for {count} {unit}{plural} after what its header announces: left "
-            "unread. If anything is missing, export it again."
+            f"{path} goes on for {count} {unit} after what its header announces: left unread. "
+            " If anything is missing, export it again."
         )
 
 
@@ -90,7 +86,7 @@ def write_ply_rows(rows: PlyRows, path: Path | str) -> None:
     names = rows.dtype.names
     assert names is not None
     columns = [f"property {PLY_NAMES[rows.dtype[n].str[1:]]} {n}" for n in names]
-    lines = ["ply", f"format {LITTLE_ENDIAN} 1.0", f"element vertex {rows.count}"]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {rows.count}"]
     header = "\n".join([*lines, *columns, "end_header\n"]).encode("ascii")
     with atomic_path(path) as draft, draft.open("wb") as file:
         file.write(header)
@@ -110,17 +106,25 @@ def _open_rows(file: BinaryIO, at_once: int) -> tuple[PlyRows, int, str]:
     if vertices.lists:
         raise ValueError(f"expected plain vertices, but their {vertices.lists[0]!r} is a list")
     file.seek(start)
-    if encoding == ASCII:
-        table, extra = _ascii_rows(file.read(), vertices, later)
-        return PlyRows(len(table), table.dtype, iter([table])), extra, "line"
-    dtype = np.dtype(vertices.columns).newbyteorder("<" if encoding == LITTLE_ENDIAN else ">")
-    size = os.fstat(file.fileno()).st_size - start
-    extra = _extra_bytes(size, vertices.rows, dtype, later)
-    blocks = (
-        np.fromfile(file, dtype, min(at_once, vertices.rows - start))
-        for start in range(0, vertices.rows, at_once)
-    )
-    return PlyRows(vertices.rows, dtype, blocks), extra, "byte"
+    count, dtype = vertices.rows, np.dtype(vertices.columns).newbyteorder(BYTE_ORDERS[encoding])
+    if encoding == "ascii":
+        lines = file.read().decode("ascii", errors="replace").splitlines()
+        lines = [line for line in lines if line.strip()]
+        size, needed, unit = len(lines), count, "lines"
+    else:
+        size, needed = os.fstat(file.fileno()).st_size - start, count * dtype.itemsize
+        lines, unit = [], "bytes"
+    if size < needed:
+        raise ValueError(f"it is truncated: {count} vertices take {needed} {unit}, got {size}")
+    if encoding == "ascii":
+        table = np.loadtxt(lines[:count], dtype, ndmin=1) if count else np.empty(0, dtype)
+        blocks = iter([table])
+    else:
+        blocks = (
+            np.fromfile(file, dtype, min(at_once, count - first))
+            for first in range(0, count, at_once)
+        )
+    return PlyRows(count, dtype, blocks), 0 if later else size - needed, unit
 
 
 def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:
@@ -131,7 +135,7 @@ def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:
     encoding, elements = "", list[PlyElement]()
     for line in content[: end.start()].decode("ascii", errors="replace").splitlines():
         match line.split():
-            case ["format", name, "1.0"] if name in (ASCII, LITTLE_ENDIAN, BIG_ENDIAN):
+            case ["format", name, "1.0"] if name in BYTE_ORDERS:
                 encoding = name
             case ["element", name, number]:
                 elements.append(PlyElement(name, int(number), [], []))
@@ -150,35 +154,3 @@ def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:
     if not encoding:
         raise ValueError("its header names no format")
     return encoding, elements, end.end()
-
-
-def _extra_bytes(size: int, count: int, dtype: np.dtype, later: list[PlyElement]) -> int:
-    """How many of the bytes after the header it does not announce."""
-    first = count * dtype.itemsize
-    if size < first:
-        raise ValueError(f"it is truncated: {count} vertices take {first} bytes, got {size}")
-    least = sum(element.rows * np.dtype(element.columns).itemsize for element in later)
-    if size - first < least:
-        raise ValueError(
-            f"it is truncated: {later[0].name!r} and what follows take {least} bytes or more, got "
-            f"{size - first}"
-        )
-    has_lists = any(element.lists for element in later)
-    return 0 if has_lists else size - first - least
-
-
-def _ascii_rows(
-    body: bytes, vertices: PlyElement, later: list[PlyElement]
-) -> tuple[Shaped[np.ndarray, " N"], int]:
-    """The vertices, and how many lines the header does not announce."""
-    lines = body.decode("ascii", errors="replace").splitlines()
-    lines = [line for line in lines if line.strip()]
-    if len(lines) < vertices.rows:
-        raise ValueError(f"the header claims {vertices.rows} vertices, got {len(lines)} lines")
-    extra = len(lines) - vertices.rows - sum(element.rows for element in later)
-    if extra < 0:
-        raise ValueError(f"it is truncated: {-extra} lines after the vertices are missing")
-    dtype = np.dtype(vertices.columns)
-    if not vertices.rows:
-        return np.empty(0, dtype), extra
-    return np.loadtxt(lines[: vertices.rows], dtype, ndmin=1), extra

@@ -26,7 +26,6 @@ from stylesplat.io.tensors import (
     IDS,
     PICKED,
     Declared,
-    read_named,
     read_tensors,
     write_tensors,
 )
@@ -152,7 +151,7 @@ def _state(folder: Path) -> tuple[int, ...] | None:
 def _read(folder: Path, *, bands: bool) -> Scene:
     declared, info = _read_info(folder / SCENE)
     splats = _with_identities(_read_gaussians(folder / SPLATS, bands), folder / IDENTITY_FILE)
-    picks = read_named(folder / PICKS, PICKED, N=len(splats))
+    picks = read_tensors(folder / PICKS, PICKED, N=len(splats))
     base, layers = _read_stack(folder, splats, bands)
     metrics = read_json(folder / METRICS, most=MAX_JSON)
     fitting(metrics, _Metrics, f"Cannot read {folder / METRICS}", AGAIN)

@@ -1,26 +1,21 @@
 """Tensors on disk: safetensors files whose names, types, shapes and ranges are declared."""
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import safetensors
 import safetensors.torch
 import torch
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import read_bytes, reason
+from stylesplat.io.files import read_bytes, reading
 from stylesplat.scene.labels import MAX_ID
 from stylesplat.scene.splats import IDENTITY_SIZE
 
 REMEDY = "Make the scene again."
-# What safetensors raises on wrong headers; for types that torch lacks it is a KeyError
-DAMAGED = (safetensors.SafetensorError, KeyError, TypeError, ValueError, RuntimeError)
 # No real splat comes near these, and float32 holds the fourth powers that renders take of them
 LARGEST_POSITION = 1e9  # of a coordinate; the Earth's radius in metres is 6e6
 LARGEST_LOG = 20.0  # of a standard deviation: exp(20) is 5e8
@@ -64,22 +59,21 @@ def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
         draft.chmod(mode)
 
 
-def read_tensors(path: Path, declared: Mapping[str, Declared], **sizes: int) -> dict[str, Tensor]:
-    """Read the declared tensors of a file, which may hold no others; `sizes` are of letters."""
-    with _opened(path) as file:
-        tensors = {name: file.get_tensor(name).clone() for name in file.keys()}
-    try:
+def read_tensors(
+    path: Path, declared: Mapping[str, Declared] | Declared, **sizes: int
+) -> dict[str, Tensor]:
+    """Read the declared tensors of a file, which may hold no others; `sizes` are of letters.
+
+    With one declaration for all, the file may hold any number of tensors of any name.
+    """
+    read_bytes(path, first=1)  # reports a file that cannot be read
+    with reading(path, REMEDY):
+        with safetensors.safe_open(path, "pt") as file:
+            tensors = {name: file.get_tensor(name).clone() for name in file.keys()}
+        if isinstance(declared, Declared):
+            declared = dict.fromkeys(tensors, declared)
         check_tensors(tensors, declared, sizes)
-    except ValueError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error}. {REMEDY}") from error
     return tensors
-
-
-def read_named(path: Path, each: Declared, **sizes: int) -> dict[str, Tensor]:
-    """Read any number of tensors of one declaration, whatever their names."""
-    with _opened(path) as file:
-        names = [*file.keys()]
-    return read_tensors(path, dict.fromkeys(names, each), **sizes)
 
 
 def check_tensors(
@@ -134,14 +128,3 @@ def _check_form(name: str, tensor: Tensor, declared: Declared, known: dict[str, 
         raise ValueError(fault)
     if tensor.numel() * tensor.itemsize > tensor.untyped_storage().nbytes():
         raise ValueError(f"{name} claims more values than it holds")
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """An opened file; whatever a damaged one raises in the block becomes a StyleSplatError."""
-    read_bytes(path, first=1)  # reports a file that cannot be read
-    try:
-        with safetensors.safe_open(path, "pt") as file:
-            yield file
-    except DAMAGED as error:
-        raise StyleSplatError(f"Cannot read {path}: {reason(error)}. {REMEDY}") from error

@@ -50,13 +50,6 @@ def test_no_posed_images(make_capture: Callable[..., Path]):
         read(make_capture(count=0))
 
 
-def test_no_points(make_capture: Callable[..., Path]):
-    folder = make_capture()
-    (folder / "sparse/0/points3D.bin").write_bytes(bytes(8))
-    posed = read(folder)
-    assert posed.points is None and posed.point_colors is None
-
-
 @pytest.mark.parametrize("name", BINARIES)
 def test_every_truncation_is_noticed(make_capture: Callable[..., Path], name: str):
     folder = make_capture()
@@ -73,16 +66,6 @@ def test_an_absurd_count_takes_no_memory(make_capture: Callable[..., Path], name
     path = make_capture() / "sparse/0" / f"{name}.bin"
     path.write_bytes(b"\xff" * 7 + path.read_bytes()[7:])
     with pytest.raises(StyleSplatError, match=rf"{name}\.bin is truncated or damaged"):
-        check_complete(path.parent)
-
-
-@pytest.mark.parametrize("count", [2**61, 2**63, 2**64 - 1])
-def test_a_track_of_any_length_takes_no_memory(make_capture: Callable[..., Path], count: int):
-    path = make_capture() / "sparse/0/points3D.bin"
-    content = bytearray(path.read_bytes())
-    content[8 + 43 : 8 + 51] = count.to_bytes(8, "little")  # after the number of points and a head
-    path.write_bytes(content)
-    with pytest.raises(StyleSplatError, match=r"points3D\.bin is truncated or damaged"):
         check_complete(path.parent)
 
 

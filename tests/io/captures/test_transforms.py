@@ -141,35 +141,6 @@ def test_malformed_content(tmp_path: Path, frames: Any, shared: dict[str, Any], 
         read_transforms(write(tmp_path, frames, **{**LENS, **shared}))
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("transform_matrix", [[1.0] * 4] * 2),
-        ("transform_matrix", [[10**400] * 4] * 4),
-        ("file_path", 7),
-        ("w", 1e400),
-        ("h", True),
-        ("fl_x", math.nan),
-        ("k1", 1e30),
-        ("is_fisheye", "yes"),
-        ("ply_file_path", 5),
-        ("frames", 7),
-    ],
-)
-def test_fields_of_wrong_type_or_range(tmp_path: Path, key: str, value: Any):
-    frame = {"file_path": "images/a.png", "transform_matrix": POSE}
-    content = {**LENS, "frames": [{**frame, key: value}], key: value}
-    (tmp_path / "transforms.json").write_text(json.dumps(content))
-    with pytest.raises(StyleSplatError) as caught:
-        read_transforms(tmp_path)
-    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
-
-
-def test_a_field_of_view_of_nothing(tmp_path: Path):
-    with pytest.raises(StyleSplatError, match="malformed"):
-        read_transforms(write(tmp_path, w=64, h=48, camera_angle_x=0.0))
-
-
 def test_points_without_colors(tmp_path: Path):
     text = "ply\nformat ascii 1.0\nelement vertex 0\n"
     text += "".join(f"property float {c}\n" for c in "xyz") + "end_header\n"

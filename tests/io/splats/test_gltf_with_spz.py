@@ -76,14 +76,6 @@ REFUSED = {
 }
 
 
-def test_what_gsply_says_names_the_file_once(tmp_path: Path, packed: Path):
-    content = bytearray(packed.read_bytes())
-    content[4] = 9  # the version
-    with pytest.raises(StyleSplatError, match=r"a\.glb as SPZ: [^/]*\. Export") as caught:
-        read_splats(with_spz(tmp_path / "a.glb", bytes(content), COUNT))
-    assert str(caught.value).count(".spz") == 0
-
-
 def packing(document: Json) -> Json:
     return extension(document)["extensions"][SPZ]
 

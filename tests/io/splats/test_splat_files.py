@@ -173,7 +173,7 @@ def test_no_whole_number_of_rows(tmp_path: Path):
     path = tmp_path / "a.splat"
     export(PLAIN, path)
     path.write_bytes(path.read_bytes() + b"more")
-    with pytest.raises(StyleSplatError, match=r"Cannot read .*a\.splat: \d+ bytes are no whole"):
+    with pytest.raises(StyleSplatError, match=r"Cannot read .*a\.splat: "):
         read_splats(path)
 
 

@@ -1,7 +1,7 @@
 """COLMAP reconstructions, binary or text."""
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from mmap import ACCESS_READ, mmap
@@ -16,14 +16,11 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.posed_files import PosedFiles
-from stylesplat.io.files import cannot_read, reason, require_regular
+from stylesplat.io.files import is_there, open_binary, reading, require_regular
 from stylesplat.io.kinds import find_sparse
 
 if TYPE_CHECKING:  # else each command would load it
     from stylesplat.io.captures.colmap_library import pycolmap
-
-# All that pycolmap raises on damaged files; ValueError also for names that are not UTF-8
-MALFORMED = (ValueError, IndexError, KeyError, TypeError, RuntimeError, OverflowError, MemoryError)
 
 
 def find_photos(folder: Path) -> Path:
@@ -102,12 +99,8 @@ def _opened_model(sparse: Path) -> Iterator["pycolmap.Reconstruction"]:
     from stylesplat.io.captures.colmap_library import pycolmap
 
     check_complete(sparse)
-    try:
+    with reading(f"the reconstruction {sparse}", "Copy it again."):
         yield pycolmap.Reconstruction(sparse)
-    except MALFORMED as error:
-        raise StyleSplatError(
-            f"Cannot read the reconstruction {sparse}: {reason(error)}. Copy it again."
-        ) from error
 
 
 # pycolmap (4.2) does not notice where a binary file ends: it loads garbage from a truncated
@@ -128,65 +121,56 @@ DATA_ID = SENSOR + 8
 
 def check_complete(sparse: Path) -> None:
     """Raise a StyleSplatError if the records of a binary file do not end where the file does."""
-    skippers: dict[str, Callable[[mmap, int], int]] = {
-        "cameras": _skip_camera,
-        "images": _skip_image,
-        "points3D": lambda content, at: _skip_list(content, at + POINT3D_HEAD, TRACK_ELEMENT),
-        "rigs": _skip_rig,
-        "frames": lambda content, at: _skip_list(content, at + FRAME_HEAD, DATA_ID, COUNT_32),
-    }
-    for name, skip in skippers.items():
-        path = sparse / f"{name}.bin"
-        require_regular(path)
+    for kind in ("cameras", "images", "points3D", "rigs", "frames"):
+        path = sparse / f"{kind}.bin"
         require_regular(path.with_suffix(".txt"))
-        if path.exists() and not _is_complete(path, skip):
+        if is_there(path) and not _is_complete(path, kind):
             raise StyleSplatError(
                 f"{path} is truncated or damaged: its records do not end where the file does. "
                 "Copy it again."
             )
 
 
-def _is_complete(path: Path, skip: Callable[[mmap, int], int]) -> bool:
-    try:
-        with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
-            offset = COUNT.size
-            for _ in range(COUNT.unpack_from(content)[0]):
-                offset = skip(content, offset)
-                if offset > len(content):  # perhaps by more than an offset can be
-                    return False
-            return offset == len(content)
-    except (struct.error, ValueError):  # the latter also of an empty file
-        return False
-    except OSError as error:
-        raise cannot_read(path, error) from error
+def _is_complete(path: Path, kind: str) -> bool:
+    with open_binary(path) as file:
+        try:
+            with mmap(file.fileno(), 0, access=ACCESS_READ) as content:
+                offset = COUNT.size
+                for _ in range(COUNT.unpack_from(content)[0]):
+                    offset = _end_of_record(kind, content, offset)
+                    if offset > len(content):  # perhaps by more than an offset can be
+                        return False
+                return offset == len(content)
+        except (struct.error, ValueError):  # the latter also of an empty file
+            return False
 
 
-def _skip_list(content: mmap, at: int, item: int, count: struct.Struct = COUNT) -> int:
-    return at + count.size + item * count.unpack_from(content, at)[0]
-
-
-def _skip_camera(content: mmap, at: int) -> int:
+def _end_of_record(kind: str, content: mmap, at: int) -> int:
+    """Where a record ends that begins at `at`."""
     from stylesplat.io.captures.colmap_library import pycolmap
 
-    _, model, width, height = CAMERA.unpack_from(content, at)
-    kind = pycolmap.CameraModelId(model)
-    camera = pycolmap.Camera.create_from_model_id(0, kind, 1.0, width, height)
-    return at + CAMERA.size + 8 * len(camera.params)
-
-
-def _skip_image(content: mmap, at: int) -> int:
-    end = content.find(b"\0", at + IMAGE_HEAD) + 1
-    if not end:
-        raise ValueError("a name without end")
-    return _skip_list(content, end, POINT2D)
-
-
-def _skip_rig(content: mmap, at: int) -> int:
-    _, sensors = RIG_HEAD.unpack_from(content, at)
-    at += RIG_HEAD.size + SENSOR * (sensors > 0)  # the reference sensor has no pose
-    for _ in range(sensors - 1):
-        has_pose = content[at + SENSOR] if at + SENSOR < len(content) else 0
-        at += SENSOR + 1 + RIG_POSE * (has_pose > 0)
-        if at > len(content):
-            break
-    return at
+    count = COUNT  # of the list at the end of a record
+    match kind:
+        case "cameras":
+            _, model, width, height = CAMERA.unpack_from(content, at)
+            kind_of_lens = pycolmap.CameraModelId(model)
+            camera = pycolmap.Camera.create_from_model_id(0, kind_of_lens, 1.0, width, height)
+            return at + CAMERA.size + 8 * len(camera.params)
+        case "rigs":
+            _, sensors = RIG_HEAD.unpack_from(content, at)
+            at += RIG_HEAD.size + SENSOR * (sensors > 0)  # the reference sensor has no pose
+            for _ in range(sensors - 1):
+                has_pose = content[at + SENSOR] if at + SENSOR < len(content) else 0
+                at += SENSOR + 1 + RIG_POSE * (has_pose > 0)
+                if at > len(content):
+                    break
+            return at
+        case "images":
+            start, item = content.find(b"\0", at + IMAGE_HEAD) + 1, POINT2D
+            if not start:
+                raise ValueError("a name without end")
+        case "points3D":
+            start, item = at + POINT3D_HEAD, TRACK_ELEMENT
+        case _:  # frames
+            start, item, count = at + FRAME_HEAD, DATA_ID, COUNT_32
+    return start + count.size + item * count.unpack_from(content, start)[0]

@@ -21,7 +21,6 @@ from stylesplat.io.images import (
     decode,
     decoding,
     image_sizes,
-    map_rows,
     open_image,
     orientation,
     pixels_of,
@@ -114,7 +113,7 @@ def read_small(path: Path, side: int) -> SmallPhoto:
         scale = side / max(size)
         if image.format == "JPEG" and scale < 1:  # decoded at a fraction of its size, which is fast
             image.draft("L", (round(size[0] * scale), round(size[1] * scale)))
-        pixels = map_rows(image, pixels_of)
+        pixels = pixels_of(image)
         transparent = float((pixels[..., 3:] < OPAQUE).mean()) if pixels.shape[2] > 3 else 0.0
         grey = cv2.cvtColor(composite(pixels, WHITE)[..., :3], cv2.COLOR_RGB2GRAY)
     if scale < 1:

@@ -6,12 +6,11 @@ import gsply
 import numpy as np
 import torch
 
-from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import reason
+from stylesplat.io.files import reading
 from stylesplat.io.ply import PlyElement, parse_header, report_extra
 from stylesplat.io.splats.packing import morton_order
-from stylesplat.io.splats.splat_ply import REST_COUNTS, check_splats
+from stylesplat.io.splats.splat_ply import BANDS, check_splats
 from stylesplat.scene.splats import Splats
 
 CHUNK = 256  # Gaussians that share their bounds
@@ -26,17 +25,17 @@ def is_compressed(content: bytes) -> bool:
 
 def read_compressed_ply(path: Path | str, content: bytes) -> Splats:
     """Read the content of a compressed PLY file; what follows the Gaussians is ignored."""
-    try:
-        _, elements, start = parse_header(content)
+    with reading(path, "Export it again."):
+        _, elements, size = parse_header(content)
         _check_elements({element.name: element for element in elements})
-        rows = sum(element.rows * np.dtype(element.columns).itemsize for element in elements)
-        if start + rows > len(content):
-            fault = f"its header announces a file of {start + rows} bytes, it holds {len(content)}"
-            raise ValueError(fault)
-        report_extra(path, len(content) - start - rows)
-        return from_gsply(gsply.decompress_from_bytes(content[: start + rows]), path)
-    except (ValueError, KeyError, IndexError) as error:
-        raise StyleSplatError(f"Cannot read {path}: {reason(error)}. Export it again.") from error
+        size += sum(element.rows * np.dtype(element.columns).itemsize for element in elements)
+        if size > len(content):
+            raise ValueError(
+                f"its header announces a file of {size} bytes, it holds {len(content)}"
+            )
+        report_extra(path, len(content) - size)
+        data = gsply.decompress_from_bytes(content[:size])
+    return from_gsply(data, path)
 
 
 def _check_elements(elements: dict[str, PlyElement]) -> None:
@@ -45,13 +44,11 @@ def _check_elements(elements: dict[str, PlyElement]) -> None:
         kind in TYPES for element in elements.values() for _, kind in element.columns
     ):
         raise ValueError("its header has properties of other types than this format")
-    if "vertex" not in elements or "chunk" not in elements:
-        raise ValueError("its header names no chunks or no vertices")
     vertices, bands = elements["vertex"].rows, elements.get("sh")
     if elements["chunk"].rows != -(-vertices // CHUNK) or (bands and bands.rows != vertices):
         raise ValueError("its numbers of chunks and vertices do not fit")
     columns = len(bands.columns) if bands else 0
-    if columns not in REST_COUNTS:
+    if columns not in [3 * each for each in BANDS]:
         raise ValueError(f"{columns} columns of colour fit no degree up to 3")
 
 
@@ -80,11 +77,6 @@ def from_gsply(data: gsply.GSData, path: Path | str) -> Splats:
 
 def to_gsply(splats: Splats) -> gsply.GSData:
     """Splats as gsply's container, their quaternions as they are."""
-    return gsply.GSData(
-        means=splats.means.numpy(),
-        scales=splats.scales.numpy(),
-        quats=splats.quats.numpy(),
-        opacities=splats.opacities.numpy(),
-        sh0=splats.sh0[:, 0].numpy(),
-        shN=splats.shN.numpy(),
-    )
+    names = ("means", "scales", "quats", "opacities", "shN")
+    columns = {name: getattr(splats, name).numpy() for name in names}
+    return gsply.GSData(**columns, sh0=splats.sh0[:, 0].numpy())

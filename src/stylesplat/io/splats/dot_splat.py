@@ -7,9 +7,8 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import read_bytes
+from stylesplat.io.files import read_bytes, reading
 from stylesplat.io.splats.packing import unit_quats
 from stylesplat.io.splats.splat_ply import check_splats
 from stylesplat.scene.splats import SH_C0, Splats
@@ -21,12 +20,8 @@ HALF_STEP = 0.5 / 255  # an opacity of 0 or 1 has no logit
 
 def read_dot_splat(path: Path | str) -> Splats:
     content = read_bytes(path)
-    if len(content) % ROW.itemsize:
-        raise StyleSplatError(
-            f"Cannot read {path}: {len(content)} bytes are no whole number of Gaussians of "
-            f"{ROW.itemsize}. Export it again."
-        )
-    rows = np.frombuffer(content, ROW)
+    with reading(path, "Export it again."):
+        rows = np.frombuffer(content, ROW)  # a ValueError if its size is no multiple of a row's
     rgba = _floats(rows["rgba"]) / 255
     splats = Splats(
         means=_floats(rows["mean"]),

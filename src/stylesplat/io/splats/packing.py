@@ -1,9 +1,12 @@
 """What compressed formats of splats share: an order, small rotations, codebooks, clusters."""
 
+import math
+import warnings
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
-from scipy.sparse import csr_array
+from scipy.cluster.vq import kmeans2, vq
 from torch import Tensor
 
 MORTON_BITS = 21  # of each coordinate: three of them fill a signed integer of 64 bits
@@ -20,16 +23,12 @@ OTHERS = torch.tensor([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # component
 CODEBOOK_SIZE = 256  # values that a byte can name
 QUANTILES = 2**14  # of the sorted numbers, for the first guess of a codebook
 LLOYD_ROUNDS = 20  # more change little
-FIRST_CLUSTERS = 64  # clusters of the first level of the tree
-GROWTH = 32  # clusters of the next level to one of this
-MAX_BRANCHES = 256  # clusters that one cluster is split into
-SAMPLE = 2**16  # rows that the first level is fitted to
+FIRST_CLUSTERS = 256  # at most, of the first of two levels: as many as one of them may have
+SAMPLE = 2**15  # rows that the first level is fitted to
 KMEANS_ROUNDS = 3  # more change little
-ROWS_AT_ONCE = 2**14  # rows whose distances from all centres are in memory
 
 Rows = Float[np.ndarray, "M D"]
 Centres = Float[np.ndarray, "E D"]
-Counts = Int[np.ndarray, " G"]
 Labels = Int[np.ndarray, " M"]
 
 
@@ -97,71 +96,37 @@ def encode(
     return np.searchsorted((codebook[1:] + codebook[:-1]) / 2, numbers).astype(np.uint8)
 
 
-def tree_kmeans(rows: Rows, most: int, *, seed: int = 0) -> tuple[Centres, Labels]:
+def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
     """At most `most` centres for float32 rows, and the centre of each row.
 
-    The centres are the leaves of a tree (Gray 1984): clusters are split again, into the more the
-    larger their squared error is. So a row is compared with hundreds of centres, not with 65536,
+    K-means within each cluster of k-means (Gray 1984), into the more clusters the larger the
+    squared error of the first is. So a row is compared with hundreds of centres, not with 65536,
     and the error is a little larger than that of plain k-means.
     """
-    order = np.random.default_rng(seed).permutation(len(rows))
-    rows = rows[order]
-    count, sample = np.array([min(FIRST_CLUSTERS, most, len(rows))]), rows[:SAMPLE]
-    centres, _ = _split(sample, np.array([len(sample)]), count)
-    labels = _nearest(rows, np.array([len(rows)]), centres, count)
-    while len(centres) < most:
-        sorting = np.argsort(labels, kind="stable")  # clusters are contiguous, in random order
-        rows, order, labels = rows[sorting], order[sorting], labels[sorting]
-        sizes = np.bincount(labels, minlength=len(centres))
-        errors = ((rows - centres[labels]) ** 2).sum(axis=1)
-        errors = np.bincount(labels, errors, len(centres))
-        counts = _branches(errors, np.minimum(sizes, MAX_BRANCHES), min(most, GROWTH * len(sizes)))
-        if counts.sum() <= len(centres):
-            break
-        centres, labels = _split(rows, sizes, counts)
-    found = np.empty(len(rows), np.int64)
-    found[order] = labels
-    return _mean_of(rows, labels, centres), found
-
-
-def _split(rows: Rows, sizes: Counts, counts: Counts) -> tuple[Centres, Labels]:
-    """K-means within each cluster of contiguous rows: `counts` new centres for `sizes` rows."""
-    starts, firsts = np.cumsum(sizes) - sizes, np.cumsum(counts) - counts
-    centres = rows[np.repeat(starts - firsts, counts) + np.arange(counts.sum())]
-    for _ in range(KMEANS_ROUNDS):
-        centres = _mean_of(rows, _nearest(rows, sizes, centres, counts), centres)
-    return centres, _nearest(rows, sizes, centres, counts)
-
-
-def _nearest(rows: Rows, sizes: Counts, centres: Centres, counts: Counts) -> Labels:
-    """The nearest of the own cluster's centres for each row."""
-    labels, start, first = np.empty(len(rows), np.int64), 0, 0
-    squares = (centres**2).sum(axis=1)
-    for size, count in zip(sizes.tolist(), counts.tolist(), strict=True):
-        own = slice(first, first + count)
-        turned = -2 * centres[own].T
-        for low in range(start, start + size, ROWS_AT_ONCE):
-            part = slice(low, min(low + ROWS_AT_ONCE, start + size))
-            labels[part] = first + (rows[part] @ turned + squares[own]).argmin(axis=1)
-        start, first = start + size, first + count
-    return labels
-
-
-def _mean_of(rows: Rows, labels: Labels, centres: Centres) -> Centres:
-    """The mean of each centre's rows; centres without rows stay."""
-    counts = np.bincount(labels, minlength=len(centres))[:, None]
-    ones, ends = np.ones(len(rows), np.float32), np.arange(len(rows) + 1)
-    sums = csr_array((ones, labels, ends), (len(rows), len(centres))).T @ rows
-    return np.where(counts > 0, sums / np.maximum(counts, 1), centres).astype(np.float32)
-
-
-def _branches(errors: Float[np.ndarray, " G"], sizes: Counts, most: int) -> Counts:
-    """How many clusters each is split into: 1 to its size, in proportion to its error."""
-    shares = np.minimum(sizes, 1)
+    count = min(FIRST_CLUSTERS, math.isqrt(most))
+    sample = np.random.default_rng(0).permutation(len(rows))[:SAMPLE]
+    labels, distances = vq(rows, _kmeans(rows[sample], count)[0])
+    sizes, errors = np.bincount(labels), np.bincount(labels, distances**2)
+    counts = np.minimum(sizes, 1)
     for _ in range(KMEANS_ROUNDS):  # what a small cluster cannot take goes to the others
-        wanted = np.where(shares < sizes, errors, 0.0)
-        if not wanted.any():
-            break
-        more = wanted / wanted.sum() * (most - shares.sum())
-        shares = np.minimum(sizes, shares + more.astype(np.int64))
-    return shares
+        wanted = np.where(counts < sizes, errors, 0.0)
+        more = wanted / max(wanted.sum(), np.finfo(float).tiny) * (most - counts.sum())
+        counts = np.minimum(sizes, counts + more.astype(np.int64))
+    centres, found = list[Centres](), np.empty(len(rows), np.int64)
+    clusters = np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
+    for cluster, count in zip(clusters, counts.tolist(), strict=True):
+        if len(cluster):
+            own, inner = _kmeans(rows[cluster], count)
+            found[cluster] = sum(map(len, centres)) + inner
+            centres.append(own)
+    return np.concatenate(centres), found
+
+
+def _kmeans(rows: Rows, count: int) -> tuple[Centres, Labels]:
+    """At most `count` centres that have rows, and the centre of each row."""
+    with warnings.catch_warnings(action="ignore"):  # of equal rows, which leave centres empty
+        centres, labels = kmeans2(
+            rows, min(count, len(rows)), iter=KMEANS_ROUNDS, minit="points", seed=0
+        )
+    used, labels = np.unique(labels, return_inverse=True)
+    return centres[used], labels

@@ -5,12 +5,9 @@ The format: https://developer.playcanvas.com/user-manual/gaussian-splatting/form
 
 import io
 import math
-import struct
 import warnings
 import zipfile
-import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,8 +21,8 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import inside, read_bytes, reason
-from stylesplat.io.json_files import PhotoName, fitting, json_object, strict_json
+from stylesplat.io.files import inside, read_bytes, reading, reason
+from stylesplat.io.json_files import PhotoName, json_object, strict_json
 from stylesplat.io.kinds import SOG_META
 from stylesplat.io.splats.packing import (
     CODEBOOK_SIZE,
@@ -37,7 +34,7 @@ from stylesplat.io.splats.packing import (
     smallest_three,
     tree_kmeans,
 )
-from stylesplat.io.splats.splat_ply import check_splats, splat_fault
+from stylesplat.io.splats.splat_ply import BANDS, check_splats, refuse_faulty
 from stylesplat.scene.splats import Splats
 
 VERSION = 2
@@ -56,13 +53,9 @@ MAX_META = 2**20  # bytes; three codebooks have 20,000
 ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others cannot be unpacked within bounds
 MAX_GROWTH = 4  # of what is unpacked: pictures are compressed already
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # of every entry, so that the same splats make the same file
-RIFF_HEADER = 12  # bytes before the first part of a WebP picture
-WEBP_CHUNK = struct.Struct("<4sI")  # name and size of a part
+WEBP_HEADER = 2**12  # bytes at the start of a WebP picture, which name the kind of its pixels
 MAX_SIDE = 2**14 - 1  # of a WebP picture
 AGAIN = "Export it again, as version 2."
-# What zipfile raises on damaged files; RuntimeErrors for encrypted entries, or unknown versions
-BAD_ZIP = (zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError, RuntimeError)
-
 Reader = Callable[[str], bytes]
 """Reads a file of the SOG by its name."""
 Texels = UInt8[np.ndarray, "M D"]
@@ -121,20 +114,16 @@ def read_sog(path: Path | str) -> Splats:
     Counts are checked against the size of the files before memory is allocated for them.
     """
     path = Path(path)
-    member = _folder_reader(path) if path.name == SOG_META else _bundle_reader(path)
-    where = path if path.name == SOG_META else path / SOG_META
-    content, what = json_object(member(SOG_META), where), f"Cannot read {path}"
-    version = content.get("version", 1)
-    if version != VERSION:
-        what += f" as SOG of version {brief(str(version))}, only {VERSION} is read here"
-        content["version"] = version if isinstance(version, int) else 0
-    meta: _Meta = fitting(content, _Meta, what, AGAIN)
-    parts = (meta.means, meta.quats, meta.scales, meta.sh0, meta.shN)
-    files = {name: member(name) for part in parts if part for name in part.files}
-    try:
+    with reading(path, AGAIN):
+        member = _folder_reader(path) if path.name == SOG_META else _bundle_reader(path)
+        content = json_object(member(SOG_META), path)
+        version = content.get("version", 1)
+        if version != VERSION:
+            raise ValueError(f"it is SOG of version {version!s:.20}, only {VERSION} is read here")
+        meta = msgspec.convert(content, _Meta)
+        parts = (meta.means, meta.quats, meta.scales, meta.sh0, meta.shN)
+        files = {name: member(name) for part in parts if part for name in part.files}
         splats = _decode(meta, files)
-    except ValueError as error:
-        raise StyleSplatError(f"Cannot read {path}: {error}. {AGAIN}") from error
     return check_splats(splats, path)
 
 
@@ -143,7 +132,7 @@ def _decode(meta: _Meta, files: Mapping[str, bytes]) -> Splats:
     count, stored = meta.count, sum(map(len, files.values()))
     if count > max(MOST_PER_BYTE * stored, SMALL):
         raise ValueError(f"it claims {count} Gaussians, which {stored} bytes of pictures hold not")
-    size = _webp_size(files, meta.means.files[0])
+    size = _open_webp(files, meta.means.files[0]).size
     if not count <= size[0] * size[1] <= SPARE * count + SMALL:
         raise ValueError(f"it has pictures of {size[0] * size[1]} pixels for {count} Gaussians")
 
@@ -163,7 +152,7 @@ def _decode(meta: _Meta, files: Mapping[str, bytes]) -> Splats:
     alphas = torch.from_numpy(colors[:, 3] / np.float32(255))
     shN = torch.zeros(count, 0, 3)
     if meta.shN is not None:
-        bands = (meta.shN.bands + 1) ** 2 - 1
+        bands = BANDS[meta.shN.bands]
         whole = (PALETTE_COLUMNS * bands, -(-meta.shN.count // PALETTE_COLUMNS))
         texels = _webp_pixels(files, meta.shN.files[0], whole)[: meta.shN.count * bands, :3]
         choices = rows(meta.shN.files[1]).astype(np.int64)
@@ -196,11 +185,8 @@ def write_sog(splats: Splats, path: Path | str) -> None:
     scales and colours are one of 256 values that fit these splats best; higher bands of colour are
     one of a palette of 65536 entries or, for fewer Gaussians, the next lower power of two.
     """
-    path = Path(path)
-    fault = splat_fault(splats) if len(splats) else None
-    if fault:
-        raise StyleSplatError(f"Cannot export to {path}: {fault}. Export a .ply.")
-    count = len(splats)
+    path, count = Path(path), len(splats)
+    refuse_faulty(splats, path)
     width = max(1, math.ceil(math.sqrt(count) / BLOCK)) * BLOCK
     height = max(1, math.ceil(count / width / BLOCK)) * BLOCK
     if width > MAX_SIDE:
@@ -287,79 +273,40 @@ def _folder_reader(path: Path) -> Reader:
 
 def _bundle_reader(path: Path) -> Reader:
     content = read_bytes(path)
-    try:
-        bundle = zipfile.ZipFile(io.BytesIO(content))
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, EOFError) as error:
-        fault = f"it is no zip file ({reason(error)})"
-        raise StyleSplatError(f"Cannot read {path}: {fault}. {AGAIN}") from error
+    bundle = zipfile.ZipFile(io.BytesIO(content))
 
     def member(name: str) -> bytes:
         try:
             entry = bundle.getinfo(name)
-            if entry.compress_type not in ZIP_METHODS:
-                raise ValueError("it is packed in a way that the format has not")
-            if entry.file_size > (MAX_META if name == SOG_META else MAX_GROWTH * len(content)):
-                raise ValueError(f"it would unpack to {entry.file_size} bytes")
-            with bundle.open(entry) as file:
-                found = file.read(entry.file_size)  # and no more, whatever follows
-                if len(found) != entry.file_size or file.read(1):
-                    raise ValueError("it is cut off")
-                return found
-        except (
-            KeyError,
-            zipfile.BadZipFile,
-            zlib.error,
-            EOFError,
-            ValueError,
-            RuntimeError,
-        ) as bad:
-            fault = "it is not in the bundle" if isinstance(bad, KeyError) else reason(bad)
-            raise StyleSplatError(f"Cannot read {path}: {brief(name)!r}: {fault}. {AGAIN}") from bad
+        except KeyError as error:
+            raise ValueError(f"{brief(name)!r} is not in the bundle") from error
+        if entry.compress_type not in ZIP_METHODS:
+            raise ValueError(f"{brief(name)!r} is packed in a way that the format has not")
+        if entry.file_size > (MAX_META if name == SOG_META else MAX_GROWTH * len(content)):
+            raise ValueError(f"{brief(name)!r} would unpack to {entry.file_size} bytes")
+        with bundle.open(entry) as file:
+            return file.read(entry.file_size)  # and no more, whatever follows
 
     return member
 
 
-def _webp_size(files: Mapping[str, bytes], name: str) -> tuple[int, int]:
-    """Width and height of a lossless picture; its pixels are not decoded."""
-    with _open_webp(files, name) as image:
-        return image.size
-
-
 def _webp_pixels(files: Mapping[str, bytes], name: str, size: tuple[int, int]) -> Texels:
-    with _open_webp(files, name) as image:
-        if image.size != size:
-            has, due = (f"{width} x {height}" for width, height in (image.size, size))
-            raise ValueError(f"it has {has} pixels, where {due} are due")
-        return np.asarray(image.convert("RGBA")).reshape(-1, 4)
-
-
-@contextmanager
-def _open_webp(files: Mapping[str, bytes], name: str) -> Iterator[Image.Image]:
-    """Open a lossless picture; whatever Pillow raises becomes a ValueError that names it."""
-    content = files[name]
+    image = _open_webp(files, name)
+    if image.size != size:
+        has, due = (f"{width} x {height}" for width, height in (image.size, size))
+        raise ValueError(f"{brief(name)!r} has {has} pixels, where {due} are due")
     try:
-        if not _is_lossless(content):
-            raise ValueError("it is no lossless WebP picture, so its pixels are no numbers")
-        with (
-            warnings.catch_warnings(action="ignore"),
-            Image.open(io.BytesIO(content), formats=("WEBP",)) as image,
-        ):
-            yield image
-    except MemoryError:
-        raise
-    except Exception as error:
+        return np.asarray(image.convert("RGBA")).reshape(-1, 4)
+    except OSError as error:
         raise ValueError(f"{brief(name)!r}: {reason(error)}") from error
 
 
-def _is_lossless(content: bytes) -> bool:
-    """Whether the first part with pixels is one lossless picture.
-
-    The parts: https://developers.google.com/speed/webp/docs/riff_container
-    """
-    offset = RIFF_HEADER
-    while content.startswith(b"RIFF") and offset + WEBP_CHUNK.size <= len(content):
-        name, size = WEBP_CHUNK.unpack_from(content, offset)
-        if name in (b"VP8L", b"VP8 ", b"ALPH", b"ANIM", b"ANMF"):
-            return name == b"VP8L"
-        offset += WEBP_CHUNK.size + size + size % 2
-    return False
+def _open_webp(files: Mapping[str, bytes], name: str) -> Image.Image:
+    """Open a lossless picture, whose pixels are not decoded yet."""
+    content = files[name]
+    if b"VP8L" not in content[:WEBP_HEADER]:
+        raise ValueError(
+            f"{brief(name)!r} is no lossless WebP picture, so its pixels are no numbers"
+        )
+    with warnings.catch_warnings(action="ignore"):
+        return Image.open(io.BytesIO(content), formats=("WEBP",))

@@ -16,15 +16,12 @@ from stylesplat.io.tensors import GAUSSIANS, check_range
 from stylesplat.scene.splats import Splats
 
 FULL_BANDS = 15  # higher bands of spherical harmonics at degree 3
-REST_COUNTS = (0, 3 * 3, 3 * 8, 3 * FULL_BANDS)  # columns at each degree
-MEANS = ("x", "y", "z")
-SH0 = tuple(f"f_dc_{i}" for i in range(3))
-OPACITY = ("opacity",)
-SCALES = tuple(f"scale_{i}" for i in range(3))
-QUATS = tuple(f"rot_{i}" for i in range(4))
+BANDS = (0, 3, 8, FULL_BANDS)  # at each degree
+MEANS, NORMALS = ("x", "y", "z"), ("nx", "ny", "nz")  # normals are 0; some viewers count on them
+SH0, SCALES = (tuple(f"{name}_{i}" for i in range(3)) for name in ("f_dc", "scale"))
+OPACITY, QUATS = ("opacity",), tuple(f"rot_{i}" for i in range(4))
 REMEDY = "Remove those Gaussians, or make the file again."
 SMALLEST_QUAT = 1e-10  # of a component: squares of less vanish in float32
-NORMALS = ("nx", "ny", "nz")  # always 0; some viewers count on them
 
 
 def read_splat_ply(path: Path | str, *, bands: bool = True) -> Splats:
@@ -35,24 +32,14 @@ def read_splat_ply(path: Path | str, *, bands: bool = True) -> Splats:
     with ply_rows(path, at_once=AT_ONCE) as rows:
         rest = _find_rest(rows.dtype, path)
         rest = rest if bands else ()
-        count, own = rows.count, len(rest) // 3
-        groups = (MEANS, QUATS, SCALES, OPACITY, SH0)
-        arrays = [np.empty((count, len(names)), np.float32) for names in groups]
-        higher = np.empty((count, own, 3), np.float32)
-        targets = {
-            name: array[:, i]
-            for names, array in zip(groups, arrays, strict=True)
-            for i, name in enumerate(names)
-        }
-        targets |= {name: higher[:, i % own, i // own] for i, name in enumerate(rest)}
-        first = 0
+        shapes = ((3,), (4,), (3,), (), (1, 3), (len(rest) // 3, 3))
+        splats = Splats(*(torch.empty(rows.count, *shape) for shape in shapes))
+        columns, first = _columns(splats, rest), 0
         for block in rows.blocks:
-            for name, target in targets.items():
-                target[first : first + len(block)] = block[name]
+            for name, column in columns.items():
+                column[first : first + len(block)] = block[name]
             first += len(block)
-    means, quats, scales, opacities, sh0 = map(torch.from_numpy, arrays)
-    shN = torch.from_numpy(higher)
-    return check_splats(Splats(means, quats, scales, opacities[:, 0], sh0[:, None], shN), path)
+    return check_splats(splats, path)
 
 
 def check_splats(splats: Splats, path: Path | str) -> Splats:
@@ -72,6 +59,13 @@ def splat_fault(splats: Splats) -> str | None:
         return str(error)
     unturned = int((splats.quats.abs() < SMALLEST_QUAT).all(dim=1).sum())
     return f"the rotations of {unturned} Gaussians are 0" if unturned else None
+
+
+def refuse_faulty(splats: Splats, path: Path) -> None:
+    """Raise a StyleSplatError if splats cannot be exported to a file."""
+    fault = splat_fault(splats) if len(splats) else None
+    if fault:
+        raise StyleSplatError(f"Cannot export to {path}: {fault}. {REMEDY}")
 
 
 def write_splat_ply(
@@ -95,8 +89,9 @@ def write_splat_ply(
     def blocks() -> Iterator[Shaped[np.ndarray, " B"]]:
         for start in range(0, len(splats), AT_ONCE):
             part = slice(start, start + AT_ONCE)
-            table = np.zeros(min(AT_ONCE, len(splats) - start), dtype)
-            for name, values in _columns(splats, part, rest).items():
+            some = splats[part].map(lambda tensor: tensor.detach().float().cpu())
+            table = np.zeros(len(some), dtype)
+            for name, values in _columns(some, rest).items():
                 table[name] = values
             for name, array in more.items():
                 table[name] = array[part]
@@ -105,21 +100,18 @@ def write_splat_ply(
     write_ply_rows(PlyRows(len(splats), dtype, blocks()), path)
 
 
-def _columns(
-    splats: Splats, part: slice, rest: Sequence[str]
-) -> Mapping[str, Float[np.ndarray, " B"]]:
-    """The columns of some rows, by name; of `rest` as many as the splats have bands."""
+def _columns(splats: Splats, rest: Sequence[str]) -> dict[str, Float[np.ndarray, " N"]]:
+    """Views of splats on the CPU by column; of `rest` as many as the splats have bands."""
     bands, own = len(rest) // 3, splats.shN.shape[1]
-    blocks = (
-        (MEANS, splats.means[part]),
-        (SH0, splats.sh0[part, 0]),
-        (OPACITY, splats.opacities[part, None]),
-        (SCALES, splats.scales[part]),
-        (QUATS, splats.quats[part]),
-        *((rest[c * bands : c * bands + own], splats.shN[part, :, c]) for c in range(3)),
+    groups = (
+        (MEANS, splats.means),
+        (SH0, splats.sh0[:, 0]),
+        (OPACITY, splats.opacities[:, None]),
+        (SCALES, splats.scales),
+        (QUATS, splats.quats),
+        *((rest[c * bands : c * bands + own], splats.shN[:, :, c]) for c in range(3)),
     )
-    arrays = ((names, values.detach().float().cpu().numpy()) for names, values in blocks)
-    return {name: array[:, i] for names, array in arrays for i, name in enumerate(names)}
+    return {name: values.numpy()[:, i] for names, values in groups for i, name in enumerate(names)}
 
 
 def pad_bands(shN: Float[Tensor, "N _ 3"]) -> Float[Tensor, "N 15 3"]:
@@ -130,8 +122,7 @@ def pad_bands(shN: Float[Tensor, "N _ 3"]) -> Float[Tensor, "N 15 3"]:
 
 def of_degree(splats: Splats, degree: int) -> Splats:
     """The splats with the bands of a degree: higher ones are dropped, missing ones are 0."""
-    padded = pad_bands(splats.shN)
-    return replace(splats, shN=padded[:, : (degree + 1) ** 2 - 1])
+    return replace(splats, shN=pad_bands(splats.shN)[:, : BANDS[degree]])
 
 
 def needed_degree(splats: Splats) -> int:
@@ -149,14 +140,11 @@ def _find_rest(dtype: np.dtype, path: Path | str) -> tuple[str, ...]:
     names = dtype.names or ()
     rest = _rest(sum(name.startswith("f_rest_") for name in names))
     missing = [n for n in (*MEANS, *SH0, *OPACITY, *SCALES, *QUATS, *rest) if n not in names]
-    if missing:
+    fault = f"it has no column {missing[0]}" if missing else None
+    if len(rest) not in [3 * bands for bands in BANDS]:
+        fault = fault or f"{len(rest)} f_rest columns fit no degree up to 3"
+    if fault:
         raise StyleSplatError(
-            f"Cannot read {path} as splats: it has no column {missing[0]}. "
-            "Export it as an uncompressed 3DGS PLY."
-        )
-    if len(rest) not in REST_COUNTS:
-        raise StyleSplatError(
-            f"Cannot read {path} as splats: {len(rest)} f_rest columns fit no degree up to 3. "
-            "Export it as an uncompressed 3DGS PLY."
+            f"Cannot read {path} as splats: {fault}. Export it as an uncompressed 3DGS PLY."
         )
     return rest
