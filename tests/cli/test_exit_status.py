@@ -18,14 +18,6 @@ from stylesplat.cli.results import BUG, OUT_OF_MEMORY
 from stylesplat.cli.train import Train
 
 
-def too_much() -> None:
-    np.empty(2**58, np.uint8)
-
-
-def too_much_for_torch() -> None:
-    torch.empty(2**58, dtype=torch.uint8)
-
-
 def failing(error: Exception):
     def fail(*_: object) -> None:
         raise error
@@ -36,8 +28,8 @@ def failing(error: Exception):
 @pytest.mark.parametrize(
     ("fail", "expected"),
     [
-        (too_much, OUT_OF_MEMORY),
-        (too_much_for_torch, OUT_OF_MEMORY),
+        (lambda: np.empty(2**58, np.uint8), OUT_OF_MEMORY),
+        (lambda: torch.empty(2**58, dtype=torch.uint8), OUT_OF_MEMORY),
         (failing(torch.OutOfMemoryError("CUDA out of memory. Tried to ...")), OUT_OF_MEMORY),
         (failing(OSError(errno.ENOSPC, "No space", "a")), "Disk full: a. Free some space"),
         (failing(PermissionError(errno.EACCES, "Not allowed", "a")), "Not allowed: a. Mend"),

@@ -8,14 +8,14 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.options import Command, Flag, OptionalOutput
+from stylesplat.cli.options import Flag, MakingCommand, OptionalOutput
 from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
 
 
 @dataclass(frozen=True)
-class Export(Command):
+class Export(MakingCommand):
     """Write a scene's splat for other programs, or as a web page that shows it.
 
     Example: stylesplat export garden-wave garden.html
