@@ -12,7 +12,7 @@ from PIL import Image
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
-from processes import complaint, result, run
+from processes import QUICK, complaint, result, run
 from stylesplat.io.json_files import read_json, write_json
 from stylesplat.stylization.features import weights
 
@@ -41,8 +41,8 @@ def once(quickly: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for id in ("3", "7"):
         Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(folder / f"{id}.png")
         styles += ["--style", f"{id}={folder / f'{id}.png'}"]
-    options = ("--features", "compact", "--steps", 2, "--device", "cpu")
-    assert run("stylize", folder / "scene", "-o", folder / "styled", *styles, *options) == 0
+    stylize = ("stylize", folder / "scene", "-o", folder / "styled", "--steps", 2)
+    assert run(*stylize, *styles, *QUICK) == 0
     return folder / "styled"
 
 

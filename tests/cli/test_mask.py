@@ -123,44 +123,30 @@ def test_strokes_as_they_are_typed(photos: Path, scene: Path, capsys: pytest.Cap
 
 
 def test_a_scene_without_photos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    folder, other = tmp_path / "scene", tmp_path / "other"
+    folder = tmp_path / "scene"
     scene_folder.save(BARE, folder)
     before = result(capsys, "objects", folder)
     assert before["objects"] == [] and before["sheet"] is None
     assert before["content"]["size"][2] == pytest.approx(0.7, abs=0.15)
-    box = "red=view_004:" + ",".join(map(str, around(3, "view_004")[1]))
-    found = result(capsys, "mask", folder, "--box", box, "-o", other, "--device", "cpu")
-    assert found["names"] == {"1": "red"} and found["of"] == 36
-    assert (other / "masks.jpg").is_file() and str(other) == found["scene"]
-    assert scene_folder.open(folder).splats.classifier is None, "left as it was"
-    assert agreement(scene_folder.open(other).objects["red"].picked, 3) > 0.8
-    listed = result(capsys, "objects", other)
-    (red,) = listed["objects"]
-    assert listed["named"]["red"] == {
-        key: red[key] for key in ("gaussians", "box", "centre", "size")
-    }
-    assert red["centre"] == pytest.approx(BALLS[3][0], abs=0.1)
-    corners = ",".join(map(str, red["box"]))
-    again = result(capsys, "select", other, "--name", "again", f"--box3d={corners}")
-    assert again["gaussians"] > 60
-    refused = complaint(capsys, "mask", other, "--from", tmp_path)
-    assert "would replace. Pass --overwrite" in refused
-    assert "means nothing" in complaint(capsys, "mask", other, "--box", box, "--scene", other)
-    assert "--overwrite" in complaint(capsys, "mask", folder, "--box", box, "-o", other)
-
-
-def test_pictures_of_what_a_name_no_longer_means_go(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    folder = tmp_path / "scene"
-    scene_folder.save(BARE, folder)
-    pictures = {}
     for name, x in (("red", 0), ("blue", 1)):
         result(capsys, "select", folder, "--name", name, f"--sphere={x},0,0,1", "--no-picture")
-        pictures[name] = selection_file(folder, name)
-        pictures[name].parent.mkdir(exist_ok=True)
-        pictures[name].write_bytes(b"a picture")
+        selection_file(folder, name).parent.mkdir(exist_ok=True)
+        selection_file(folder, name).write_bytes(b"a picture")
     box = "red=view_004:" + ",".join(map(str, around(3, "view_004")[1]))
-    assert run("mask", folder, "--box", box, "--device", "cpu") == 0
-    assert f"Picture: {folder / 'masks.jpg'}" in capsys.readouterr().err
-    assert not pictures["red"].exists() and pictures["blue"].is_file()
+    found = result(capsys, "mask", folder, "--box", box, "--device", "cpu")
+    assert found["names"] == {"1": "red"} and found["of"] == 36
+    assert (folder / "masks.jpg").is_file() and str(folder) == found["scene"]
+    assert agreement(scene_folder.open(folder).objects["red"].picked, 3) > 0.8
+    # Pictures of what a name no longer means are deleted
+    assert not selection_file(folder, "red").exists() and selection_file(folder, "blue").is_file()
+    listed = result(capsys, "objects", folder)
+    (red,) = listed["objects"]
+    assert red["centre"] == pytest.approx(BALLS[3][0], abs=0.1)
+    assert listed["named"]["red"].items() <= red.items()
+    corners = ",".join(map(str, red["box"]))
+    select = ("select", folder, "--name", "again", "--no-picture", f"--box3d={corners}")
+    assert result(capsys, *select)["gaussians"] > 60
+    refused = complaint(capsys, "mask", folder, "--from", tmp_path)
+    assert "would replace. Pass --overwrite" in refused
+    assert "means nothing" in complaint(capsys, "mask", folder, "--box", box, "--scene", folder)
+    assert "--overwrite" in complaint(capsys, "mask", folder, "--box", box, "-o", tmp_path)

@@ -21,7 +21,7 @@ import msgspec
 from msgspec.structs import replace
 
 from stylesplat.batch_jobs.job import Job
-from stylesplat.errors import StyleSplatError, printable
+from stylesplat.errors import printable
 from stylesplat.io.atomic import PARTIAL
 
 LOGS = "logs"  # in the batch's folder: what each job has printed
@@ -86,13 +86,7 @@ class JobExecutor:
 
 @contextmanager
 def local_executor(output: Path, workers: int) -> Iterator[JobExecutor]:
-    """Runs jobs as processes of this machine, which end with the context.
-
-    Raises:
-        StyleSplatError: If there are no workers.
-    """
-    if workers < 1:
-        raise StyleSplatError(f"Jobs need at least one worker, got {workers}. Use --workers 1.")
+    """Runs jobs as processes of this machine, which end with the context."""
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
     stopping, share = Event(), max(1, cores // workers)

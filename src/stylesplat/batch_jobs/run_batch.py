@@ -60,6 +60,10 @@ def run_batch(
         StyleSplatError: If an input cannot be read, the folder holds something else, or the
             cluster cannot be reached. Jobs that fail raise nothing.
     """
+    if workers < 1:
+        raise StyleSplatError(f"Jobs need at least one worker, got {workers}. Use --workers 1.")
+    if ray is not None and workers != 1:
+        raise StyleSplatError("Ray shares out its own cores. Leave --workers out with --ray.")
     refuse_address(output)
     output = output.resolve()
     refuse_occupied(output, marker=RECORDS, overwrite=True)
@@ -123,8 +127,6 @@ def _run(
 ) -> Iterator[JobRecord]:
     if ray is None:
         context = local_executor(output, workers)
-    elif workers != 1:
-        raise StyleSplatError("Ray shares out its own cores. Leave --workers out with --ray.")
     else:
         from stylesplat.batch_jobs.ray_tasks import ray_executor
 
