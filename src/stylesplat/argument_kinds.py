@@ -52,14 +52,15 @@ def _alternatives(kind: Any) -> list[Any]:
     return [kind]
 
 
-def _without_parameters(kind: Any) -> Any:
+def _plain(kind: Any) -> Any:
+    """A type without its parameters; of an array type of jaxtyping, the type of the array."""
     plain = get_origin(kind) or kind
-    return getattr(plain, "array_type", plain)  # of jaxtyping's, the type of the array
+    return getattr(plain, "array_type", plain)
 
 
 def _is_instance(value: Any, kind: Any) -> bool:
     """Whether a value, with the items of a dict or list, is of a type; or of that of a value."""
-    plain, items = _without_parameters(kind), get_args(kind)
+    plain, items = _plain(kind), get_args(kind)
     if kind is None or kind is Any:
         return value is None or kind is Any
     if not isinstance(plain, type):  # of a Literal: the verb says which values there are
@@ -72,20 +73,23 @@ def _is_instance(value: Any, kind: Any) -> bool:
         value, items = value.values(), items[1:]
     elif not isinstance(value, list | tuple) or len(items) != 1:
         return True
-    kinds = _alternatives(items[0])
-    return all(any(_is_instance(each, kind) for kind in kinds) for each in value)
+    return all(any(_is_instance(each, kind) for kind in _alternatives(items[0])) for each in value)
 
 
 def _refuse(verb: str, name: str, value: Any, kinds: list[Any]) -> None:
-    plain = ["None" if each in (None, types.NoneType) else each for each in kinds]
-    names = [getattr(_without_parameters(each), "__name__", str(each)) for each in plain]
+    names = [
+        "None" if each in (None, types.NoneType) else getattr(_plain(each), "__name__", str(each))
+        for each in kinds
+    ]
     given = type(value).__name__
     if isinstance(value, dict | list | tuple):
         items = value.values() if isinstance(value, dict) else value
         given += f" of {some(dict.fromkeys(type(each).__name__ for each in items))}"
-    shown = f", {brief(repr(value))}" if isinstance(value, str | int | float | PathLike) else ""
-    remedy = next((REMEDIES[each] for each in reversed(names) if each in REMEDIES), None)
+    elif isinstance(value, str | int | float | PathLike):
+        given += f", {brief(repr(value))}"
+    remedies = [REMEDIES[each] for each in reversed(names) if each in REMEDIES]
+    remedies.append(f"`help(stylesplat.{verb})` says what it takes.")
     raise StyleSplatError(
         f"Cannot call {verb} with this `{name}`: it must be {' or '.join(dict.fromkeys(names))}, "
-        f"and is {given}{shown}. {remedy or f'`help(stylesplat.{verb})` says what it takes.'}"
+        f"and is {given}. {remedies[0]}"
     )

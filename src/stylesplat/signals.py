@@ -39,7 +39,6 @@ def ignore_signals() -> None:
     for number in TAKEN:
         if signal.getsignal(number) is _interrupt:
             signal.signal(number, signal.SIG_IGN)
-    eval("None")  # else Python kills itself if Ctrl-C came while it ran a text, as dataclasses do
 
 
 def report_interruption(error: KeyboardInterrupt, advice: str = WHOLE) -> int:

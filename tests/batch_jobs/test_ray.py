@@ -49,13 +49,12 @@ exceptions = SimpleNamespace(RayError=RayError)
 def is_initialized():
     return False
 def init(**_):
-    raise {kind}("Failed to connect to 10.0.0.1. See the manual.\\nIt may help.")
+    raise RayError("Failed to connect to 10.0.0.1. See the manual.\\nIt may help.")
 """
 
 
-@pytest.mark.parametrize("kind", ["ConnectionError", "RayError"])
-def test_something_else_answers(kind: str, scene: Path, capsys, monkeypatch):
-    (scene.parent / "ray.py").write_text(STAND_IN.format(kind=kind))
+def test_something_else_answers(scene: Path, capsys, monkeypatch):
+    (scene.parent / "ray.py").write_text(STAND_IN)
     monkeypatch.syspath_prepend(scene.parent)
     monkeypatch.delitem(sys.modules, "ray", raising=False)
     with socket.create_server(("127.0.0.1", 0)) as server:

@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import pytest
@@ -17,28 +18,41 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_ball_capture(tmp_path_factory.mktemp("capture"))
 
 
-@pytest.fixture
-def scene(tmp_path: Path) -> Path:
-    """The balls as a scene that is trained, with the first view held out."""
-    folder = tmp_path / "scene"
-    save(Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:1], metrics={"psnr": 30.0}), folder)
+def save_scene(folder: Path) -> Path:
+    scene = Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:1], metrics={"psnr": 30.0})
+    save(scene, folder)
     return folder
 
 
 @pytest.fixture
-def style(tmp_path: Path) -> Path:
-    """Stripes to paint with."""
+def scene(tmp_path: Path) -> Path:
+    """The balls as a scene that is trained, with the first view held out."""
+    return save_scene(tmp_path / "scene")
+
+
+def save_stripes(path: Path) -> Path:
     rows = torch.arange(96) // 6 % 2
     pixels = torch.stack([200 * rows, 90 + 0 * rows, 255 - 200 * rows], dim=-1).to(torch.uint8)
-    path = tmp_path / "stripes.png"
     Image.fromarray(pixels[:, None].expand(96, 96, 3).numpy()).save(path)
     return path
 
 
 @pytest.fixture
-def styled(scene: Path, style: Path, quick_painting: None) -> Path:
-    """Two balls in stripes, at half intensity."""
-    out = scene.with_name("styled")
+def style(tmp_path: Path) -> Path:
+    """Stripes to paint with."""
+    return save_stripes(tmp_path / "stripes.png")
+
+
+@pytest.fixture(scope="module")
+def styled_once(quick_painting: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("styled")
+    scene, style, out = save_scene(folder / "scene"), save_stripes(folder / "a.png"), folder / "out"
     styles = ("--style", f"3={style}", "--style", f"7={style}")
     assert run("stylize", scene, "-o", out, "--steps", 2, "--intensity", 0.5, *QUICK, *styles) == 0
     return out
+
+
+@pytest.fixture
+def styled(scene: Path, styled_once: Path) -> Path:
+    """Two balls in stripes, at half intensity, beside the scene."""
+    return shutil.copytree(styled_once, scene.with_name("styled"))

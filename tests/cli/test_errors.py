@@ -6,7 +6,7 @@ import pytest
 
 from balls import CAMERAS
 from processes import complaint
-from stylesplat.cli.arguments import parse_box, parse_point, parse_style
+from stylesplat.cli.arguments import parse_place, parse_style
 from stylesplat.errors import StyleSplatError
 
 VIEW = CAMERAS.names[0]
@@ -58,14 +58,15 @@ def test_one_line_and_status_1(
 
 
 def test_places_and_styles_are_parsed():
-    assert parse_box("a:b.jpg:1,2,3,4.5") == ("a:b.jpg", (1.0, 2.0, 3.0, 4.5))
+    box = "VIEW:x0,y0,x1,y1"
+    assert parse_place("a:b.jpg:1,2,3,4.5", box) == ("a:b.jpg", (1.0, 2.0, 3.0, 4.5))
+    assert parse_place("0,1,2,3", box, "x,y,z,RADIUS") == ("", (0.0, 1.0, 2.0, 3.0))
+    assert parse_place("a.jpg:1,2,3,4", "VIEW:x,y,x,y,...")[1] == (1.0, 2.0, 3.0, 4.0)
+    for wrong in ("a.jpg:1,2", "a.jpg:1,2,3,b", "1,2,3,4", "a.jpg:1,2,3,nan", ""):
+        with pytest.raises(StyleSplatError, match=f"Expected {box}, got '{wrong}'"):
+            parse_place(wrong, box)
     assert parse_style("vase=a=b.jpg") == ("vase", (Path("a=b.jpg"),))
     assert parse_style("vase=a.jpg,b.jpg") == ("vase", (Path("a.jpg"), Path("b.jpg")))
-    assert parse_point("a.jpg:1,2") == ("a.jpg", (1.0, 2.0))
-    with pytest.raises(StyleSplatError, match="x0,y0,x1,y1"):
-        parse_box("a.jpg:1,2")
-    with pytest.raises(StyleSplatError, match="VIEW:x,y"):
-        parse_point("a.jpg:1,b")
     for wrong in ("=b.jpg", "vase", "vase=", "vase=a.jpg,", "vase=a.jpg,,b.jpg"):
         with pytest.raises(StyleSplatError, match=f"OBJECT=IMAGE.*got '{wrong}'"):
             parse_style(wrong)

@@ -1,6 +1,7 @@
-"""The verb `evaluate`; of styled scenes it gives the numbers of `stylize` again, if it can."""
+"""The verb `evaluate`: of styled scenes the numbers of `stylize` again, of several a page."""
 
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,9 +12,8 @@ from PIL import Image
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
-from processes import complaint, result, run
+from processes import QUICK, complaint, result, run
 from stylesplat.io.json_files import read_json, write_json
-from stylesplat.io.scene_folder import revise
 from stylesplat.stylization.features import weights
 
 PER_RUN = ("seconds", "seconds_by_object", "steps", "precision", "train")
@@ -41,8 +41,8 @@ def once(quickly: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for id in ("3", "7"):
         Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(folder / f"{id}.png")
         styles += ["--style", f"{id}={folder / f'{id}.png'}"]
-    options = ("--features", "compact", "--steps", 2, "--device", "cpu")
-    assert run("stylize", folder / "scene", "-o", folder / "styled", *styles, *options) == 0
+    stylize = ("stylize", folder / "scene", "-o", folder / "styled", "--steps", 2)
+    assert run(*stylize, *styles, *QUICK) == 0
     return folder / "styled"
 
 
@@ -73,19 +73,6 @@ def test_evaluate_compares_with_the_capture(capture: Path, scene: Path, capsys):
     assert ss.open(scene).metrics == {"psnr": 30.0, "evaluate": metrics}
     other = capture / "object_mask"
     assert result(capsys, "evaluate", scene, "--capture", capture, "--masks", other) == metrics
-
-
-def test_what_others_measured_meanwhile_is_kept(
-    capture: Path, scene: Path, monkeypatch: pytest.MonkeyPatch
-):
-    def meanwhile(before: ss.Scene, *_: object, **__: object) -> dict[str, float]:
-        revise(before, replace(before, metrics={"psnr": 31.0, "other": 2.0}), scene)
-        return {"psnr": 29.0}
-
-    monkeypatch.setattr("stylesplat.evaluate", meanwhile)
-    assert run("evaluate", scene, "--capture", capture) == 0
-    metrics = read_json(scene / "metrics.json")
-    assert metrics == {"psnr": 31.0, "other": 2.0, "evaluate": {"psnr": 29.0}}
 
 
 def test_a_styled_scene_gets_the_numbers_of_stylize(styled: Path, evaluate):
@@ -126,3 +113,59 @@ def test_numbers_in_a_file_of_their_own(
     assert read_json(numbers) == found and NEEDS_NONE <= found.keys()
     assert (styled / "metrics.json").read_bytes() == before
     assert "--overwrite" in complaint(capsys, "evaluate", styled, "-o", numbers)
+
+
+@pytest.fixture
+def darker(scene: Path) -> Path:
+    folder = scene.with_name("darker & others")
+    ss.save(replace(ss.open(scene), splats=replace(SPLATS, sh0=SPLATS.sh0 - 0.5)), folder)
+    return folder
+
+
+def test_one_page_and_one_schema(capture: Path, scene: Path, darker: Path, tmp_path: Path, capsys):
+    page, before = tmp_path / "page.html", (scene / "metrics.json").read_bytes()
+    found = result(capsys, "evaluate", scene, darker, "--compare", "-o", page, "--capture", capture)
+    assert found["schema"] == "stylesplat-comparison-1" and found["page"] == str(page)
+    one, other = found["scenes"]
+    assert [one["name"], other["name"]] == ["scene", "darker & others"]
+    assert one["metrics"] == result(
+        capsys, "evaluate", scene, "--capture", capture, "-o", tmp_path / "x.json"
+    )
+    assert other["differences"]["psnr"] == other["metrics"]["psnr"] - one["metrics"]["psnr"]
+    text = page.read_text()
+    assert text.count("data:image/jpeg;base64,") == 2 * len(found["views"]) == 2
+    assert "darker &amp; others" in text and "://" not in text
+    assert "$" not in re.sub(r"base64,[^\"]*", "", text), "every placeholder is filled"
+    psnr = other["metrics"]["psnr"], other["differences"]["psnr"]
+    assert f"<td>{psnr[0]:.4g} ({psnr[1]:+.3g})</td>" in text
+    assert (scene / "metrics.json").read_bytes() == before
+
+
+def test_it_is_said_in_words(
+    capture: Path, scene: Path, darker: Path, tmp_path: Path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    call = ("evaluate", "--compare", scene, darker, "-o", "p.html", "--capture", capture)
+    assert run(*call) == 0
+    *_, second, last = capsys.readouterr().err.strip().splitlines()
+    assert re.fullmatch(
+        r"darker & others: PSNR .* \(-.*\), SSIM .*, IoU .* % of its pixels differ\.", second
+    )
+    assert last == "Page: p.html, with all numbers and 1 views of each."
+    assert "p.html exists" in complaint(capsys, *call)
+
+
+def test_wrong_mixes_are_refused(scene: Path, darker: Path, capsys):
+    for arguments, line in (
+        ((scene, darker), "Cannot evaluate 2 scenes at once. Compare them"),
+        ((scene, "--compare", "-o", "p.html"), "--compare needs at least two scenes, got one."),
+        ((scene, darker, "--compare"), "--compare makes an HTML page, got none as its place."),
+        ((scene, darker, "--compare", "-o", "p.json"), "got p.json as its place."),
+    ):
+        assert line in complaint(capsys, "evaluate", *arguments)
+
+
+def test_without_photos_there_are_pictures(scene: Path, darker: Path, tmp_path: Path, capsys):
+    page = ("-o", tmp_path / "p.html")
+    found = result(capsys, "evaluate", scene, darker, "--compare", *page)
+    assert [each["metrics"] for each in found["scenes"]] == [{}, {}] and len(found["notes"]) == 2

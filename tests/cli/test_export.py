@@ -24,12 +24,9 @@ def test_export_keeps_every_bit(scene: Path, tmp_path: Path):
 def test_export_makes_a_page(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert run("export", scene, tmp_path / "out.html") == 0
     said = capsys.readouterr().err
-    assert "out.html: 440 Gaussians, 0.0 MB. Any browser opens it, without a network." in said
+    assert "out.html: 440 Gaussians, 0.0 MB." in said
     assert "exists" in complaint(capsys, "export", scene, tmp_path / "out.html")
     assert run("export", scene, tmp_path / "out.html", "--overwrite", "--sh-degree", 0) == 0
-    with pytest.raises(SystemExit):
-        run("export", "--help")
-    assert ".html" in capsys.readouterr().out
 
 
 def test_export_cuts_objects_out(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

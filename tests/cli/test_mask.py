@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from balls import CAMERAS, SPLATS
+from balls import BALLS, BARE, CAMERAS, SPLATS, agreement, around
 from capture_files import write_ball_capture
-from processes import QUICK, run
-from stylesplat.cli.arguments import parse_named_box
+from processes import QUICK, complaint, result, run
+from stylesplat.cli.objects import selection_file
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.selection.identities import render_labels
@@ -56,19 +56,14 @@ def test_from_a_box_to_a_painted_object(
     ("arguments", "expected"),
     [
         ([], "Nothing says what to mask. Draw a box"),
-        (["--method", "grabcut"], "Nothing says what to mask"),
         (["--method", "files"], "Say with --from where the masks are"),
-        (["--from", "{photos}", "--box", BOX], "--box means nothing with --from"),
-        (["--from", "{photos}", "--scene", "x"], "--scene means nothing with --from"),
-        (
-            ["--method", "grabcut", "--from", "{photos}", "--box", BOX],
-            "--from means nothing with --method grabcut",
-        ),
+        (["--from", "{photos}", "--box", BOX], "means nothing with the method `files`"),
+        (["--from", "{photos}", "--scene", "x"], "`scene` means nothing"),
+        (["--method", "grabcut", "--from", "{photos}", "--box", BOX], "`source` means nothing"),
+        (["--method", "sam2", "--not-stroke", "a=0001.jpg:7,9"], "`strokes` means nothing"),
         (["--from", "{photos}/none"], "There is no folder or .json file"),
         (["--box", "vase=0001.jpg:1,2,3"], "Expected VIEW:x0,y0,x1,y1"),
-        (["--box", "vase"], "Expected VIEW:x0,y0,x1,y1"),
         (["--box", "=0001.jpg:1,2,9,9"], "Cannot call an object ''"),
-        (["--box", "3=0001.jpg:1,2,9,9"], "Cannot call an object '3'"),
         (["--box", "a/b=0001.jpg:1,2,9,9"], "Cannot call an object 'a/b': names must not contain"),
         (["--box", "vase=lost.jpg:1,2,9,9"], "No view is called 'lost.jpg'"),
         (["--box", "vase=0001.jpg:nan,2,9,9"], "Expected VIEW:x0,y0,x1,y1"),
@@ -115,15 +110,6 @@ def test_label_maps_whose_picture_cannot_be_drawn(
     assert json.loads(out)["preview"] is None and json.loads(out)["photos"] == 8
     assert "There is no picture: Disk full. Free some space" in err
     assert not (photos / "object_mask" / "preview.jpg").exists(), "that of other label maps"
-    assert run(*mask) == 0
-    assert "Picture:" not in capsys.readouterr().err
-
-
-def test_places_with_names():
-    box = (1.0, 2.0, 3.0, 4.5)
-    assert parse_named_box("vase=a:b.jpg:1,2,3,4.5") == ("vase", ("a:b.jpg", box))
-    assert parse_named_box("a.jpg:1,2,3,4.5") == ("object", ("a.jpg", box))
-    assert parse_named_box("vase=a=b.jpg:1,2,3,4.5") == ("vase", ("a=b.jpg", box))
 
 
 def test_strokes_as_they_are_typed(photos: Path, scene: Path, capsys: pytest.CaptureFixture[str]):
@@ -133,6 +119,34 @@ def test_strokes_as_they_are_typed(photos: Path, scene: Path, capsys: pytest.Cap
     assert labels[12, 10:20].all() and not labels[9, 7]
     for bad in ("vase=0001.jpg:1,2,3", "vase=1,2", "vase=0001.jpg:nan,1"):
         assert run("mask", photos, "--box", BOX, "--stroke", bad) == 1
-        assert "Expected NAME=VIEW:x,y,x,y" in capsys.readouterr().err
-    assert run("mask", photos, "--method", "sam2", "--not-stroke", lines[-1]) == 1
-    assert "--not-stroke means nothing with --method sam2" in capsys.readouterr().err
+        assert "Expected VIEW:x,y,x,y" in capsys.readouterr().err
+
+
+def test_a_scene_without_photos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = tmp_path / "scene"
+    scene_folder.save(BARE, folder)
+    before = result(capsys, "objects", folder)
+    assert before["objects"] == [] and before["sheet"] is None
+    assert before["content"]["size"][2] == pytest.approx(0.7, abs=0.15)
+    for name, x in (("red", 0), ("blue", 1)):
+        result(capsys, "select", folder, "--name", name, f"--sphere={x},0,0,1", "--no-picture")
+        selection_file(folder, name).parent.mkdir(exist_ok=True)
+        selection_file(folder, name).write_bytes(b"a picture")
+    box = "red=view_004:" + ",".join(map(str, around(3, "view_004")[1]))
+    found = result(capsys, "mask", folder, "--box", box, "--device", "cpu")
+    assert found["names"] == {"1": "red"} and found["of"] == 36
+    assert (folder / "masks.jpg").is_file() and str(folder) == found["scene"]
+    assert agreement(scene_folder.open(folder).objects["red"].picked, 3) > 0.8
+    # Pictures of what a name no longer means are deleted
+    assert not selection_file(folder, "red").exists() and selection_file(folder, "blue").is_file()
+    listed = result(capsys, "objects", folder)
+    (red,) = listed["objects"]
+    assert red["centre"] == pytest.approx(BALLS[3][0], abs=0.1)
+    assert listed["named"]["red"].items() <= red.items()
+    corners = ",".join(map(str, red["box"]))
+    select = ("select", folder, "--name", "again", "--no-picture", f"--box3d={corners}")
+    assert result(capsys, *select)["gaussians"] > 60
+    refused = complaint(capsys, "mask", folder, "--from", tmp_path)
+    assert "would replace. Pass --overwrite" in refused
+    assert "means nothing" in complaint(capsys, "mask", folder, "--box", box, "--scene", folder)
+    assert "--overwrite" in complaint(capsys, "mask", folder, "--box", box, "-o", tmp_path)

@@ -32,13 +32,6 @@ def test_both_are_moved_together(project: Path, capsys: pytest.CaptureFixture[st
     assert read_json(moved / "copy/scene.json")["capture_relative"] == "../capture"
 
 
-def test_where_they_were_comes_first(project: Path, tmp_path: Path):
-    other = write_ball_capture(tmp_path / "other/capture", CAMERAS[[0, 1]])
-    ss.save(ss.open(project / "scenes/balls"), tmp_path / "other/scenes/balls")
-    found = ss.open(tmp_path / "other/scenes/balls").capture
-    assert found == project / "capture" and found != other
-
-
 def test_a_changed_scene_keeps_its_way_there(project: Path):
     folder = project / "scenes/balls"
     before = ss.open(folder)

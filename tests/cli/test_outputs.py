@@ -1,18 +1,14 @@
 """Where nothing can be written is said before the work, whatever the verb."""
 
 import os
-from contextlib import nullcontext
 from importlib import import_module
 from pathlib import Path
 
 import pytest
-from torch import Tensor
 
 from balls import CAMERAS
 from capture_files import write_ball_capture
-from processes import as_nobody, complaint, no_room, public_folder
-from stylesplat.io import images
-from stylesplat.io.kinds import SCENE
+from processes import as_nobody, complaint, public_folder
 
 LONG = "a" * 250  # characters that a file's name may have, but not with what it has meanwhile
 WORK = (
@@ -118,23 +114,3 @@ def test_masks(capture: Path, tmp_path: Path, no_work: None, capsys):
     (tmp_path / "capture/object_mask").touch()
     line = complaint(capsys, "mask", tmp_path / "capture", "--box", "a=0001.jpg:6,8,23,24")
     assert "object_mask is a file. Choose another name" in line
-
-
-def test_a_sheet_is_saved_elsewhere_in_the_end(
-    scene: Path, style: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
-):
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
-    written = images.write_image
-
-    def no_room_there(image: Tensor, path: Path) -> None:
-        with no_room(64) if path.parent == tmp_path else nullcontext():
-            written(image, path)
-
-    monkeypatch.setattr(images, "write_image", no_room_there)
-    options = ("--steps", 1, "--device", "cpu", "--style", f"3={style}")
-    line = complaint(capsys, "sheet", scene, "-o", tmp_path / "a.png", *options)
-    (made,) = elsewhere.rglob("a.png")
-    assert f"The sheet is in {made}: move it from there." in line
-    assert not (tmp_path / "a.png").exists() and (scene / SCENE).is_file()

@@ -7,7 +7,7 @@ import pytest
 
 from balls import CAMERAS, SPLATS
 from scenes import assert_same
-from stylesplat.cli.results import object_commands, save_or_rescue, stylize_command, unused
+from stylesplat.cli.results import save_or_rescue, stylize_command, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.scene.arguments import pasted
@@ -30,18 +30,6 @@ def test_a_scene_is_saved_elsewhere_in_the_end(tmp_path: Path, monkeypatch: pyte
     assert_same(open(place / "garden"), open(tmp_path / "scene"))
 
 
-def test_a_scene_that_can_be_saved_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-
-    def refuse(*_: object, **__: object) -> None:
-        raise StyleSplatError("disk full.")
-
-    monkeypatch.setattr("stylesplat.io.scene_folder.save", refuse)
-    with pytest.raises(StyleSplatError, match=r"^disk full\.$"):
-        save_or_rescue(SCENE, tmp_path / "scene", overwrite=False)
-    assert not [*tmp_path.iterdir()]
-
-
 def test_names_with_spaces_and_quotes_are_quoted():
     command = pasted("export", Path("my garden"), "it's.ply")
     assert shlex.split(command) == ["stylesplat", "export", "my garden", "it's.ply"]
@@ -58,17 +46,3 @@ def test_places_that_are_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert f"{tmp_path / 'garden-painted-2'}" in stylize_command(scene, "vase")
     monkeypatch.chdir(scene)
     assert unused(Path(), ".spz") == tmp_path / "garden.spz"
-
-
-@pytest.mark.parametrize(
-    ("names", "labelled", "photos", "expected"),
-    [
-        (["vase"], True, True, "--style vase="),
-        ([], True, True, "objects"),
-        ([], False, True, "--sphere"),
-        ([], False, False, "mask garden --box NAME=VIEW:x0,y0,x1,y1"),
-    ],
-)
-def test_the_way_to_an_object(names: list[str], labelled: bool, photos: bool, expected: str):
-    commands = object_commands(Path("garden"), names, labelled=labelled, photos=photos)
-    assert expected in " ".join(commands)

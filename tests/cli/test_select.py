@@ -1,12 +1,18 @@
-"""The verb `select`."""
+"""The verbs `select`, `rename` and `delete`, and the pictures of selections."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import torch
+
 import stylesplat as ss
-from balls import BALLS, CAMERAS
+from balls import BALLS, CAMERAS, SPLATS
 from capture_files import ColorDetector
-from processes import complaint, result
+from processes import complaint, result, run
+from stylesplat.cli.objects import selection_file
+from stylesplat.io import scene_folder
 from stylesplat.io.images import read_image
+from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
 
 
@@ -21,10 +27,11 @@ def test_select_by_id_and_by_point(scene: Path, capsys):
     assert read_image(by_id["picture"]).shape[1] > 3 * 480, "three views of it"
     labels = render_labels(ss.open(scene).splats, CAMERAS[2])
     y, x = (labels == 7).nonzero().median(dim=0).values.tolist()
+    plain = ("select", scene, "--no-picture", "--name")
     place = f"{CAMERAS.names[2]}:{x},{y}"
-    assert result(capsys, "select", scene, "--name", "green", "--point", place)["ids"] == [7]
+    assert result(capsys, *plain, "green", "--point", place)["ids"] == [7]
     box = f"{CAMERAS.names[2]}:{x - 1},{y - 1},{x + 2},{y + 2}"
-    assert result(capsys, "select", scene, "--name", "also", "--box", box)["ids"] == [7]
+    assert result(capsys, *plain, "also", "--box", box)["ids"] == [7]
     after = ss.open(scene)
     assert set(after.objects) == {"red", "green", "also"}
     assert after.objects["green"].how["points"][0][0] == CAMERAS.names[2]
@@ -33,25 +40,17 @@ def test_select_by_id_and_by_point(scene: Path, capsys):
 
 
 def test_options_that_are_repeated_append(scene: Path, capsys):
-    both = result(capsys, "select", scene, "--name", "both", "--id", 3, 7)
-    assert result(capsys, "select", scene, "--name", "b", "--id", 3, "--id", 7)["ids"] == [3, 7]
+    plain = ("select", scene, "--no-picture", "--name")
+    both = result(capsys, *plain, "both", "--id", 3, 7)
     for name, id in (("red", 3), ("green", 7)):
-        result(capsys, "select", scene, "--name", name, "--id", id)
-    plus = result(capsys, "select", scene, "--name", "c", "--plus", "red", "--plus", "green")
+        result(capsys, *plain, name, "--id", id)
+    plus = result(capsys, *plain, "c", "--plus", "red", "--plus", "green")
     assert plus["gaussians"] == both["gaussians"] and plus["plus"] == ["red", "green"]
     none = ("--minus", "red", "--minus", "green")
-    line = complaint(capsys, "select", scene, "--name", "d", "--plus", "both", *none)
-    assert "Nothing is left" in line
-    for option, one, other in (
-        ("--sphere", ball(3, 0.3), ball(7, 0.3)),
-        ("--box3d", "-9,-9,-9,0,9,9", "0,-9,-9,9,9,9"),
-    ):
-        alone = [
-            result(capsys, "select", scene, "--name", "e", f"{option}={shape}")["gaussians"]
-            for shape in (one, other)
-        ]
-        both = (f"{option}={one}", f"{option}={other}")
-        assert result(capsys, "select", scene, "--name", "f", *both)["gaussians"] == sum(alone)
+    assert "Nothing is left" in complaint(capsys, *plain, "d", "--plus", "both", *none)
+    spheres = [f"--sphere={ball(id, 0.3)}" for id in (3, 7)]
+    alone = [result(capsys, *plain, "e", each)["gaussians"] for each in spheres]
+    assert result(capsys, *plain, "f", *spheres)["gaussians"] == sum(alone)
 
 
 def test_select_by_text(scene: Path, capsys, monkeypatch):
@@ -59,6 +58,89 @@ def test_select_by_text(scene: Path, capsys, monkeypatch):
     monkeypatch.setattr(
         "stylesplat.verbs.select.load_detector", lambda *a: asked.append(a) or ColorDetector()
     )
-    found = result(capsys, "select", scene, "--name", "it", "--text", "blue", "--model", "a/b")
+    text = ("--text", "blue", "--model", "a/b", "--no-picture")
+    found = result(capsys, "select", scene, "--name", "it", *text)
     assert found["ids"] == [300] and found["scores"].keys() == {"300"}
     assert asked[0][0] == "a/b"
+
+
+def test_the_answer_comes_before_the_picture(scene: Path, capsys):
+    bytes_before = (scene / "splats.ply").read_bytes()
+    assert run("select", scene, "--name", "red", "--id", 3) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("red: ") and lines[1].startswith("Next: stylesplat stylize ")
+    picture = scene / "selections" / "red.png"
+    assert lines[-1].startswith(f"Picture: {picture}, the selected Gaussians in colour")
+    assert picture.is_file() and (scene / "splats.ply").read_bytes() == bytes_before
+
+
+def test_a_picture_that_cannot_be_written(scene: Path, tmp_path: Path, capsys):
+    """The selection is made all the same, unless the picture would be written elsewhere."""
+    (scene / "selections").write_text("mine")
+    found = result(capsys, "select", scene, "--name", "red", "--id", 3)
+    assert found["picture"] is None and scene_folder.open(scene).objects.keys() == {"red"}
+    assert (scene / "selections").read_text() == "mine"
+    (scene / "selections").unlink()
+    (scene / "selections").symlink_to(tmp_path)
+    line = complaint(capsys, "select", scene, "--name", "green", "--id", 7)
+    assert "leads out of the folder" in line and not [*tmp_path.glob("*.png")]
+    assert scene_folder.open(scene).objects.keys() == {"red"}
+
+
+def test_what_shows_in_no_view_has_no_picture(scene: Path, capsys):
+    above = SPLATS.means.clone()
+    above[200:280] = torch.tensor([0.0, 0.0, 60.0])  # the red ball, above all cameras
+    scene_folder.save(Scene(replace(SPLATS, means=above), CAMERAS), scene / "other")
+    old = scene / "other" / "selections" / "red.png"
+    old.parent.mkdir()
+    old.write_bytes(b"an earlier selection")
+    assert run("select", scene / "other", "--name", "red", "--id", 3) == 0
+    assert "red shows in none of the views" in capsys.readouterr().err
+    assert not old.exists()
+
+
+def test_a_selection_in_a_new_scene(scene: Path, tmp_path: Path, capsys):
+    first, new = result(capsys, "select", scene, "--name", "it", "--id", 7), tmp_path / "new"
+    old = Path(first["picture"]).read_bytes()
+    found = result(capsys, "select", scene, "--name", "it", "--id", 3, "-o", new)
+    assert found["scene"] == str(new) and found["picture"] == str(selection_file(new, "it"))
+    assert selection_file(new, "it").read_bytes() != old == Path(first["picture"]).read_bytes()
+    assert scene_folder.open(scene).objects["it"].how["ids"] == [7]
+    assert scene_folder.open(new).objects["it"].how["ids"] == [3]
+    late = ("--overwrite", "-o", new, "--no-picture")
+    assert run("select", scene, "--name", "it", "--id", 300, *late) == 0
+    assert f"stylize {new} --style it" in capsys.readouterr().err
+    assert not selection_file(new, "it").exists(), "that of an earlier scene would be wrong"
+
+
+def test_rename_and_delete(scene: Path, capsys):
+    (scene / "notes.txt").write_text("mine")
+    first = result(capsys, "select", scene, "--name", "red", "--id", 3)
+    picture = Path(first["picture"]).read_bytes()
+    renamed = result(capsys, "rename", scene, "red", "vase")
+    assert renamed["name"] == "vase" and renamed["was"] == "red" and renamed["ids"] == [3]
+    assert Path(renamed["picture"]).read_bytes() == picture
+    assert not Path(first["picture"]).exists()
+    assert [*ss.open(scene).objects] == ["vase"]
+    assert "Names: vase" in complaint(capsys, "rename", scene, "red", "pot")
+    assert "Names: vase" in complaint(capsys, "delete", scene, "red")
+    deleted = result(capsys, "delete", scene, "vase")
+    assert deleted == {"scene": str(scene), "deleted": "vase", "names": []}
+    assert not Path(renamed["picture"]).exists() and not ss.open(scene).objects
+    assert (scene / "notes.txt").read_text() == "mine"
+
+
+def test_rename_and_delete_into_a_new_scene(scene: Path, tmp_path: Path, capsys):
+    for name, id in (("red", 3), ("green", 7)):
+        result(capsys, "select", scene, "--name", name, "--id", id, "--no-picture")
+    before = {file: file.read_bytes() for file in scene.rglob("*") if file.is_file()}
+    renamed = result(capsys, "rename", scene, "red", "vase", "-o", tmp_path / "renamed")
+    assert renamed["scene"] == str(tmp_path / "renamed") and renamed["picture"] is None
+    assert [*ss.open(tmp_path / "renamed").objects] == ["vase", "green"]
+    left = result(capsys, "delete", scene, "red", "-o", tmp_path / "left")
+    assert left["names"] == ["green"] and [*ss.open(tmp_path / "left").objects] == ["green"]
+    assert {file: file.read_bytes() for file in scene.rglob("*") if file.is_file()} == before
+    assert "--overwrite" in complaint(capsys, "delete", scene, "green", "-o", tmp_path / "left")
+    again = ("-o", tmp_path / "left", "--overwrite")
+    assert run("rename", tmp_path / "left", "green", "jug", *again) == 0, "upon itself"
+    assert [*ss.open(tmp_path / "left").objects] == ["jug"]

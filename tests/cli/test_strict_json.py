@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +25,6 @@ def strictly(text: str) -> Any:
         raise ValueError(f"{constant} is no JSON")
 
     return json.loads(text, parse_constant=refuse)
-
-
-def test_files_of_a_scene(tmp_path: Path):
-    styled = painted(TRAINED, "red", write_pictures(tmp_path)[0])
-    how = {**styled.objects["red"].how, "threshold": math.nan}
-    objects = {**styled.objects, "red": replace(styled.objects["red"], how=how)}
-    info = {"settings": {"largest": math.inf}}
-    styled = replace(styled, metrics=MEASURED, objects=objects, info=info)
-    scene_folder.save(styled, tmp_path / "scene")
-    files = {path.name: strictly(path.read_text()) for path in (tmp_path / "scene").glob("*.json")}
-    assert files.keys() >= {"scene.json", "metrics.json", "objects.json", "recipe.json"}
-    assert files["metrics.json"] == WRITTEN
-    assert scene_folder.open(tmp_path / "scene").metrics == WRITTEN
 
 
 def test_what_commands_print(

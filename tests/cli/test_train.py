@@ -64,14 +64,6 @@ def test_what_photos_have_of_their_own(capture: Path, tmp_path: Path, capsys):
         assert again[name] == pytest.approx(metrics[name], abs=1e-3), name
 
 
-def test_labels_learned_in_training(capture: Path, tmp_path: Path):
-    out, options = tmp_path / "scene", ("--preset", "paper")
-    assert run("train", capture, "-o", out, "--steps", 4, "--device", "cpu", *options) == 0
-    scene = ss.open(out)
-    assert scene.info["settings"]["segment"] == "joint"
-    assert scene.splats.identities is not None and scene.splats.confidence is None
-
-
 def test_an_interrupted_run_continues_and_keeps_the_scene_until_then(
     capture: Path, scene: Path, capsys, interrupted
 ):
@@ -122,22 +114,15 @@ def test_an_interrupted_run_may_end_where_it_is(
     assert [*tmp_path.iterdir()] == [out], "what was interrupted is done"
 
 
-def test_only_what_was_begun_can_be_finished(capture: Path, tmp_path: Path, capsys, interrupted):
-    out = tmp_path / "scene"
-    command = ("train", capture, "-o", out, "--steps", 60)
-    assert "checkpoint_lift.pt" in complaint(capsys, *command, "--finish")
-    assert not [*tmp_path.iterdir()]
-    interrupted(*command)
-    assert "--restart" in complaint(capsys, *command, "--finish", "--restart")
-    assert "another seed" in complaint(capsys, *command, "--finish", "--seed", 3)
-    assert run(*command, "--finish") == 0
-
-
 def test_what_is_wrong_costs_no_checkpoint(capture: Path, tmp_path: Path, capsys):
     checkpoint = tmp_path / "scene.partial" / "checkpoint_lift.pt"
     checkpoint.parent.mkdir()
     checkpoint.write_bytes(b"hours of work")
+    assert "checkpoint_lift.pt" in complaint(
+        capsys, "train", capture, "-o", tmp_path / "other", "--finish"
+    )
     options = ("-o", tmp_path / "scene", "--overwrite", "--restart", "--steps")
+    assert "--restart" in complaint(capsys, "train", capture, *options, 1, "--finish")
     complaint(capsys, "train", tmp_path / "typo", *options, 1)
     complaint(capsys, "train", capture, *options, 0)
     damaged = complaint(capsys, "train", capture, "-o", tmp_path / "scene", "--steps", 1)

@@ -1,4 +1,4 @@
-"""A job: one command of the command line over one scene, and the options that verbs have."""
+"""A job: one command of the command line over one scene."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,34 +9,27 @@ import msgspec
 from msgspec import Meta
 
 Content = Literal["capture", "splat", "scene", "files"]
-
-
-@dataclass(frozen=True)
-class JobOption:
-    """An option of a verb, which takes `count` values at a time; a flag takes 0."""
-
-    count: int | Literal["*"]
-    repeated: bool = False
-    """It may be given several times, and appends."""
-    is_path: bool = False
-    """Its values are files or folders that must exist."""
-    is_output: bool = False
-    """It names what the job makes, within the job's folder."""
-    is_positional: bool = False
+POSITIONAL = ("capture",)  # options that have no name on the command line
+TUPLES = ("region",)  # options that take several values at once; others are repeated
 
 
 @dataclass(frozen=True)
 class JobVerb:
-    """A verb of the command line that a job can run."""
+    """A verb of the command line that a job can run, and what a job file has to know of it."""
 
     name: str
-    options: Mapping[str, JobOption]
-    """By name, without dashes in front."""
     takes: tuple[Content, ...]
     makes: Content | None
     """What its result is; None if that is what it works on."""
+    flags: frozenset[str]
+    """Options that are true or false."""
+    paths: frozenset[str]
+    """Options that name files or folders, which must exist."""
+    several: frozenset[str]
+    """Options that take several values; others take one."""
+    outputs: tuple[str, ...]
+    """Options that name what it makes, within the job's folder."""
     needs_output: bool
-    """An option must name the file that it makes."""
     check: Callable[[Sequence[str]], str | None]
     """Parses arguments, and returns what is wrong with them."""
 
@@ -59,10 +52,6 @@ class OptionValue:
     parts: tuple[tuple[str, tuple[str | Path, ...]], ...]
     """What names of results and fingerprints are made from: subjects, each with texts or paths."""
 
-    @property
-    def paths(self) -> list[Path]:
-        return [each for _, texts in self.parts for each in texts if isinstance(each, Path)]
-
 
 @dataclass(frozen=True)
 class Job:
@@ -81,19 +70,14 @@ class Job:
     needs: Needs
 
     @property
-    def has_output_name(self) -> bool:
-        """Whether options name what it makes in its folder; if not, its folder is the result."""
-        return any(self.verb.options[n].is_output and v.words for n, v in self.values.items())
-
-    @property
     def edits_copy(self) -> bool:
         """Whether it works on a copy of its capture, because its verb writes into captures."""
         return self.content == "capture" and self.verb.makes is None
 
     @property
-    def processes(self) -> int:
-        """Processes that train together, one for each GPU."""
-        return max(1, self.needs.gpus or 1) if self.verb.name == "train" else 1
+    def names_output(self) -> bool:
+        """Whether an option names a file in its folder; if not, its folder is the result."""
+        return any(self.values[name].words for name in self.verb.outputs if name in self.values)
 
     def source_in(self, output: Path) -> Path:
         """What it works on, where all results lie in the folder `output`."""
@@ -103,22 +87,22 @@ class Job:
         """The command line after `stylesplat`."""
         folder = output / self.name
         source = folder if self.edits_copy else self.source_in(output)
-        place = () if self.edits_copy or self.has_output_name else ("-o", str(folder))
-        return (*self.arguments(source, folder), *place, "--overwrite", "--json")
+        place = () if self.edits_copy or self.names_output else ("-o", str(folder))
+        return (self.verb.name, *self.arguments(source, folder), *place, "--overwrite", "--json")
 
     def arguments(self, source: Path, folder: Path) -> list[str]:
+        """The words after the verb that the job file asks for."""
         positional, options = [str(source)], []
         for name, value in self.values.items():
-            option = self.verb.options[name]
-            if value.words is None:
+            words = value.words
+            if words is None:
                 continue
-            if option.is_positional:
-                positional += value.words
-            elif option.count == 0:
-                options.append(f"--{name}")
-            elif option.repeated or option.count == 1:
-                words = [str(folder / w) for w in value.words] if option.is_output else value.words
-                options += [f"--{name}={word}" for word in words]
+            if name in self.verb.outputs:
+                words = [str(folder / word) for word in words]
+            if name in POSITIONAL:
+                positional += words
+            elif name in self.verb.flags or name in TUPLES:
+                options += [f"--{name}", *words]
             else:
-                options += [f"--{name}", *value.words]
-        return [self.verb.name, *positional, *options]
+                options += [f"--{name}={word}" for word in words]
+        return [*positional, *options]

@@ -1,24 +1,20 @@
 """Reads a job file, and multiplies its lists to jobs; docs/batch.md describes the format."""
 
+import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
+from hashlib import sha256
 from itertools import product, zip_longest
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
+from msgspec import UNSET, Meta, UnsetType
 
 from stylesplat.batch_jobs.job import Content, Job, JobVerb, Needs, OptionValue
-from stylesplat.batch_jobs.option_values import (
-    absolute_path,
-    name_parts,
-    option_values,
-    refuse_address,
-    result_name,
-)
-from stylesplat.errors import StyleSplatError, some, within
+from stylesplat.errors import StyleSplatError, brief, some, within
 from stylesplat.io.files import is_there, read_bytes
 from stylesplat.io.kinds import SPLATS, Kind, kind_of, no_capture, no_scene, no_splat
 from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
@@ -26,23 +22,48 @@ from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks
 CONTENTS: dict[Kind, Content] = {"scene": "scene", "capture": "capture", "splat": "splat"}
 REFUSALS = {"scene": no_scene, "capture": no_capture, "splat": no_splat}
-TOP_KEYS = ("scenes", "jobs")
-JOB_KEYS = ("name", "scenes", "needs", "then")  # beside the verb
-EXAMPLE = "Write `- stylize: {style: {vase: wave.jpg}}`."
+ADDRESS = re.compile(r"[A-Za-z][\w+.-]+:/")  # a scheme is longer than the letter of a drive
+LONGEST = 120  # characters of a name: file systems take 255 bytes, and suffixes are appended
+UNFIT = re.compile(r"[^\w.+~]+")  # characters that names of results do not have
+SET_BY_BATCH = ("json", "overwrite", "restart", "finish", "output", "file", "pick")
+STYLE = "style"  # the option that is OBJECT=IMAGE on the command line, and a map in a job file
+# The message of msgspec: the fact, and where it is
+MISFIT = re.compile(r"(?P<fact>.*?)(?: - at `\$(?P<place>.*)`)?")
+UNKNOWN = re.compile(r".*unknown field `(.*)`.*")
+
+Options = dict[str, Any] | None | UnsetType
+Scenes = list[str] | dict[str, str]
 
 
-@dataclass(frozen=True)
-class _Entry:
-    """A verb with all combinations of its options, and the entries that follow it."""
+class _Entry(msgspec.Struct, forbid_unknown_fields=True, rename={"import_": "import"}):
+    """A verb with its options, and what stands beside it."""
 
-    verb: JobVerb
-    line: int
-    label: str
-    """Stands for the verb in names of results."""
-    combinations: Sequence[tuple[Sequence[str], Mapping[str, OptionValue]]]
-    """Parts of names of results, and the options."""
-    needs: Needs
-    then: Sequence["_Entry"]
+    train: Options = UNSET
+    import_: Options = UNSET
+    mask: Options = UNSET
+    select: Options = UNSET
+    stylize: Options = UNSET
+    sheet: Options = UNSET
+    render: Options = UNSET
+    export: Options = UNSET
+    name: str | int | None = None
+    needs: Needs = Needs()
+    scenes: Scenes | None = None
+    then: list["_Entry"] = msgspec.field(default_factory=list)
+
+
+class _JobFile(msgspec.Struct, forbid_unknown_fields=True):
+    jobs: Annotated[list[_Entry], Meta(min_length=1)]
+    scenes: Scenes = msgspec.field(default_factory=list)
+
+
+NAMES = [
+    each.encode_name for kind in (_Entry, _JobFile, Needs) for each in msgspec.structs.fields(kind)
+]
+
+
+Combinations = Sequence[tuple[Sequence[str], Mapping[str, OptionValue]]]
+"""Parts of names of results, and the options."""
 
 
 def plan_batch(path: Path, verbs: Mapping[str, JobVerb]) -> tuple[Job, ...]:
@@ -59,136 +80,137 @@ def plan_batch(path: Path, verbs: Mapping[str, JobVerb]) -> tuple[Job, ...]:
     with within(f"Cannot use the jobs in {path}"):
         refuse_address(path)
         text = read_bytes(path, most=MAX_YAML)
-        content, jobs = parse_yaml(text), list[Job]()
-        for job in _Planner(path.parent, verbs, lines_of(text)).jobs(content):
+        content, planner, jobs = parse_yaml(text), _Planner(path.parent, verbs, text), list[Job]()
+        for job in planner.jobs(content):
             jobs.append(job)
             _check_count(len(jobs))
         _check_names(jobs)
         return tuple(jobs)
 
 
+def refuse_address(path: str | Path) -> None:
+    """Raise a StyleSplatError for an address such as `s3://bucket/scene`."""
+    if ADDRESS.match(str(path)):
+        raise StyleSplatError(
+            f"{brief(str(path))!r} is an address, and jobs read and write files. Mount it "
+            "(docs/batch.md says how), or copy it to a disk."
+        )
+
+
 class _Planner:
     """Reads one file, whose lines it knows."""
 
-    def __init__(self, folder: Path, verbs: Mapping[str, JobVerb], lines: dict[Place, int]) -> None:
-        self._folder, self._verbs, self._lines = folder, verbs, lines
+    def __init__(self, folder: Path, verbs: Mapping[str, JobVerb], text: bytes) -> None:
+        self._folder, self._verbs, self._lines = folder, verbs, lines_of(text)
+        self._read = dict[Place, tuple[JobVerb, Combinations]]()
 
     def jobs(self, content: Any) -> Iterator[Job]:
-        if not isinstance(content, dict):
-            raise StyleSplatError("it must hold `scenes:` and `jobs:`.")
-        self._check_keys(content, TOP_KEYS, ())
-        shared = self._scenes(content.get("scenes"), ("scenes",))
-        entries = self._list(content.get("jobs"), ("jobs",), EXAMPLE)
-        if not entries:
-            raise self._error(("jobs",), f"there are no jobs. {EXAMPLE}")
-        for number, value in enumerate(entries):
+        try:
+            file = msgspec.convert(content, _JobFile)
+        except msgspec.ValidationError as error:
+            raise self._misfit(str(error)) from error
+        shared = self._scenes(file.scenes, ("scenes",))
+        for number, entry in enumerate(file.jobs):
             place: Place = ("jobs", number)
-            entry, scenes = self._entry(value, place), shared
-            if "scenes" in value:
-                scenes = self._scenes(value["scenes"], (*place, "scenes"))
+            own = entry.scenes
+            scenes = shared if own is None else self._scenes(own, (*place, "scenes"))
+            verb, _ = self._verb(entry, place)
             if not scenes:
-                raise self._error(place, f"{entry.verb.name} has no scenes. List `scenes:`.")
+                raise self._error(place, f"{verb.name} has no scenes. List `scenes:`.")
             for name, path in scenes.items():
-                with within(f"line {entry.line}"):
+                with within(f"line {self._line(place)}"):
                     kind = CONTENTS.get(kind_of(path))
                     if kind is None:
-                        raise REFUSALS[entry.verb.takes[0]](path)
-                yield from _expand(entry, name, kind, source=path)
+                        raise REFUSALS[verb.takes[0]](path)
+                yield from self._expand(entry, place, name, kind, source=path)
 
-    def _entry(self, value: Any, place: Place) -> _Entry:
-        if not isinstance(value, dict):
-            raise self._error(place, f"a job is VERB: {{OPTION: VALUE}}. {EXAMPLE}")
-        self._check_keys(value, (*self._verbs, *JOB_KEYS), place)
-        found = [key for key in value if key in self._verbs]
+    def _expand(
+        self,
+        entry: _Entry,
+        place: Place,
+        base: str,
+        content: Content,
+        *,
+        source: Path | None = None,
+        after: str | None = None,
+    ) -> Iterator[Job]:
+        """The jobs of an entry over one scene or result, each before those that follow it."""
+        verb, combinations = self._verb(entry, place)
+        line = self._line((*place, verb.name))
+        if content not in verb.takes:
+            takes = " and ".join(f"{each}s" for each in verb.takes)
+            raise StyleSplatError(f"line {line}: {verb.name} works on {takes}, not on {base}.")
+        label = verb.name if entry.name is None else str(entry.name)
+        for parts, values in combinations:
+            name = _result_name(base, label, *parts)
+            yield Job(name, verb, line, source, content, after, values, entry.needs)
+            for number, each in enumerate(entry.then):
+                following = (*place, "then", number)
+                made = verb.makes or content
+                yield from self._expand(each, following, name, made, after=name)
+
+    def _verb(self, entry: _Entry, place: Place) -> tuple[JobVerb, Combinations]:
+        """The verb of an entry, and all combinations of its options."""
+        if place in self._read:
+            return self._read[place]
+        given = msgspec.structs.asdict(entry)
+        found = {
+            name: options
+            for name in self._verbs
+            if (options := given.get(name, given.get(f"{name}_", UNSET))) is not UNSET
+        }
         if len(found) != 1:
             got = " and ".join(found) or "none"
             raise self._error(place, f"a job has one verb, got {got}. Begin each with a dash.")
-        if "then" in place and "scenes" in value:
+        ((name, options),) = found.items()
+        verb = self._verbs[name]
+        if "then" in place and entry.scenes is not None:
             raise self._error((*place, "scenes"), "what follows a job works on its result.")
-        verb, label = self._verbs[found[0]], value.get("name")
-        label = found[0] if label is None else label
-        if not isinstance(label, str | int) or not str(label).strip():
-            raise self._error((*place, "name"), "name must be a text.")
-        try:
-            needs = msgspec.convert(value.get("needs") or {}, Needs)
-        except msgspec.ValidationError as error:
-            raise self._error((*place, "needs"), f"needs: {error}.") from error
-        then = self._list(value.get("then"), (*place, "then"), EXAMPLE)
-        if then and verb.makes == "files":
-            line = self._line((*place, "then", 0))
-            raise StyleSplatError(f"line {line}: nothing can follow {verb.name}: it makes files.")
-        return _Entry(
-            verb=verb,
-            line=self._line((*place, verb.name)),
-            label=str(label),
-            combinations=self._combinations(verb, value[verb.name], (*place, verb.name)),
-            needs=needs,
-            then=[self._entry(each, (*place, "then", n)) for n, each in enumerate(then)],
-        )
+        if entry.then and verb.makes == "files":
+            fact = f"nothing can follow {name}: it makes files."
+            raise self._error((*place, "then", 0), fact)
+        combinations = self._combinations(verb, options or {}, (*place, name))
+        self._read[place] = verb, combinations
+        return verb, combinations
 
-    def _combinations(
-        self, verb: JobVerb, options: Any, place: Place
-    ) -> list[tuple[Sequence[str], Mapping[str, OptionValue]]]:
-        """All combinations of the values of the options of a verb."""
-        options = options or {}
-        if not isinstance(options, dict):
-            raise self._error(place, f"{verb.name} takes KEY: VALUE, as in {{steps: 300}}.")
-        self._check_keys(options, verb.options, place)
-        names, axes = [_spelled(key) for key in options], []
-        for key, name in zip(options, names, strict=True):
+    def _combinations(self, verb: JobVerb, options: dict[str, Any], place: Place) -> Combinations:
+        axes: dict[str, list[tuple[str, OptionValue]]] = {}
+        for key, listed in options.items():
+            name = key.replace("_", "-")
             with within(f"line {self._line((*place, key))}"):
-                values = option_values(name, verb.options[name], options[key], self._folder)
-                for path in (p for each in values for p in each.paths if not is_there(p)):
-                    raise StyleSplatError(f"{name}: there is no {path}. Check the name.")
-            axes.append([*zip(name_parts(values), values, strict=True)])
-        _check_count(prod(map(len, axes)))
+                if name in axes:
+                    raise StyleSplatError(f"{key} is listed twice.")
+                values = _option_values(name, verb, listed, self._folder)
+                axes[name] = [*zip(_name_parts(values), values, strict=True)]
+        _check_count(prod(map(len, axes.values())))
         # The parser of the command line sees every value of every option once
-        for row in zip_longest(*axes) if axes else [()]:
-            values = [(own or axis[0])[1] for own, axis in zip(row, axes, strict=True)]
-            with within(f"line {self._line(place)}"):
-                _check_arguments(verb, dict(zip(names, values, strict=True)))
+        for row in zip_longest(*axes.values()) if axes else [()]:
+            pairs = zip(axes, row, strict=True)
+            values = {name: (own or axes[name][0])[1] for name, own in pairs}
+            fault = _fault(verb, values)
+            if fault:
+                named = [key for key in options if f"--{key.replace('_', '-')}" in fault]
+                raise self._error((*place, *named[:1]), fault)
         return [
-            ([part for part, _ in chosen], dict(zip(names, (v for _, v in chosen), strict=True)))
-            for chosen in product(*axes)
+            ([part for part, _ in chosen], dict(zip(axes, (v for _, v in chosen), strict=True)))
+            for chosen in product(*axes.values())
         ]
 
-    def _scenes(self, scenes: Any, place: Place) -> dict[str, Path]:
+    def _scenes(self, scenes: Scenes, place: Place) -> dict[str, Path]:
         """Names and paths, from a list of paths or from a map."""
-        pairs: list[tuple[Any, Any]] = (
-            [*scenes.items()]
-            if isinstance(scenes, dict)
-            else [*enumerate(self._list(scenes, place, "Write `scenes: [garden]`."))]
-        )
         found: dict[str, Path] = {}
-        for key, text in pairs:
-            if not isinstance(text, str) or not text:
-                raise self._error((*place, key), "a scene is the path of a folder or a file.")
+        for key, text in scenes.items() if isinstance(scenes, dict) else enumerate(scenes):
             with within(f"line {self._line((*place, key))}"):
-                path = absolute_path(self._folder, text)
-            own = path.stem if path.suffix.lower() in SPLATS else path.name
-            name = own if isinstance(key, int) else key
-            if name in found:
-                remedy = "Name them: `scenes: {one: FOLDER, other: FOLDER}`."
-                raise self._error((*place, key), f"two scenes have one name, {name}. {remedy}")
+                path = _absolute(self._folder, text)
+                own = path.stem if path.suffix.lower() in SPLATS else path.name
+                name = own if isinstance(key, int) else key
+                if name in found:
+                    raise StyleSplatError(
+                        f"two scenes have one name, {name}. "
+                        "Name them: `scenes: {one: FOLDER, other: FOLDER}`."
+                    )
             found[name] = path
         return found
-
-    def _list(self, value: Any, place: Place, remedy: str) -> list[Any]:
-        if value is not None and not isinstance(value, list):
-            raise self._error(place, f"{place[-1]} must be a list. {remedy}")
-        return value or []
-
-    def _check_keys(self, given: Iterable[str], known: Iterable[str], place: Place) -> None:
-        names, seen = list(known), set()
-        for key in given:
-            name = _spelled(key)
-            if name in seen:
-                raise self._error((*place, key), f"{key} is listed twice.")
-            seen.add(name)
-            if name not in names:
-                near = get_close_matches(name, names, n=1)
-                remedy = f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(names)}."
-                raise self._error((*place, key), f"there is no key {key!r}. {remedy}")
 
     def _line(self, place: Place) -> int:
         """The line of a value, or of what holds it."""
@@ -199,43 +221,30 @@ class _Planner:
     def _error(self, place: Place, fact: str) -> StyleSplatError:
         return StyleSplatError(f"line {self._line(place)}: {fact}")
 
-
-def _expand(
-    entry: _Entry,
-    base: str,
-    content: Content,
-    *,
-    source: Path | None = None,
-    after: str | None = None,
-) -> Iterator[Job]:
-    """The jobs of an entry over one scene or result, each before those that follow it."""
-    if content not in entry.verb.takes:
-        takes = " and ".join(f"{each}s" for each in entry.verb.takes)
-        raise StyleSplatError(
-            f"line {entry.line}: {entry.verb.name} works on {takes}, not on {base}."
+    def _misfit(self, message: str) -> StyleSplatError:
+        """What msgspec says of a file, with the line and the nearest known name."""
+        found = MISFIT.fullmatch(message)
+        fact, where = (found["fact"], found["place"] or "") if found else (message, "")
+        place = tuple(
+            int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", where)
         )
-    for parts, values in entry.combinations:
-        name = result_name(base, entry.label, *parts)
-        yield Job(name, entry.verb, entry.line, source, content, after, values, entry.needs)
-        for each in entry.then:
-            yield from _expand(each, name, entry.verb.makes or content, after=name)
+        unknown = UNKNOWN.fullmatch(fact)
+        if unknown is None:
+            return self._error(place, f"{fact[0].lower()}{fact[1:]}. docs/batch.md has examples.")
+        near = get_close_matches(unknown[1], NAMES, n=1)
+        remedy = f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(NAMES)}."
+        fact = f"there is no key {unknown[1]!r}. {remedy}"
+        return self._error((*place, unknown[1]), fact)
 
 
-def _spelled(key: str) -> str:
-    return key.replace("_", "-")
-
-
-def _check_arguments(verb: JobVerb, values: Mapping[str, OptionValue]) -> None:
+def _fault(verb: JobVerb, values: Mapping[str, OptionValue]) -> str | None:
+    """What is wrong with options: the command line says it, but for the name of the output."""
     job = Job("", verb, 1, None, "scene", None, values, Needs())
-    if verb.needs_output and not job.has_output_name:
-        names = " or ".join(name for name, each in verb.options.items() if each.is_output)
-        raise StyleSplatError(
-            f"{verb.name} makes a file in the job's folder. Name it with {names}."
-        )
-    words = job.arguments(Path("SCENE"), Path("FOLDER"))[1:]
-    fault = verb.check(words if job.has_output_name else [*words, "--output=RESULT"])
-    if fault:
-        raise StyleSplatError(fault)
+    if verb.needs_output and not job.names_output:
+        names = " or ".join(verb.outputs)
+        return f"{verb.name} makes a file in the job's folder. Name it with {names}."
+    words = job.arguments(Path("SCENE"), Path("FOLDER"))
+    return verb.check(words if job.names_output else [*words, "--output=RESULT"])
 
 
 def _check_count(count: int) -> None:
@@ -245,7 +254,7 @@ def _check_count(count: int) -> None:
         )
 
 
-def _check_names(jobs: Sequence[Job]) -> None:
+def _check_names(jobs: Iterable[Job]) -> None:
     """Refuse two jobs with one result, also where file systems take A for a."""
     seen: dict[str, Job] = {}
     for job in jobs:
@@ -256,3 +265,123 @@ def _check_names(jobs: Sequence[Job]) -> None:
                 f"two jobs have the same result, {job.name}: line {lines}. Give one another "
                 "`name:`, or remove what is listed twice."
             )
+
+
+# The values of options, and the names of results that are made from them
+
+
+def _absolute(folder: Path, text: str) -> Path:
+    refuse_address(text)
+    return Path(os.path.abspath(folder / text))  # noqa: PTH100 - resolve() would follow links
+
+
+def _option_values(name: str, verb: JobVerb, listed: Any, folder: Path) -> list[OptionValue]:
+    """The values that an option takes in turn: a list in the file stands for each of its items.
+
+    Options that take several values have them in a list of their own, within that list.
+    """
+    if name in SET_BY_BATCH and name not in verb.outputs:
+        raise StyleSplatError(f"{name} is set by the batch itself. Leave it out.")
+    values = listed if isinstance(listed, list) else [listed]
+    if not values:
+        raise StyleSplatError(f"{name} lists nothing. Leave it out.")
+    if name == STYLE:
+        found = [each for styles in values for each in _styles(styles, folder)]
+    else:
+        found = [_option_value(name, verb, each, folder) for each in values]
+    paths = [each for value in found for _, texts in value.parts for each in texts]
+    for path in paths:
+        if isinstance(path, Path) and not is_there(path):
+            raise StyleSplatError(f"{name}: there is no {path}. Check the name.")
+    return found
+
+
+def _option_value(name: str, verb: JobVerb, value: Any, folder: Path) -> OptionValue:
+    if value is None:
+        return OptionValue(None, ((name, ("default",)),))
+    if name in verb.flags:
+        if not isinstance(value, bool):
+            raise StyleSplatError(f"{name} is true or false, not {value!r}.")
+        return OptionValue((), ((name, ()),)) if value else OptionValue(None, (("no", (name,)),))
+    if isinstance(value, list) and name not in verb.several:
+        raise StyleSplatError(f"{name} takes one value; a list within a list has no meaning.")
+    words = tuple(_word(name, each) for each in (value if isinstance(value, list) else [value]))
+    if name in verb.outputs:
+        for word in words:
+            if Path(word).name != word or word.startswith("."):
+                raise StyleSplatError(
+                    f"{name} is a name in the job's own folder, without folders, not {word!r}."
+                )
+        return OptionValue(words, (("", words),))
+    if name not in verb.paths:
+        return OptionValue(words, ((name, words),))
+    paths = tuple(_absolute(folder, word) for word in words)
+    return OptionValue(tuple(map(str, paths)), ((name, paths),))
+
+
+def _word(name: str, value: Any) -> str:
+    if isinstance(value, bool):  # YAML reads `on` and `off` as booleans
+        return "on" if value else "off"
+    if not isinstance(value, str | int | float):
+        raise StyleSplatError(f"{name} takes no such value: {value!r}.")
+    return str(value)
+
+
+def _styles(value: Any, folder: Path) -> list[OptionValue]:
+    """The values of a map of objects and pictures, whose lists multiply."""
+    try:
+        styles = msgspec.convert(value, dict[str, str | list[str | list[str]]])
+    except msgspec.ValidationError as error:
+        raise StyleSplatError("style is a map: write {vase: wave.jpg}.") from error
+    axes = []
+    for name, listed in styles.items():
+        several = listed if isinstance(listed, list) else [listed]
+        each_in_turn = [[each] if isinstance(each, str) else each for each in several]
+        paths = [tuple(_absolute(folder, each) for each in pictures) for pictures in each_in_turn]
+        if not all(paths) or not paths:
+            raise StyleSplatError(f"style lists no pictures for {name}.")
+        if any("," in str(path) for pictures in paths for path in pictures if len(pictures) > 1):
+            raise StyleSplatError(f"a picture of {name} has a comma in its path. Rename it.")
+        axes.append([(name, pictures) for pictures in paths])
+    return [
+        OptionValue(
+            tuple(f"{name}={','.join(map(str, pictures))}" for name, pictures in chosen), chosen
+        )
+        for chosen in product(*axes)
+        if chosen
+    ]
+
+
+def _name_parts(values: Sequence[OptionValue]) -> list[str]:
+    """The shortest texts that tell the values of an option apart; empty for a single value."""
+    if len(values) == 1:
+        return [""]
+    common = set(values[0].parts).intersection(*(each.parts for each in values[1:]))
+    found: list[str] = []
+    for detail in range(3):
+        found = [
+            "-".join(
+                "-".join(filter(None, [subject, *(_text(each, detail) for each in texts)]))
+                for subject, texts in value.parts
+                if (subject, texts) not in common
+            )
+            for value in values
+        ]
+        if len(set(found)) == len(found):
+            break
+    return found
+
+
+def _text(value: str | Path, detail: int) -> str:
+    if isinstance(value, str):
+        return value
+    return (value.stem, value.name, f"{value.parent.name}-{value.name}")[detail]
+
+
+def _result_name(*parts: str) -> str:
+    """A name of a folder that all file systems take."""
+    whole = "-".join(part for part in parts if part)
+    name = UNFIT.sub("-", whole).strip("-.") or "job"
+    if len(name) <= LONGEST and len(name.encode()) <= 2 * LONGEST:
+        return name
+    return f"{name[: LONGEST // 2]}~{sha256(whole.encode()).hexdigest()[:12]}"

@@ -26,11 +26,7 @@ MAX_NUMBERS = 14  # of a job: its record has all
 
 
 def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobRecord]], *, of: int) -> Path:
-    """Write the page of the jobs that have ended, `of` so many in all; returns its path.
-
-    Raises:
-        StyleSplatError: If it cannot be written.
-    """
+    """Write the page of the jobs that have ended, `of` so many in all; returns its path."""
     pictures = {job.name: job_picture(record, path.parent / job.name) for job, record in jobs}
     states = [record.status for _, record in jobs]
     ends = (f"{states.count(each)} {each}" for each in dict.fromkeys(states))
@@ -48,12 +44,7 @@ def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobRecord]], *, of: int
 
 
 def numbers_in(result: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, int | float]]:
-    """The numbers of a result, with the names that lead to each.
-
-    Example:
-        >>> [*numbers_in({"psnr": 31.5, "nnfm_after": {"vase": 0.25}, "scene": "x"})]
-        [('psnr', 31.5), ('nnfm_after vase', 0.25)]
-    """
+    """The numbers of a result, each with the names that lead to it."""
     for name, value in result.items():
         label = f"{before} {name}".strip()
         if isinstance(value, Mapping):
@@ -73,7 +64,7 @@ def job_picture(record: JobRecord, folder: Path) -> Path | None:
 
 def _article(record: JobRecord, picture: Path | None) -> str:
     place, name = quote(f"{record.job}/"), escape(record.job)
-    memory = "" if record.memory_gb is None else f", {record.memory_gb:.2f} GB"
+    memory = record.memory and f", {record.memory} GB"
     took = f" {record.seconds:.1f} s{memory}" if record.command else ""
     reason = f": {record.reason}" if record.reason else ""
     rows = islice(numbers_in(record.result), MAX_NUMBERS)

@@ -21,7 +21,7 @@ import msgspec
 from msgspec.structs import replace
 
 from stylesplat.batch_jobs.job import Job
-from stylesplat.errors import StyleSplatError, printable
+from stylesplat.errors import printable
 from stylesplat.io.atomic import PARTIAL
 
 LOGS = "logs"  # in the batch's folder: what each job has printed
@@ -44,13 +44,16 @@ if os.getppid() == int(sys.argv[1]):
 """
 
 
+Status = Literal["done", "failed", "skipped"]
+
+
 class JobRecord(msgspec.Struct, frozen=True, kw_only=True):
     """How a job ended: a line of `jobs.jsonl`."""
 
     job: str
     """Its name, and that of its folder."""
     verb: str
-    status: Literal["done", "failed", "skipped"]
+    status: Status
     fingerprint: str = ""
     """A digest of what it was made from."""
     command: tuple[str, ...] = ()
@@ -68,25 +71,22 @@ class JobRecord(msgspec.Struct, frozen=True, kw_only=True):
     result: dict[str, Any] = {}
     """What the verb printed with `--json`."""
 
+    @property
+    def memory(self) -> str:
+        return "" if self.memory_gb is None else f"{self.memory_gb:.2f}"
+
 
 @dataclass(frozen=True)
 class JobExecutor:
-    """What runs jobs."""
+    """Runs up to `slots` jobs at a time."""
 
     slots: int
-    """Number of jobs that it takes at a time."""
     submit: Callable[[Job], Future[JobRecord]]
 
 
 @contextmanager
 def local_executor(output: Path, workers: int) -> Iterator[JobExecutor]:
-    """Runs jobs as processes of this machine, which end with the context.
-
-    Raises:
-        StyleSplatError: If there are no workers.
-    """
-    if workers < 1:
-        raise StyleSplatError(f"Jobs need at least one worker, got {workers}. Use --workers 1.")
+    """Runs jobs as processes of this machine, which end with the context."""
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
     stopping, share = Event(), max(1, cores // workers)
@@ -108,7 +108,9 @@ def run_job(job: Job, output: Path, threads: int, stopping: Event | None = None)
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
         if job.edits_copy:
-            _copy_capture(job.source_in(output), output / job.name)
+            shutil.rmtree(copy := output / job.name, ignore_errors=True)
+            hidden = shutil.ignore_patterns(".*", f"*{PARTIAL}")
+            shutil.copytree(job.source_in(output), copy, ignore=hidden)
         with answer.open("wb") as stdout, log.open("wb") as stderr:
             process = subprocess.Popen(
                 process_command(job, output),
@@ -139,16 +141,10 @@ def run_job(job: Job, output: Path, threads: int, stopping: Event | None = None)
     )
 
 
-def ended_job(job: Job, status: Literal["done", "failed", "skipped"], reason: str) -> JobRecord:
+def ended_job(job: Job, status: Status, reason: str) -> JobRecord:
     """The record of a job that has ended now."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return JobRecord(job=job.name, verb=job.verb.name, status=status, reason=reason, ended=now)
-
-
-def _copy_capture(source: Path, target: Path) -> None:
-    shutil.rmtree(target, ignore_errors=True)
-    hidden = shutil.ignore_patterns(".*", f"*{PARTIAL}")
-    shutil.copytree(source, target, ignore=hidden)
 
 
 def process_command(job: Job, output: Path) -> list[str]:
@@ -156,9 +152,9 @@ def process_command(job: Job, output: Path) -> list[str]:
     parent, launcher = [], []
     if sys.platform.startswith("linux"):
         parent = [sys.executable, "-IS", "-c", END_WITH_PARENT, str(os.getpid())]
-    if job.processes > 1:
+    if job.verb.name == "train" and (job.needs.gpus or 1) > 1:  # one process for each GPU
         launcher = ["-m", "torch.distributed.run", "--standalone"]
-        launcher += ["--nproc-per-node", str(job.processes)]
+        launcher += ["--nproc-per-node", str(job.needs.gpus)]
     return [*parent, sys.executable, *launcher, "-m", "stylesplat", *job.command(output)]
 
 

@@ -1,7 +1,6 @@
 """Runs the jobs of a batch, except for those that are done, and records how each ends."""
 
 import json
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
@@ -16,12 +15,11 @@ import msgspec
 from msgspec.structs import replace
 
 from stylesplat.batch_jobs.job import Job
+from stylesplat.batch_jobs.job_file import refuse_address
 from stylesplat.batch_jobs.job_page import PAGE, write_job_page
 from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job, local_executor
-from stylesplat.batch_jobs.option_values import refuse_address
 from stylesplat.errors import StyleSplatError, some, within
 from stylesplat.io.atomic import PARTIAL, atomic_path, changing, refuse_occupied
-from stylesplat.io.files import cannot_write
 from stylesplat.io.json_files import strict_json
 from stylesplat.io.kinds import SOG_META
 from stylesplat.progress import say, task
@@ -49,10 +47,8 @@ class BatchResult:
         return [job for job in self.jobs if job.status == status]
 
     def __repr__(self) -> str:
-        from stylesplat.scene.one_line import counted, one_line  # loads torch
-
         ends = (f"{len(self.of(s))} {s}" for s in ("done", "failed", "skipped") if self.of(s))
-        return one_line(self, counted(len(self.jobs), "job"), *ends)
+        return f"BatchResult({', '.join((f'{len(self.jobs)} jobs', *ends))})"
 
 
 def run_batch(
@@ -64,6 +60,10 @@ def run_batch(
         StyleSplatError: If an input cannot be read, the folder holds something else, or the
             cluster cannot be reached. Jobs that fail raise nothing.
     """
+    if workers < 1:
+        raise StyleSplatError(f"Jobs need at least one worker, got {workers}. Use --workers 1.")
+    if ray is not None and workers != 1:
+        raise StyleSplatError("Ray shares out its own cores. Leave --workers out with --ray.")
     refuse_address(output)
     output = output.resolve()
     refuse_occupied(output, marker=RECORDS, overwrite=True)
@@ -75,7 +75,12 @@ def run_batch(
     prints = fingerprints(jobs)
     with changing(output):
         earlier = read_records(path)
-        done = {n: r for n, r in earlier.items() if _is_valid(r, prints.get(n), output)}
+        done = {
+            name: record
+            for name, record in earlier.items()
+            if (record.status, record.fingerprint) == ("done", prints.get(name))
+            and (output / name).exists()
+        }
         kept = [r for n, r in earlier.items() if n in done or n not in prints]
         with atomic_path(path) as temporary:
             temporary.write_text("".join(map(_line, kept)), encoding="utf-8")
@@ -84,7 +89,8 @@ def run_batch(
             for record in _run(todo, {*done}, output, workers, ray) if todo else ():
                 record = replace(record, fingerprint=prints[record.job])
                 say(_row(record))
-                _append(path, record)
+                with path.open("a", encoding="utf-8") as file:
+                    file.write(_line(record))
                 records[record.job] = record
         finally:
             known = [(job, records[job.name]) for job in jobs if job.name in records]
@@ -121,8 +127,6 @@ def _run(
 ) -> Iterator[JobRecord]:
     if ray is None:
         context = local_executor(output, workers)
-    elif workers != 1:
-        raise StyleSplatError("Ray shares out its own cores. Leave --workers out with --ray.")
     else:
         from stylesplat.batch_jobs.ray_tasks import ray_executor
 
@@ -183,27 +187,11 @@ def read_records(path: Path) -> dict[str, JobRecord]:
     return found
 
 
-def _is_valid(record: JobRecord, fingerprint: str | None, output: Path) -> bool:
-    is_same = (record.status, record.fingerprint) == ("done", fingerprint)
-    return is_same and (output / record.job).exists()
-
-
-def _append(path: Path, record: JobRecord) -> None:
-    """Write a line, and wait until it is on the disk."""
-    try:
-        with path.open("ab", buffering=0) as file:
-            file.write(_line(record).encode())
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise cannot_write(path, error) from error
-
-
 def _line(record: JobRecord) -> str:
     return strict_json(msgspec.to_builtins(record)) + "\n"
 
 
 def _row(record: JobRecord) -> str:
-    memory = "" if record.memory_gb is None else f"{record.memory_gb:.2f}"
     seconds = f"{record.seconds:.1f}" if record.command else ""
     reason = f": {record.reason}" if record.reason else ""
-    return f"{record.status:8}{seconds:>9}{memory:>7}  {record.job}{reason}"
+    return f"{record.status:8}{seconds:>9}{record.memory:>7}  {record.job}{reason}"

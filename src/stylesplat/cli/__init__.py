@@ -1,6 +1,5 @@
 """The command line: read the arguments, call one verb, print its result."""
 
-import json
 import sys
 from collections.abc import Sequence
 from contextlib import closing
@@ -16,7 +15,7 @@ from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Delete, Objects, Rename
 from stylesplat.cli.render import Render
-from stylesplat.cli.results import Answer, exit_status
+from stylesplat.cli.results import exit_status
 from stylesplat.cli.select import Select
 from stylesplat.cli.sfm import Sfm
 from stylesplat.cli.sheet import Sheet
@@ -63,19 +62,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         with closing(Bars()) as bars, observed(bars):
             result = command.run()
-        text = strict_json(result)
-        if command.json:
-            print(text, flush=True)
-        else:
-            write_lines(*command.words(result))
-            if command.verbose:
-                import yaml
-
-                style = {"sort_keys": False, "default_flow_style": None, "allow_unicode": True}
-                write_lines(yaml.safe_dump(json.loads(text), **style).rstrip())
-        if isinstance(result, Answer):
-            with closing(Bars()) as bars, observed(bars):
-                result.rest()
+            bars.close()
+            if command.json:
+                print(strict_json(result), flush=True)
+            else:
+                write_lines(*command.words(result))
+            command.after_answer(result)
     except (Exception, KeyboardInterrupt) as error:
         status = exit_status(error, command)
         if status is None:

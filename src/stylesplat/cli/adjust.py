@@ -8,7 +8,7 @@ from typing import Any
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.options import Command, Flag, NewScene
+from stylesplat.cli.options import Flag, MakingCommand, NewScene
 from stylesplat.cli.results import (
     before_after_line,
     draw_before_after,
@@ -22,7 +22,7 @@ from stylesplat.io.atomic import changing
 
 
 @dataclass(frozen=True)
-class Adjust(Command):
+class Adjust(MakingCommand):
     """Change how strong a style is, at once and without optimising, or undo it.
 
     Example: stylesplat adjust garden-wave --intensity 0.6

@@ -5,7 +5,6 @@ are declared in the stage's config only: a command takes them by `from_config`.
 """
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from functools import reduce
@@ -33,7 +32,6 @@ PROGRAM = "stylesplat"
 ALIASES = {"stylize": ("stylise",)}
 REGISTRY = ConstructorRegistry()
 TYRO = {"config": (DisallowNone, PositionalMetavarFromFieldName), "registry": REGISTRY}
-MOST_PIXELS = 16_384  # along a picture's side
 OVERVIEW = """\
 Repaint chosen objects of a 3D Gaussian splat in the style of any picture.
 
@@ -94,8 +92,9 @@ def from_config(config: type, *names: str, **called: Sequence[str]) -> Any:
     for name in names:
         default = getattr(defaults, name)
         shown, *aliases = called.get(name, (name,))
+        kind, *others = get_args(kinds[name]) or (kinds[name],)
         options[name] = Annotated[
-            without_none(kinds[name]),
+            kind if others == [NoneType] else kinds[name],  # T of `T | None`
             arg(
                 name=shown,
                 aliases=[f"--{each}" for each in aliases],
@@ -104,12 +103,6 @@ def from_config(config: type, *names: str, **called: Sequence[str]) -> Any:
             ),
         ]
     return TypedDict(config.__name__, options, total=False)  # pyright: ignore
-
-
-def without_none(kind: Any) -> Any:
-    """The type T of `T | None`, or the type itself."""
-    types = [each for each in get_args(kind) if each is not NoneType]
-    return types[0] if NoneType in get_args(kind) else kind
 
 
 @REGISTRY.struct_rule
@@ -137,78 +130,28 @@ Place = tuple[str, tuple[float, ...]]
 """A view's name, which is empty in the world, and numbers."""
 
 
-def _parse_place(text: str, form: str, *, in_view: int = -1, in_world: int = -1) -> Place:
-    """`VIEW:number,...` or `number,...`, with as many numbers as that takes."""
+def parse_place(text: str, *forms: str) -> Place:
+    """Numbers, which are pixels of the photo if the name of a view stands before them.
+
+    Args:
+        text: What the user typed.
+        forms: The allowed forms; one that ends with dots takes any number of pairs.
+
+    Example:
+        >>> parse_place("view_003.png:640,400,0.5", "x,y,z,RADIUS", "VIEW:x,y,RADIUS")
+        ('view_003.png', (640.0, 400.0, 0.5))
+    """
     view, _, values = text.rpartition(":")
     try:
         numbers = tuple(map(float, values.split(",")))
     except ValueError:
         numbers = ()
-    if len(numbers) != (in_view if view else in_world) or not all(map(math.isfinite, numbers)):
-        raise StyleSplatError(f"Expected {form}, got {text!r}.")
-    return view, numbers
-
-
-def parse_point(text: str) -> Place:
-    """A view and a pixel."""
-    return _parse_place(text, "VIEW:x,y with pixels of the photo", in_view=2)
-
-
-def parse_box(text: str) -> Place:
-    """A view and a rectangle of pixels."""
-    return _parse_place(text, "VIEW:x0,y0,x1,y1 with pixels of the photo", in_view=4)
-
-
-def parse_box3d(text: str) -> Place:
-    """Two corners in the world."""
-    return _parse_place(text, "x0,y0,z0,x1,y1,z1 in world units", in_world=6)
-
-
-def parse_sphere(text: str) -> Place:
-    """A centre and a radius; the centre in the world, or as the pixel of a view that shows it.
-
-    Example:
-        >>> parse_sphere("0,1.5,2,0.5"), parse_sphere("view_003.png:640,400,0.5")
-        (('', (0.0, 1.5, 2.0, 0.5)), ('view_003.png', (640.0, 400.0, 0.5)))
-    """
-    form = "x,y,z,RADIUS in world units, or VIEW:x,y,RADIUS"
-    return _parse_place(text, form, in_view=3, in_world=4)
-
-
-def parse_named_box(text: str) -> tuple[str, Place]:
-    """An object's name, which may be left out, with a box.
-
-    Example:
-        >>> parse_named_box("vase=IMG_0007.jpg:10,20,110,90")
-        ('vase', ('IMG_0007.jpg', (10.0, 20.0, 110.0, 90.0)))
-    """
-    name, equals, place = text.partition("=")
-    return (name, parse_box(place)) if equals else ("object", parse_box(text))
-
-
-def parse_stroke(text: str) -> tuple[str, str, tuple[tuple[float, float], ...]]:
-    """An object's name, which may be left out, a view, and the points of a line.
-
-    Example:
-        >>> parse_stroke("vase=IMG_0007.jpg:10,20,110,90")
-        ('vase', 'IMG_0007.jpg', ((10.0, 20.0), (110.0, 90.0)))
-    """
-    name, equals, place = text.partition("=")
-    count = (text.rpartition(":")[2].count(",") + 2) // 2 * 2  # any even one
-    form = "NAME=VIEW:x,y,x,y,... with photo pixels"
-    view, numbers = _parse_place(place if equals else text, form, in_view=count)
-    return name if equals else "object", view, tuple(zip(numbers[::2], numbers[1::2], strict=True))
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """A width and a height in pixels."""
-    found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
-    width, height = map(int, found.groups()) if found else (0, 0)
-    if not (2 <= width <= MOST_PIXELS and 2 <= height <= MOST_PIXELS):
-        raise StyleSplatError(
-            f"Expected WIDTHxHEIGHT in pixels, each 2 to {MOST_PIXELS:,}, got {text!r}."
-        )
-    return width, height
+    for form in forms if all(map(math.isfinite, numbers)) else ():
+        in_view, _, names = form.rpartition(":")
+        is_even = names.endswith("...") and numbers and len(numbers) % 2 == 0
+        if bool(in_view) == bool(view) and (is_even or len(numbers) == names.count(",") + 1):
+            return view, numbers
+    raise StyleSplatError(f"Expected {' or '.join(forms)}, got {text!r}.")
 
 
 def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:

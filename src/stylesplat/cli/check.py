@@ -8,14 +8,14 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Command, OptionalOutput, refuse_picture
+from stylesplat.cli.options import MakingCommand, OptionalOutput, refuse_picture
 from stylesplat.cli.results import mask_command, next_lines, pasted, unused
 from stylesplat.cli.sfm import find_earlier_capture
 from stylesplat.io.atomic import changing
 
 
 @dataclass(frozen=True)
-class Check(Command):
+class Check(MakingCommand):
     """Say whether photos and their poses will make a good scene, and what to do if not.
 
     Example: stylesplat check garden -o garden-check.jpg

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stylesplat.cli.options import CONTINUES, Command, Output
+from stylesplat.cli.options import CONTINUES, MakingCommand, Output
 from stylesplat.cli.results import mask_command, next_lines
 from stylesplat.io.atomic import changing
 
 
 @dataclass(frozen=True)
-class Demo(Command):
+class Demo(MakingCommand):
     """Train a still life, repaint two of its objects, and write a report.
 
     Example: stylesplat demo -o demo

@@ -8,7 +8,7 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Command, Device, Flag, OptionalOutput
+from stylesplat.cli.options import Device, Flag, MakingCommand, OptionalOutput
 from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
@@ -21,7 +21,7 @@ EXAMPLE = "`stylesplat evaluate A B --compare -o page.html`"
 
 
 @dataclass(frozen=True)
-class Evaluate(Command):
+class Evaluate(MakingCommand):
     """Measure a scene's held-out views: PSNR and SSIM, and IoU of the objects.
 
     Of a styled scene also what `stylize` measured: how close each object is to its style, what is
@@ -114,7 +114,11 @@ class Evaluate(Command):
                 f"name in {PAGE}."
             )
         refuse_file(page, overwrite=self.overwrite)
-        folders = _named((self.scene, *self.others))
+        given = (self.scene, *self.others)
+        names = [path.resolve().name for path in given]
+        if len({*names}) < len(given):
+            names = [str(path) for path in given]
+        folders = dict(zip(names, given, strict=True))
         scenes = {name: ss.open(folder) for name, folder in folders.items()}
         shared_views(scenes)  # raises before photos are read
         captures = {}
@@ -128,22 +132,11 @@ class Evaluate(Command):
                 captures[name] = capture
         with changing(page):
             found = ss.compare(scenes, captures, device=self.device)
-            text = comparison_page(
-                found.scenes, found.views, title="Scenes compared", notes=found.notes
-            )
+            title = "Scenes compared"
+            text = comparison_page(found.scenes, found.views, title=title, notes=found.notes)
             with atomic_path(page) as temporary:
                 temporary.write_text(text, encoding="utf-8")
         return {**found.summary(), "page": page}
-
-
-def _named(folders: tuple[Path, ...]) -> dict[str, Path]:
-    """Folders by their names; if two share one by all of the path, numbered if need be."""
-    short = [path.resolve().name for path in folders]
-    names = short if len(set(short)) == len(short) else [str(path) for path in folders]
-    return {
-        name if name not in names[:row] else f"{name} ({row + 1})": folders[row]
-        for row, name in enumerate(names)
-    }
 
 
 def _comparison_lines(result: dict[str, Any]) -> Iterator[str]:

@@ -8,14 +8,14 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.options import Command, Flag, OptionalOutput
+from stylesplat.cli.options import Flag, MakingCommand, OptionalOutput
 from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
 
 
 @dataclass(frozen=True)
-class Export(Command):
+class Export(MakingCommand):
     """Write a scene's splat for other programs, or as a web page that shows it.
 
     Example: stylesplat export garden-wave garden.html
@@ -89,19 +89,12 @@ class Export(Command):
         if "files" in result:
             yield f"{self.each}: {', '.join(path.name for path in result['files'])}."
             return
-        file, suffix = result["file"], result["file"].suffix.lower()
+        file = result["file"]
         size = f"{file.stat().st_size / 1e6:.1f} MB"
         if "objects" in result:
             yield f"{file}: {counted(result['objects'], 'object')}, {size}."
             return
-        opened_by = "SuperSplat opens it"
-        if suffix in (".glb", ".gltf"):
-            opened_by = "Programs that know KHR_gaussian_splatting open it, others show points"
-        elif suffix == ".html":
-            opened_by = "Any browser opens it, without a network"
-        elif suffix == ".ply" and ".compressed" not in file.name and self.sh_degree is None:
-            opened_by = "SuperSplat, Blender and other programs open it"
-        yield f"{file}: {result['gaussians']:,} Gaussians, {size}. {opened_by}."
+        yield f"{file}: {result['gaussians']:,} Gaussians, {size}."
         if self.sidecar:
             yield f"Objects: {file}.objects.npz, for `import --labels`."
         video = unused(self.scene, ".mp4")

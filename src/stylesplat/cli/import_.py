@@ -8,12 +8,10 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Command, Device, Output
+from stylesplat.cli.options import Device, MakingCommand, Output
 from stylesplat.cli.results import (
     describe_scene,
-    look_lines,
-    next_lines,
-    object_commands,
+    new_scene_lines,
     pasted,
     save_or_rescue,
 )
@@ -22,7 +20,7 @@ from stylesplat.io.atomic import changing, refuse_occupied
 
 
 @dataclass(frozen=True)
-class Import(Command):
+class Import(MakingCommand):
     """Make a scene of a splat that exists already, without training.
 
     Example: stylesplat import garden.ply garden -o garden-scene
@@ -81,7 +79,7 @@ class Import(Command):
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         close = f", {result['psnr']:.1f} dB from the photos" if "psnr" in result else ""
         yield f"{self.output}: {result['gaussians']:,} Gaussians{close}."
-        yield from look_lines(result)
+        photos = self.capture is not None or self.like is not None
         if self.like is not None:
             yield (
                 f"{result['matched']:,} of them are of {self.like}, {result['new_gaussians']:,} "
@@ -90,12 +88,8 @@ class Import(Command):
             for part in result["moved"]:
                 turn = f"turned by {part['degrees']:.4g} degrees, scaled by {part['scale']:.4g}"
                 yield f"Moved: {part['gaussians']:,} Gaussians, {turn}."
-        photos = self.capture is not None or self.like is not None
-        if not photos and self.up is None:
+        elif not photos and self.up is None:
             labels = ("--labels", self.labels) if self.labels else ()
             again = pasted("import", self.splat, *labels, "-o", self.output, "--up", "z")
             yield f"If it lies on its side: {again} --overwrite"
-        labelled = result["labelled"]
-        yield from next_lines(
-            *object_commands(self.output, result["objects"], labelled=labelled, photos=photos)
-        )
+        yield from new_scene_lines(result, photos=photos)

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -10,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 import stylesplat as ss
-from stylesplat.cli.arguments import parse_named_box, parse_stroke
+from stylesplat.cli.arguments import parse_place
 from stylesplat.cli.objects import selection_file
-from stylesplat.cli.options import CONTINUES, Command, Device, OptionalOutput, refuse_given
+from stylesplat.cli.options import CONTINUES, Device, MakingCommand, OptionalOutput, refuse_given
 from stylesplat.cli.results import (
     next_lines,
     optional_picture,
@@ -20,7 +21,6 @@ from stylesplat.cli.results import (
     save_or_rescue,
     stylize_command,
     unused,
-    write_or_rescue,
 )
 from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished, view_of_photo
 from stylesplat.errors import StyleSplatError
@@ -33,9 +33,7 @@ if TYPE_CHECKING:
 
 Drawn = dict[str, list[Any]]  # by object, places in views
 Method = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
-DRAWN = ("box", "stroke", "not_stroke")  # what is drawn in photos
-# Options that mean nothing with a method that is no model; models keep what they have found
-REFUSED = {"files": (*DRAWN, "scene", "model"), "grabcut": ("source", "model")}
+WITHOUT_MODEL = ("files", "grabcut")  # models keep what they have found so far
 PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 SCENE_PREVIEW = "masks.jpg"  # in the folder of a scene
 SIDE = 480  # pixels of the views in it
@@ -46,7 +44,7 @@ MEND = (
 
 
 @dataclass(frozen=True)
-class Mask(Command):
+class Mask(MakingCommand):
     """Give photos their label maps, which say what object each pixel shows.
 
     Example: stylesplat mask garden --box vase=IMG_0007.jpg:500,300,800,700
@@ -82,34 +80,31 @@ class Mask(Command):
 
     @property
     def after_interruption(self) -> str:
-        """How to go on."""
-        if is_sfm_unfinished(self.capture, beside=self.capture):
-            return CONTINUES
-        return WHOLE if self._method in REFUSED else CONTINUES
+        continues = self._keeps_progress or is_sfm_unfinished(self.capture, beside=self.capture)
+        return CONTINUES if continues else WHOLE
 
     @property
-    def _method(self) -> Method:
-        return self.method or ("files" if self.source else "grabcut")
-
-    @property
-    def _options(self) -> dict[str, Any]:
-        where = {"model": self.model, "device": self.device}
-        return {"source": self.source, "method": self._method, **where}
+    def _keeps_progress(self) -> bool:
+        return self.method is not None and self.method not in WITHOUT_MODEL
 
     def run(self) -> dict[str, Any]:
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
+        from stylesplat.io.kinds import SCENE
+        from stylesplat.scene.framing import has_no_photos
+        from stylesplat.verbs.mask import settled_method
 
-        self._refuse_contradictions()
-        if _is_scene_without_photos(self.capture):
-            return self._mask_scene()
+        boxes, strokes = self._drawn(None)
+        given = {"boxes": boxes, "strokes": strokes, "source": self.source, "model": self.model}
+        settled_method(self.method, given | {"scene": self.scene})  # before photos are read
+        if is_file(self.capture / SCENE) and has_no_photos(scene := ss.open(self.capture)):
+            return self._mask_scene(scene)
         refuse_given(self, ("output",), "photos, whose label maps go into object_mask/")
         scene = ss.open(self.scene) if self.scene else None
-        boxes, strokes = self._drawn(None)
         lines = ((view, None) for view, _ in chain(*strokes.values()))
         drawn = chain(*boxes.values(), lines)
         folder = find_photos_capture(self.capture, beside=self.capture, drawn=drawn)
         output = folder / OBJECT_MASK
-        refuse_occupied(output, marker="", overwrite=True)  # label maps there are told later
+        refuse_occupied(output, marker="", overwrite=True)  # label maps are refused below
         capture = ss.load(folder, masks=False)
         with changing(output):
             return self._mask_photos(capture, scene, output)
@@ -133,26 +128,33 @@ class Mask(Command):
         scene = unused(self.capture, "-scene")
         yield from next_lines(pasted("train", self.capture, "-o", scene))
 
-    def _refuse_contradictions(self) -> None:
-        """Refuse wrong options before poses are found and photos are read."""
-        from stylesplat.verbs.mask import settled_method
-
-        method = self._method
-        why = f"--method {method}" if self.method or self.source is None else "--from"
-        refuse_given(self, REFUSED.get(method, (*DRAWN, "source")), why)
-        boxes, strokes = self._drawn(None)
-        settled_method(method, {"boxes": boxes, "strokes": strokes, "source": self.source})
-
     def _drawn(self, record: "SfmRecord | None") -> tuple[Drawn, Drawn]:
         """The boxes and strokes by object, with the names that photos have in the capture."""
         boxes, strokes = Drawn(), Drawn()
-        for name, (view, box) in map(parse_named_box, self.box):
+        for text in self.box:
+            name, place = _split(text)
+            view, box = parse_place(place, "VIEW:x0,y0,x1,y1")
             boxes.setdefault(name, []).append((view_of_photo(view, record), box))
-        for texts, over_object in ((self.stroke, True), (self.not_stroke, False)):
-            for name, view, points in map(parse_stroke, texts):
-                stroke = view_of_photo(view, record), ss.Stroke(points, over_object)
-                strokes.setdefault(name, []).append(stroke)
+        for text, over_object in chain(
+            ((text, True) for text in self.stroke), ((text, False) for text in self.not_stroke)
+        ):
+            name, place = _split(text)
+            view, line = parse_place(place, "VIEW:x,y,x,y,...")
+            stroke = ss.Stroke((*zip(line[::2], line[1::2], strict=True),), over_object)
+            strokes.setdefault(name, []).append((view_of_photo(view, record), stroke))
         return boxes, strokes
+
+    def _masked(self, photos: Any, progress: Path, **options: Any) -> Any:
+        """Photos or a scene with masks; models keep what they have found so far in `progress`."""
+        return ss.mask(
+            photos,
+            source=self.source,
+            method=self.method,
+            model=self.model,
+            device=self.device,
+            progress=progress if self._keeps_progress else None,
+            **options,
+        )
 
     def _mask_photos(
         self, capture: "ss.Capture", scene: "ss.Scene | None", output: Path
@@ -168,23 +170,17 @@ class Mask(Command):
         for view, *_ in chain(*boxes.values(), *strokes.values()):
             find_name(view, names, shown_names=own)  # raises before label maps are refused
         refuse_label_maps(capture, output, overwrite=self.overwrite)
-        progress = None if self._method in REFUSED else partial_of(output)
-        given = {"boxes": boxes, "strokes": strokes, "scene": scene, "progress": progress}
-        masked = ss.mask(capture, **given, **self._options)
-        found = write_or_rescue(
-            lambda place, replace: write_label_maps(masked, place, overwrite=replace),
-            output,
-            overwrite=self.overwrite,
-            what="The label maps are",
-        )
+        progress = partial_of(output)
+        masked = self._masked(capture, progress, boxes=boxes, strokes=strokes, scene=scene)
+        found = write_label_maps(masked, output, overwrite=self.overwrite)
         ids = sorted(set[int]().union(*found.values()))
         called = {id: masked.object_names[id] for id in ids if id in masked.object_names}
         preview = output / PREVIEW
-        with optional_picture(), changing(preview):
+        with optional_picture():
             preview.unlink(missing_ok=True)  # it shows earlier label maps
             _draw(ss.load(output.parent), called, preview)
-        if progress:
-            shutil.rmtree(progress)
+        if self._keeps_progress:
+            shutil.rmtree(progress, ignore_errors=True)
         return {
             "masks": output,
             "preview": preview if is_file(preview) else None,
@@ -194,51 +190,42 @@ class Mask(Command):
             "names": called,
         }
 
-    def _mask_scene(self) -> dict[str, Any]:
+    def _mask_scene(self, before: "ss.Scene") -> dict[str, Any]:
         from stylesplat.io.kinds import SCENE
+        from stylesplat.io.scene_folder import revise
 
         refuse_given(self, ("scene",), "a scene, which is that scene itself")
-        place, method = self.output or self.capture, self._method
+        place, adds = self.output or self.capture, bool(self.box)
         with changing(place):
             if self.output is None:
                 refuse_unwritable(place)
             else:
                 refuse_occupied(place, marker=SCENE, overwrite=self.overwrite)
-            before = ss.open(self.capture)
-            if method != "grabcut" and before.splats.classifier and not self.overwrite:
+            if before.splats.classifier and not (adds or self.overwrite):
                 raise StyleSplatError(
-                    f"{self.capture} knows objects already, which --method {method} would replace. "
+                    f"{self.capture} knows objects already, which these masks would replace. "
                     "Pass --overwrite, or add objects with --box."
                 )
-            progress = None if method in REFUSED else partial_of(place / "masks")
             boxes, strokes = self._drawn(None)
-            given = {"boxes": boxes, "strokes": strokes, "progress": progress}
-            after = ss.mask(before, **given, **self._options)
+            progress = partial_of(place / "masks")
+            after = self._masked(before, progress, boxes=boxes, strokes=strokes)
             if self.output is None:
-                _revise_scene(before, after, place)
+                revise(before, after, place)
+                for name, earlier in before.objects.items():
+                    if after.objects.get(name) is not earlier:
+                        with suppress(OSError):
+                            selection_file(place, name).unlink()
             else:
                 save_or_rescue(after, place, overwrite=self.overwrite)
-            if progress:
+            if self._keeps_progress:
                 shutil.rmtree(progress, ignore_errors=True)
             return _describe_objects(after, place, self.device)
 
 
-def _is_scene_without_photos(folder: Path) -> bool:
-    from stylesplat.io.kinds import SCENE
-    from stylesplat.scene.framing import has_no_photos
-
-    return is_file(folder / SCENE) and has_no_photos(ss.open(folder))
-
-
-def _revise_scene(before: "ss.Scene", after: "ss.Scene", place: Path) -> None:
-    """Change the scene in its folder, and delete pictures of selections that changed."""
-    from stylesplat.io.scene_folder import revise
-
-    same = {name for name, each in before.objects.items() if after.objects.get(name) is each}
-    old = [selection_file(place, name) for name in before.objects if name not in same]
-    revise(before, after, place)
-    for picture in old:
-        picture.unlink(missing_ok=True)
+def _split(text: str) -> tuple[str, str]:
+    """An object's name, which may be left out, and the place behind it."""
+    name, equals, place = text.partition("=")
+    return (name, place) if equals else ("object", text)
 
 
 def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> dict[str, Any]:
@@ -252,7 +239,7 @@ def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> dict[str, 
     ids = object_ids(scene.splats)
     names = {id: name for id in ids for name in names_of(scene, id)[:1]}
     preview, photos = place / SCENE_PREVIEW, None
-    with optional_picture(), changing(preview):
+    with optional_picture():
         torch_device = pick_device(device)
         small = at_most(rendered_capture(scene, torch_device), SIDE)
         splats = scene.splats.to(torch_device)

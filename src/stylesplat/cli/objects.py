@@ -8,10 +8,10 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Command, NewScene, OptionalOutput, refuse_picture
+from stylesplat.cli.options import MakingCommand, NewScene, OptionalOutput, refuse_picture
 from stylesplat.cli.results import next_lines, object_commands, rewrite_scene, stylize_command
-from stylesplat.io.atomic import atomic_path, changing, refuse_file
-from stylesplat.io.files import file_stem, inside, read_bytes
+from stylesplat.io.atomic import changing, refuse_file
+from stylesplat.io.files import file_stem, inside
 from stylesplat.progress import say
 
 SHEET = "objects.png"
@@ -28,7 +28,7 @@ def selection_file(scene: Path, name: str) -> Path:
 
 
 @dataclass(frozen=True)
-class Objects(Command):
+class Objects(MakingCommand):
     """List the objects of a scene, say where they are, and draw a contact sheet of them.
 
     Example: stylesplat objects garden-scene
@@ -55,28 +55,24 @@ class Objects(Command):
             refuse_file(self.scene / SHEET, overwrite=True)
         found = ss.objects(scene)
         names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
-        sheet = object_sheet(scene.splats, scene.cameras, names=names)
         target = self.output or self.scene / SHEET
         with changing(self.output or self.scene):
-            write_image(sheet, target)
+            write_image(object_sheet(scene.splats, scene.cameras, names=names), target)
         return {"objects": found, "sheet": target, **extents(scene)}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         from stylesplat.scene.one_line import counted
 
-        named, ids = result["named"], dict[str, int]()
+        named, ids = dict(result["named"]), dict[str, int]()
         for each in result["objects"]:
+            own, count = each["own"], each["gaussians"]
+            same = [n for n in each["names"] if n in named and named[n]["gaussians"] == count]
+            for name in same:  # one line for both
+                del named[name]
             ids |= dict.fromkeys(each["names"], each["id"])
-            same = [
-                name
-                for name in each["names"]
-                if named.get(name, each)["gaussians"] == each["gaussians"]
-            ]
-            named = {name: place for name, place in named.items() if name not in same}
             called = ", ".join([f"id {each['id']}", *same])
             sure = f", {each['confidence']:.0%} sure" if "confidence" in each else ""
-            own = f", {each['own']:,} its own"
-            yield f"{called}: {counted(each['gaussians'], 'Gaussian')}{own}{sure}{_box(each)}"
+            yield f"{called}: {counted(count, 'Gaussian')}, {own:,} its own{sure}{_box(each)}"
         for name, place in named.items():  # unions, parts, and what a style has changed
             called = f"{name} (id {ids[name]})" if name in ids else name
             yield f"{called}: {counted(place['gaussians'], 'Gaussian')}{_box(place)}"
@@ -95,7 +91,7 @@ def _box(place: dict[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class Rename(Command):
+class Rename(MakingCommand):
     """Give an object of a scene another name.
 
     Example: stylesplat rename garden-scene object vase
@@ -113,7 +109,6 @@ class Rename(Command):
         folder = self.output or self.scene
         picture, target = selection_file(self.scene, self.old), selection_file(folder, self.new)
         with changing(folder):
-            drawn = read_bytes(picture) if picture.is_file() else None
             after = rewrite_scene(
                 self.scene,
                 self.output,
@@ -121,13 +116,11 @@ class Rename(Command):
                 overwrite=self.overwrite,
                 names_only=True,
             )
-            if drawn is not None:
-                with atomic_path(target) as file:
-                    file.write_bytes(drawn)
-            if self.output is None:
-                picture.unlink(missing_ok=True)
+            has_picture = self.output is None and picture.is_file()
+            if has_picture:
+                picture.replace(target)
         found = {"name": self.new, "was": self.old, **after.objects[self.new].how}
-        return found | {"scene": folder, "picture": None if drawn is None else target}
+        return found | {"scene": folder, "picture": target if has_picture else None}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         yield f"{result['was']} is called {result['name']} now."
@@ -135,7 +128,7 @@ class Rename(Command):
 
 
 @dataclass(frozen=True)
-class Delete(Command):
+class Delete(MakingCommand):
     """Delete the name of an object; its Gaussians stay, and so does their paint.
 
     Example: stylesplat delete garden-scene lid

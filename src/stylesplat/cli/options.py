@@ -1,4 +1,4 @@
-"""Options that several verbs share, and checks of options."""
+"""The base of all commands, options that several verbs share, and checks of options."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,9 +25,6 @@ Device = Annotated[
     Literal["auto", "cpu", "cuda"],
     arg(help="Where to compute; auto uses an NVIDIA GPU if there is one."),
 ]
-Json = Annotated[Flag, arg(help="Print the result as JSON on stdout.")]
-Verbose = Annotated[Flag, arg(help="Print the numbers as well, as YAML.")]
-Overwrite = Annotated[Flag, arg(help="Replace what the output holds.")]
 Features = Annotated[
     Network | None,
     arg(
@@ -43,6 +40,7 @@ Weights = Annotated[
     ),
 ]
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+NAMES = {"source": "from"}  # of options that are no names in Python
 CONTINUES = "The same command goes on where it stopped."  # after Ctrl-C
 
 
@@ -50,24 +48,32 @@ CONTINUES = "The same command goes on where it stopped."  # after Ctrl-C
 class Command:
     """A verb of the command line: its fields are its options."""
 
-    overwrite: Overwrite = False
-    verbose: Verbose = False
-    json: Json = False
+    json: Annotated[Flag, arg(help="Print the result as JSON on stdout.")] = False
 
     def run(self) -> dict[str, Any]:
         """Run the verb, and return what `--json` prints."""
         raise NotImplementedError
 
     def words(self, result: dict[str, Any]) -> Iterable[str]:
-        """What was made, and how to go on, in lines."""
+        """Lines for people: what was made, and the next commands."""
         raise NotImplementedError
+
+    def after_answer(self, result: dict[str, Any]) -> None:
+        """Do what nobody has to wait for: the result is printed already."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakingCommand(Command):
+    """A verb that makes files."""
+
+    overwrite: Annotated[Flag, arg(help="Replace what the output holds.")] = False
 
 
 def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:
     """Raise a StyleSplatError if an option is given that would change nothing."""
     for name in names:
         if getattr(command, name):
-            option = {"source": "from"}.get(name, name).replace("_", "-")
+            option = NAMES.get(name, name).replace("_", "-")
             raise StyleSplatError(f"--{option} means nothing with {why}. Leave it out.")
 
 

@@ -1,5 +1,6 @@
 """`stylesplat render`."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,15 +9,15 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.arguments import parse_size
-from stylesplat.cli.options import Command, Device, Output
+from stylesplat.cli.options import Device, MakingCommand, Output
 from stylesplat.errors import StyleSplatError
 
+MOST_PIXELS = 16_384  # along a picture's side
 MOST_RATE = 1000  # frames a second, and seconds
 
 
 @dataclass(frozen=True)
-class Render(Command):
+class Render(MakingCommand):
     """Render a scene into a folder of PNGs, into a video, or into one picture.
 
     Example: stylesplat render garden-wave -o orbit.mp4 --views orbit
@@ -81,7 +82,7 @@ class Render(Command):
         from stylesplat.verbs.render import cameras_of
 
         self._refuse_mixed()
-        size = None if self.size is None else parse_size(self.size)
+        size = None if self.size is None else _parse_size(self.size)
         if self.path is not None:
             rates = {"fps": self.fps, "seconds": self.seconds}
             path = ss.read_camera_path(self.path, scene.cameras, **rates)
@@ -126,3 +127,13 @@ class Render(Command):
                 raise StyleSplatError(
                     f"Cannot render with {name} {value:g}. Choose between 0 and {MOST_RATE}."
                 )
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
+    width, height = map(int, found.groups()) if found else (0, 0)
+    if not (2 <= width <= MOST_PIXELS and 2 <= height <= MOST_PIXELS):
+        raise StyleSplatError(
+            f"Expected WIDTHxHEIGHT in pixels, each 2 to {MOST_PIXELS:,}, got {text!r}."
+        )
+    return width, height

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import stylesplat as ss
 from stylesplat.errors import StyleSplatError
@@ -16,7 +16,6 @@ from stylesplat.progress import say, write_lines
 from stylesplat.scene.arguments import pasted
 from stylesplat.signals import WHOLE, report_interruption
 
-T = TypeVar("T")
 BEFORE_AFTER = "before_after.png"
 PHOTO_AND_RENDER = "photo_and_render.png"
 VIEW = "view.png"
@@ -32,44 +31,20 @@ OUT_OF_MEMORY = (
 BUG = "This is a mistake in stylesplat. Please report it, with all these lines."
 
 
-class Answer(dict[str, Any]):
-    """A result that is printed before all is done, so that nobody waits for the rest."""
-
-    def __init__(self, result: Mapping[str, Any], rest: Callable[[], None]) -> None:
-        super().__init__(result)
-        self.rest = rest
-        """Does what is left to do."""
-
-
 def save_or_rescue(scene: "ss.Scene", output: Path, *, overwrite: bool) -> None:
-    """Save a scene, or if that fails save it in the temporary directory."""
+    """Save a scene; if that fails, save it in the temporary directory and raise the error."""
     from stylesplat.io.scene_folder import save
 
-    write_or_rescue(
-        lambda place, replace: save(scene, place, overwrite=replace),
-        output,
-        overwrite=overwrite,
-        what="The scene is",
-    )
-
-
-def write_or_rescue(
-    write: Callable[[Path, bool], T], output: Path, *, overwrite: bool, what: str
-) -> T:
-    """Write a result, or if that fails write it to the temporary directory, and raise the error.
-
-    `write` takes a path, and whether it may exist; `what` is the result, to begin a sentence.
-    """
     try:
-        return write(output, overwrite)
+        save(scene, output, overwrite=overwrite)
     except StyleSplatError as error:
         rescued = Path(tempfile.mkdtemp(prefix="stylesplat-")) / output.resolve().name
         try:
-            write(rescued, False)
+            save(scene, rescued)
         except StyleSplatError:
             shutil.rmtree(rescued.parent, ignore_errors=True)
             raise error from None
-        raise StyleSplatError(f"{error} {what} in {rescued}: move it from there.") from error
+        raise StyleSplatError(f"{error} The scene is in {rescued}: move it from there.") from error
 
 
 def rewrite_scene(
@@ -80,9 +55,9 @@ def rewrite_scene(
     overwrite: bool,
     names_only: bool = False,
 ) -> "ss.Scene":
-    """Open a scene, change it, and save it to another folder, or in its own without `output`.
+    """Open a scene, change it, and save it to `output`, or without that in its own folder.
 
-    With `names_only` the higher bands of colour are not read: nothing but names may change.
+    With `names_only` the change concerns names alone, and the higher bands of colour are not read.
     """
     from stylesplat.io.atomic import changing, refuse_occupied, refuse_unwritable
     from stylesplat.io.kinds import SCENE
@@ -91,27 +66,24 @@ def rewrite_scene(
     with changing(output or source):  # from reading on, so that no other process's change is lost
         if output is not None:
             refuse_occupied(output, marker=SCENE, overwrite=overwrite)
-        bands = output is not None or not names_only
-        before = ss.open(source) if bands else open_without_bands(source)
-        if output is None:
-            refuse_unwritable(source)
-        after = change(before)
-        assert bands or after.splats is before.splats, "bands that were not read would be lost"
-        if output is None:
-            revise(before, after, source)
-        else:
+            after = change(ss.open(source))
             ss.save(after, output, overwrite=overwrite)
-    return after
+            return after
+        before = open_without_bands(source) if names_only else ss.open(source)
+        refuse_unwritable(source)
+        after = change(before)
+        assert not names_only or after.splats is before.splats, "bands not read would be lost"
+        revise(before, after, source)
+        return after
 
 
 def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") -> dict[str, Any]:
     """Draw a painted scene before and after, for `before_after_line`."""
     from stylesplat.figures.sheets import before_after
-    from stylesplat.io.atomic import changing
     from stylesplat.io.images import write_image
 
     target = folder / BEFORE_AFTER
-    with optional_picture(), changing(target):
+    with optional_picture():
         target.unlink(missing_ok=True)  # it shows an earlier painting
         found = before_after(scene, device=device)
         if found is not None:
@@ -121,7 +93,7 @@ def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") 
 
 
 def before_after_line(result: Mapping[str, Any]) -> Iterator[str]:
-    """Where that picture is and which view it shows, if there is one."""
+    """The line that names that picture and its view, if there is one."""
     if result["before_after"]:
         yield f"Picture: {result['before_after']} (view {result['before_after_view']})"
 
@@ -131,14 +103,13 @@ def describe_scene(
 ) -> dict[str, Any]:
     """Describe a new scene, and draw one of its views beside the photo, a held-out one if any."""
     from stylesplat.figures.sheets import beside_photo, one_view
-    from stylesplat.io.atomic import changing
     from stylesplat.io.images import write_image
 
     names = scene.held_out or scene.cameras.names
     name = names[len(names) // 2]
     target = folder / (VIEW if capture is None else PHOTO_AND_RENDER)
     described = {"scene": folder, "picture": None, "objects": sorted(scene.objects)}
-    with optional_picture(), changing(target):
+    with optional_picture():
         if capture is None:
             picture = one_view(scene, name, device=device)
         else:
@@ -150,7 +121,7 @@ def describe_scene(
 
 @contextmanager
 def optional_picture(of: str = "") -> Iterator[None]:
-    """Draw a picture within the block; if that fails, say so and go on: the result is saved."""
+    """Draw a picture within the block; if that fails, say so and go on."""
     try:
         yield
     except (StyleSplatError, MemoryError, RuntimeError, OSError) as error:  # RuntimeError: CUDA
@@ -183,12 +154,6 @@ def mask_command(capture: Path) -> str:
     return pasted("mask", capture, "--box", "NAME=PHOTO:x0,y0,x1,y1")
 
 
-def look_lines(result: dict[str, Any]) -> list[str]:
-    """The picture and the names of a new scene."""
-    lines = [f"Picture: {result['picture']}"] if result["picture"] else []
-    return lines + [f"Objects: {', '.join(result['objects'])}."] * bool(result["objects"])
-
-
 def object_commands(
     scene: Path, names: Sequence[str], *, labelled: bool, photos: bool = True
 ) -> list[str]:
@@ -204,6 +169,19 @@ def object_commands(
     by_box = pasted("mask", scene, "--box", "NAME=VIEW:x0,y0,x1,y1")
     look = pasted("render", scene, "-o", unused(scene, "-views"))
     return [look, by_place if photos else by_box]
+
+
+def new_scene_lines(result: Mapping[str, Any], *, photos: bool = True) -> Iterator[str]:
+    """The lines about a scene that `describe_scene` has described."""
+    if result["picture"]:
+        yield f"Picture: {result['picture']}"
+    names = result["objects"]
+    if names:
+        yield f"Objects: {', '.join(names)}."
+    labelled = result["labelled"]
+    yield from next_lines(
+        *object_commands(result["scene"], names, labelled=labelled, photos=photos)
+    )
 
 
 def exit_status(error: BaseException, command: object = None) -> int | None:

@@ -1,6 +1,6 @@
 """`stylesplat select`."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain
@@ -10,11 +10,10 @@ from typing import Any
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.arguments import Place, parse_box, parse_box3d, parse_point, parse_sphere
+from stylesplat.cli.arguments import parse_place
 from stylesplat.cli.objects import selection_file
-from stylesplat.cli.options import Command, Flag, NewScene
+from stylesplat.cli.options import Flag, MakingCommand, NewScene
 from stylesplat.cli.results import (
-    Answer,
     next_lines,
     optional_picture,
     rewrite_scene,
@@ -26,7 +25,7 @@ from stylesplat.progress import say
 
 
 @dataclass(frozen=True)
-class Select(Command):
+class Select(MakingCommand):
     """Name an object of a scene, by label id, places in photos, words, or a shape in the world.
 
     Several choices are united: `--id 3 --plus lid --minus lamp`.
@@ -82,8 +81,7 @@ class Select(Command):
     def run(self) -> dict[str, Any]:
         if self.model is not None and not self.text:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
-        folder = self.output or self.scene
-        target = selection_file(folder, self.name)
+        folder, target = self._folder, selection_file(self._folder, self.name)
         with changing(folder):
             after = rewrite_scene(
                 self.scene,
@@ -94,31 +92,35 @@ class Select(Command):
             )
             with suppress(OSError):
                 target.unlink()  # it shows an earlier selection of that name
-        how = after.objects[self.name].how
-        result = {"name": self.name, **how, "scene": folder, "picture": None}
-        if self.picture and (self.json or self.verbose):  # both print the picture's name
-            result["picture"] = self._draw(target)
-        elif self.picture:
-            return Answer(result, lambda: self._draw(target) and say(_picture_line(target)))
-        return result
+        result = {"name": self.name, **after.objects[self.name].how, "scene": folder}
+        return result | {"picture": self._draw(target) if self.picture and self.json else None}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         yield f"{self.name}: {result['gaussians']:,} Gaussians."
-        if result["picture"]:
-            yield _picture_line(result["picture"])
         yield from next_lines(stylize_command(result["scene"], self.name))
+
+    def after_answer(self, result: dict[str, Any]) -> None:
+        if self.picture and not self.json:
+            target = self._draw(selection_file(self._folder, self.name))
+            if target:
+                what = "the selected Gaussians in colour, in blue those of them that get no paint"
+                say(f"Picture: {target}, {what}.")
+
+    @property
+    def _folder(self) -> Path:
+        return self.output or self.scene
 
     def _select(self, scene: "ss.Scene") -> "ss.Scene":
         return ss.select(
             scene,
             self.name,
             id=[*chain(*self.id)],
-            box=_places(parse_box, self.box),
-            point=_places(parse_point, self.point),
-            not_point=_places(parse_point, self.not_point),
+            box=_places(self.box, "VIEW:x0,y0,x1,y1"),
+            point=_places(self.point, "VIEW:x,y"),
+            not_point=_places(self.not_point, "VIEW:x,y"),
             text=self.text,
-            box3d=_places(parse_box3d, self.box3d),
-            sphere=_places(parse_sphere, self.sphere),
+            box3d=_places(self.box3d, "x0,y0,z0,x1,y1,z1"),
+            sphere=_places(self.sphere, "x,y,z,RADIUS", "VIEW:x,y,RADIUS"),
             rows=self.rows,
             plus=[*chain(*self.plus)],
             minus=[*chain(*self.minus)],
@@ -137,26 +139,19 @@ class Select(Command):
         from stylesplat.io.images import write_image
         from stylesplat.selection.choose import find_object
 
-        folder = self.output or self.scene
         with optional_picture(self.name):
-            scene = ss.open(folder)
+            scene = ss.open(self._folder)
             picture = selection_picture(scene.splats, scene.cameras, find_object(scene, self.name))
             if picture is None:
                 say(f"{self.name} shows in none of the views, so there is no picture of it.")
                 return None
-            with changing(folder), changing(target):
+            with changing(self._folder):
                 write_image(picture, target)
             return target
         return None
 
 
-def _places(parse: Callable[[str], Place], texts: tuple[str, ...]) -> list[Any]:
+def _places(texts: tuple[str, ...], *forms: str) -> list[Any]:
     """The places as `ss.select` takes them: numbers, after the view if there is one."""
-    return [(view, *numbers) if view else numbers for view, numbers in map(parse, texts)]
-
-
-def _picture_line(target: Path) -> str:
-    return (
-        f"Picture: {target}, the selected Gaussians in colour, in blue those of them that get no "
-        "paint."
-    )
+    places = (parse_place(text, *forms) for text in texts)
+    return [(view, *numbers) if view else numbers for view, numbers in places]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import CONTINUES, Command, Output
+from stylesplat.cli.options import CONTINUES, MakingCommand, Output
 from stylesplat.cli.results import mask_command, next_lines
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import is_file, is_there, real_path
@@ -22,7 +22,7 @@ Drawn = Iterable[tuple[str, Sequence[float] | None]]
 
 
 @dataclass(frozen=True)
-class Sfm(Command):
+class Sfm(MakingCommand):
     """Find the cameras of photos or of a video: structure from motion with COLMAP.
 
     Example: stylesplat sfm MyPhotos -o garden
@@ -57,10 +57,14 @@ class Sfm(Command):
         )
         record = read_sfm(self.output)
         assert record is not None, SFM_FILE
-        found = {"capture": self.output, "photos": record.given, "registered": record.registered}
-        if self.json:  # else `sfm` has named them
-            found |= {"left_out": record.left_out, "unregistered": record.unregistered}
-        return dict(record.numbers) | found
+        return {
+            **record.numbers,
+            "capture": self.output,
+            "photos": record.given,
+            "registered": record.registered,
+            "left_out": record.left_out,
+            "unregistered": record.unregistered,
+        }
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         from stylesplat.verbs.sfm import PICTURE

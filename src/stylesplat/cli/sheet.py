@@ -10,25 +10,24 @@ from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.cli.arguments import from_config, parse_style
 from stylesplat.cli.options import (
-    Command,
     Device,
     Features,
+    MakingCommand,
     Output,
     Weights,
     refuse_picture,
 )
-from stylesplat.cli.results import unused, write_or_rescue
+from stylesplat.cli.results import unused
 from stylesplat.cli.stylize import SETTINGS
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.arguments import pasted
 from stylesplat.stylization.config import StyleConfig
 
 VARIED = ("preset", "stroke_size", *SETTINGS.__annotations__)  # options of `stylize`
-RENAMED = {"scale": "stroke_size"}  # the other name that `stylize` has for an option
 
 
 @dataclass(frozen=True)
-class Sheet(Command):
+class Sheet(MakingCommand):
     """Draw an object in a grid of styles and settings, to choose from.
 
     Example: stylesplat sheet garden-scene -o sheet.png --style vase=wave.jpg --vary
@@ -60,18 +59,19 @@ class Sheet(Command):
     device: Device = "auto"
 
     def run(self) -> dict[str, Any]:
-        """Draw the sheet, or tell the command of a cell."""
-        from stylesplat.io.atomic import changing
-
         variations = self._variations()
         commands = self._commands(variations)
-        if self.pick is not None:
-            return {"command": self._picked(commands)}
-        with changing(self.output):
+        if self.pick is None:
             return {**self._draw(variations), "commands": commands}
+        cells = {
+            f"{row},{column}": command
+            for row, line in enumerate(commands, 1)
+            for column, command in enumerate(line, 1)
+        }
+        check_choice(self.pick, "cell", cells)
+        return {"command": cells[self.pick]}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
-        """What to print after the picture."""
         if "command" in result:
             yield result["command"]
             return
@@ -82,29 +82,26 @@ class Sheet(Command):
                 yield f"{row},{column}:  {command}"
 
     def _draw(self, variations: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
+        from stylesplat.io.atomic import changing
         from stylesplat.io.images import write_image
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.sheet import sheet
 
-        refuse_picture(self.output, overwrite=self.overwrite)
-        made = sheet(
-            open(self.scene),
-            parse_style(self.style[0])[0],
-            [pictures for _, pictures in map(parse_style, self.style)],
-            vary=variations,
-            view=self.view,
-            features=self.features,
-            weights=self.weights,
-            device=self.device,
-            preset=self.preset,
-            **self.settings,
-        )
-        write_or_rescue(
-            lambda place, _: write_image(made.picture, place),
-            self.output,
-            overwrite=self.overwrite,
-            what="The sheet is",
-        )
+        with changing(self.output):
+            refuse_picture(self.output, overwrite=self.overwrite)
+            made = sheet(
+                open(self.scene),
+                parse_style(self.style[0])[0],
+                [pictures for _, pictures in map(parse_style, self.style)],
+                vary=variations,
+                view=self.view,
+                features=self.features,
+                weights=self.weights,
+                device=self.device,
+                preset=self.preset,
+                **self.settings,
+            )
+            write_image(made.picture, self.output)
         counts = {"cells": made.cells, "repainted": made.repainted}
         return {"sheet": self.output, "view": made.view, **counts}
 
@@ -121,8 +118,7 @@ class Sheet(Command):
         found: dict[str, tuple[Any, ...]] = {}
         for text in self.vary:
             name, equals, values = text.partition("=")
-            key = name.replace("-", "_")
-            key = RENAMED.get(key, key)
+            key = {"scale": "stroke_size"}.get(name, name.replace("-", "_"))  # its other name
             if equals:
                 check_choice(key, "option of `stylize` to vary,", VARIED)
             if key in found:
@@ -149,12 +145,3 @@ class Sheet(Command):
                 shown = (f"{each:g}" if isinstance(each, float) else each for each in values)
                 words += [f"--{key.replace('_', '-')}", *shown]
         return pasted("stylize", self.scene, *words, "-o", unused(self.scene, "-painted"))
-
-    def _picked(self, commands: list[list[str]]) -> str:
-        cells = {
-            f"{row},{column}": command
-            for row, line in enumerate(commands, 1)
-            for column, command in enumerate(line, 1)
-        }
-        check_choice(self.pick, "cell", cells)
-        return cells[str(self.pick)]

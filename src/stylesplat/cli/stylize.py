@@ -9,7 +9,7 @@ from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, parse_style
-from stylesplat.cli.options import Command, Device, Features, Output, Weights
+from stylesplat.cli.options import Device, Features, MakingCommand, Output, Weights
 from stylesplat.cli.results import (
     before_after_line,
     draw_before_after,
@@ -44,7 +44,7 @@ SETTINGS = from_config(
 
 
 @dataclass(frozen=True)
-class Stylize(Command):
+class Stylize(MakingCommand):
     """Repaint objects of a scene, each in the style of a picture.
 
     Example: stylesplat stylize garden-scene --style vase=wave.jpg -o garden-wave

@@ -13,12 +13,10 @@ from tyro.conf import Positional, arg
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, help_texts
-from stylesplat.cli.options import CONTINUES, Command, Device, Flag, Output, refuse_given
+from stylesplat.cli.options import CONTINUES, Device, Flag, MakingCommand, Output, refuse_given
 from stylesplat.cli.results import (
     describe_scene,
-    look_lines,
-    next_lines,
-    object_commands,
+    new_scene_lines,
     save_or_rescue,
 )
 from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished
@@ -44,7 +42,7 @@ PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all w
 
 
 @dataclass(frozen=True)
-class Train(Command):
+class Train(MakingCommand):
     """Train a splat with objects from photos.
 
     Example: stylesplat train garden -o garden-scene --downscale 2 --max-seconds 120
@@ -75,12 +73,10 @@ class Train(Command):
 
     @property
     def after_interruption(self) -> str:
-        """How to go on."""
         if not is_there(self._checkpoint):
             return CONTINUES if is_sfm_unfinished(self.capture, beside=self.output) else WHOLE
-        if self.restart:
-            return f"Without `--restart` it goes on where it stopped. {FINISHES}"
-        return f"{CONTINUES} {FINISHES}"
+        again = "Without `--restart` it goes on where it stopped." if self.restart else CONTINUES
+        return f"{again} {FINISHES}"
 
     @property
     def _checkpoint(self) -> Path:
@@ -119,10 +115,7 @@ class Train(Command):
         where = f"{result['gaussians']:,} Gaussians after {result['steps']:,} steps"
         close = f", {result['psnr']:.1f} dB from photos held out" if "psnr" in result else ""
         yield f"{self.output}: {where}{close}."
-        yield from look_lines(result)
-        yield from next_lines(
-            *object_commands(self.output, result["objects"], labelled=result["labelled"])
-        )
+        yield from new_scene_lines(result)
 
     def _capture(self) -> "ss.Capture":
         folder = find_photos_capture(self.capture, beside=self.output)
@@ -141,24 +134,17 @@ class Train(Command):
     def _delete_checkpoints(self) -> None:
         """Delete what a run has left, and no other file in that folder."""
         partial = self._checkpoint.parent
-        for file in (*partial.glob("checkpoint_*.pt"), *partial.glob(".checkpoint_*.pt")):
-            with suppress(OSError):
+        with suppress(OSError):
+            for file in partial.glob("*checkpoint_*.pt"):
                 file.unlink()
-        with suppress(OSError):  # there is none, or it is not empty
-            partial.rmdir()
+            partial.rmdir()  # unless it has other files
 
 
 @contextmanager
 def _torchrun(device: str) -> Iterator[bool]:
-    """Join the processes that `torchrun` started, if any; see `training.ranks`.
+    """Join the processes that `torchrun` started, if any; yields whether this is the first one.
 
-    Each has a GPU of its own, or its share of the cores.
-
-    Yields:
-        Whether this is the first process, or the only one.
-
-    Raises:
-        StyleSplatError: If there are fewer GPUs than processes.
+    Each process has a GPU of its own, or its share of the cores.
     """
     if "TORCHELASTIC_RUN_ID" not in os.environ or os.environ.get("WORLD_SIZE", "1") == "1":
         yield True

@@ -9,12 +9,12 @@ from typing import ClassVar, NoReturn
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Device, Json
+from stylesplat.cli.options import Command, Device
 from stylesplat.progress import say
 
 
 @dataclass(frozen=True)
-class ViewCommand:
+class ViewCommand(Command):
     """Look at a scene in the browser.
 
     Example: stylesplat view garden-wave
@@ -24,7 +24,6 @@ class ViewCommand:
     """Folder of the scene."""
     port: int = 8080
     """Port on 127.0.0.1, or the next free one."""
-    json: Json = False
     after_interruption: ClassVar[str] = "The viewer is closed."
 
     def run(self) -> NoReturn:
@@ -37,7 +36,7 @@ class ViewCommand:
 
 
 @dataclass(frozen=True)
-class StudioCommand:
+class StudioCommand(Command):
     """Choose objects, paint them and compare, in the browser.
 
     Example: stylesplat studio garden-scene --styles Paintings
@@ -52,7 +51,6 @@ class StudioCommand:
     host: str = "127.0.0.1"
     """Address to serve at; any other than 127.0.0.1 lets the network in."""
     device: Device = "auto"
-    json: Json = False
     after_interruption: ClassVar[str] = "The studio is closed."
 
     def run(self) -> NoReturn:
