@@ -15,7 +15,7 @@ from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_bands
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
-VARIATION = 0.15  # deviation of the colours that `vary_colors` adds, of 1
+VARIATION = 0.08  # deviation of the colours that `vary_colors` adds, of 1
 LUMA_VARIATION = 0.5  # share of its luminance to keep: all of it makes patches of light on faces
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
 WAVES = 48  # that it is made of
