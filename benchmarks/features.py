@@ -39,7 +39,7 @@ from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import PATTERN_LENGTH, Network, StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork, fastest_dtype
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
-from stylesplat.stylization.matching import nearest_rows
+from stylesplat.stylization.matching import most_similar
 from stylesplat.stylization.optimize import paint_steps
 from stylesplat.stylization.paint import paint_context
 from stylesplat.stylization.style_image import read_style, resize, style_features
@@ -156,7 +156,7 @@ def _reached(
     for network in (bench.compact, bench.vgg19):
         queries = network(image)[0][view.cells[0]]
         (styles,) = style_features(painting, network, (3,), length=StyleConfig().scale * length)
-        chosen.append(nearest_rows(queries, F.normalize(styles, dim=1)))
+        chosen.append(most_similar(queries, F.normalize(styles, dim=1)))
     assert queries is not None
     assert styles is not None
     ours, theirs = (float(F.cosine_similarity(queries, styles[c], dim=1).mean()) for c in chosen)

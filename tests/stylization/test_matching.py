@@ -10,7 +10,7 @@ from stylesplat.stylization.matching import (
     build_index,
     cosine_distance,
     largest_columns,
-    nearest_rows,
+    most_similar,
     nnfm_loss,
 )
 
@@ -34,7 +34,7 @@ def test_the_loss_is_the_distance_to_the_most_similar_row():
     cosines = torch.cosine_similarity(feats[:, None], style[None], dim=-1)
     loss = nnfm_loss(feats, style)
     torch.testing.assert_close(loss, (1 - cosines.amax(dim=1)).mean())
-    assert torch.equal(nearest_rows(feats, normalize(style)), cosines.argmax(dim=1))
+    assert torch.equal(most_similar(feats, normalize(style)), cosines.argmax(dim=1))
     assert nnfm_loss(feats, feats) == pytest.approx(0, abs=EXACT)
     assert nnfm_loss(feats[:1], -feats[:1]) == pytest.approx(2, abs=EXACT)
     longer = style.flip(0) * torch.linspace(0.1, 9, 30)[:, None]
@@ -56,7 +56,7 @@ def test_the_loss_is_that_of_the_exhaustive_search(
     index = build_index(style, dtype)
     found = index.nearest(feats.to(dtype))
     assert found.min() >= 0 and found.max() < styles
-    best = cosine_distance(feats, style[nearest_rows(feats, normalize(style))])
+    best = cosine_distance(feats, style[most_similar(feats, normalize(style))])
     loss = cosine_distance(feats, style[found])
     # matches lost in compression, and in bfloat16 those that differ by its rounding
     assert best * 0.9999 <= loss < 1.005 * best
@@ -75,10 +75,10 @@ def test_features_find_themselves(styles: int):
 def test_chunks_do_not_matter(monkeypatch: pytest.MonkeyPatch):
     feats, style = features(50, seed=3), normalize(features(70, seed=4))
     index = build_index(style, torch.float32)
-    whole = index.nearest(feats), nearest_rows(feats, style)
+    whole = index.nearest(feats), most_similar(feats, style)
     monkeypatch.setattr(matching, "SIMILARITIES_AT_ONCE", 7 * 80)
     assert torch.equal(index.nearest(feats), whole[0])
-    assert torch.equal(nearest_rows(feats, style), whole[1])
+    assert torch.equal(most_similar(feats, style), whole[1])
 
 
 @pytest.mark.parametrize(("stride", "count"), [(16, 16), (16, 5), (80, 71), (48, 4), (16, 2)])

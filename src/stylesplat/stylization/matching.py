@@ -37,7 +37,7 @@ def nnfm_loss(
         The loss (ARF, Zhang et al. 2022); 0 if every match is exact. The formula printed in the
         StyleSplat paper lacks the "1 -".
     """
-    matches = nearest_rows(feats, F.normalize(style_feats, dim=1))
+    matches = most_similar(feats, F.normalize(style_feats, dim=1))
     return cosine_distance(feats, style_feats[matches])
 
 
@@ -62,7 +62,7 @@ class StyleIndex:
     def nearest(self, feats: Float[Tensor, "P D"]) -> Int[Tensor, " P"]:
         """The row of the (almost always) most similar style feature of each feature."""
         if self.directions.device.type != "cpu":
-            return nearest_rows(feats, self.directions)
+            return most_similar(feats, self.directions)
         queries = feats.float() @ self.basis
         rows = max(1, SIMILARITIES_AT_ONCE // self.compressed.shape[1])
         found = []
@@ -90,7 +90,7 @@ def build_index(style_feats: Float[Tensor, "Q D"], dtype: torch.dtype) -> StyleI
 
 
 @torch.no_grad()
-def nearest_rows(
+def most_similar(
     feats: Float[Tensor, "P D"], directions: Float[Tensor, "Q D"]
 ) -> Int[Tensor, " P"]:
     """The row of the most similar of some directions (of length 1), searched exhaustively."""

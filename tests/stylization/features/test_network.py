@@ -99,9 +99,9 @@ def test_blocks_come_in_the_order_asked_for_in_the_networks_precision(either: Fe
     assert half.dtype == half(image, [1])[0].dtype == torch.bfloat16
 
 
-@pytest.mark.parametrize("blocks", [[], [0], [1, 4]])
+@pytest.mark.parametrize("blocks", [[0], [1, 4]])
 def test_missing_blocks(either: FeatureNetwork, blocks: list[int]):
-    with pytest.raises(StyleSplatError, match=r"no block|has blocks 1 to \d\. Choose"):
+    with pytest.raises(StyleSplatError, match=r"has blocks 1 to \d\. Choose"):
         either(picture(20, 20), blocks)
 
 
