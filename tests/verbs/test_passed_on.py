@@ -34,7 +34,7 @@ def painted(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return opened(folder / "twice")
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".spz", ".splat", ".glb"])
+@pytest.mark.parametrize("suffix", [".ply", ".splat"])
 def test_a_sidecar_keeps_objects(suffix: str, tmp_path: Path):
     file = tmp_path / f"balls{suffix}"
     export(TRAINED, file, sidecar=True)
