@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -66,16 +65,6 @@ def test_the_object_comes_closer_to_the_style(
     assert json.loads(json.dumps(metrics)) == metrics
     before, after = (rasterize(s, CAMERAS)[0] for s in (SCENE, styled.splats))
     assert (before - after).abs().max() > 0.1
-
-
-def test_each_object_has_its_own_numbers(job: PaintTarget, network: FeatureNetwork):
-    own = replace(FAST, steps=3, color="free", seed=5)
-    second = PaintTarget("second", ball(2), (job.styles[0].flip(-1),), own)
-    _, metrics = measured([job, second], network)
-    assert list(metrics["objects"]) == ["ball", "second"]
-    for number in ("nnfm_before", "nnfm_after"):
-        one, other = (metrics["objects"][name][number] for name in ("ball", "second"))
-        assert one != other
 
 
 def test_a_style_too_small_to_compare_does_not_cost_the_result(

@@ -181,14 +181,6 @@ def interrupted(capture: Path, scene: Path, scripted: Scripted) -> Path:
     return capture / "object_mask.partial"
 
 
-@pytest.mark.parametrize("name", ["clip_0.npz", "settings.json"])
-def test_damaged_results_are_found_again(capture: Path, scene: Path, scripted: Scripted, name: str):
-    damaged = interrupted(capture, scene, scripted) / name
-    damaged.write_bytes(damaged.read_bytes()[:9])
-    found = run_model(capture, "sam2", scene)
-    assert found["ids"] == [1, 2, 3]
-
-
 @pytest.mark.parametrize("method", ["edgetam", "sam2"])
 def test_other_settings_or_photos_begin_anew(
     method: Method, capture: Path, scene: Path, scripted: Scripted, said: list[str]

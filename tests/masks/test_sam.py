@@ -126,15 +126,13 @@ def test_pixels_go_to_the_surest_object():
     ("load", "method", "kind", "match"),
     [
         (load_proposer, "sam2", "sam", "is of the type sam. To propose masks with sam2"),
-        (load_proposer, "sam", "sam3", "is of the type sam3_video.*one of the type sam$"),
-        (load_propagator, "edgetam", "sam2", "is of the type sam2_video. To follow objects"),
         (load_propagator, "sam3", "grounding-dino", "sam3_tracker_video or sam3_video"),
     ],
 )
 def test_a_model_of_another_family(
     load: Callable, method: str, kind: str, match: str, tiny_model: Models
 ):
-    with pytest.raises(StyleSplatError, match=match.replace("$", r"\.$")):
+    with pytest.raises(StyleSplatError, match=match):
         load(method, str(tiny_model(kind)))
 
 

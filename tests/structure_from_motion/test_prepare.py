@@ -185,14 +185,6 @@ def test_photos_without_background(tmp_path: Path, level: int | None, what: str)
         prepare(tmp_path / "in", tmp_path / "out")
 
 
-def test_a_burnt_out_sky_is_a_background(tmp_path: Path):
-    for index in range(4):
-        photo = view(index * 24)
-        photo[: len(photo) * 2 // 5] = 255
-        save(tmp_path / "in" / f"{index}.jpg", photo)
-    assert len(prepare(tmp_path / "in", tmp_path / "out").names) == 4
-
-
 def test_sources_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     posed, films, out = tmp_path / "posed", tmp_path / "films", tmp_path / "out"
     walk(posed / "images")

@@ -59,14 +59,6 @@ def test_rotation_is_honoured(tmp_path: Path, degrees: int):
     assert np.abs(written - upright).mean() < 12  # colours of H.264 have half the size
 
 
-def test_hdr_is_announced(tmp_path: Path, said: list[str]):
-    def hlg(stream: av.VideoStream) -> None:
-        stream.codec_context.color_trc = 18
-
-    prepare(film(tmp_path / "a.mp4", [view(i * 8) for i in range(12)], hlg), tmp_path / "out")
-    assert any("HDR" in line for line in said)
-
-
 def test_broken_packets_are_skipped(tmp_path: Path):
     video = film(tmp_path / "a.avi", [view(i * 8) for i in range(40)], codec="mpeg4")
     content = bytearray(video.read_bytes())
