@@ -134,7 +134,7 @@ def _reblending(splats: Splats, camera: Cameras, v_image: Tensor) -> Callable[[]
     stride = blend_backward.gradient_stride(3)
 
     def work() -> None:
-        blend.blend(colors, rows, lists, picture, get_num_threads())
+        blend.blend_forward(colors, rows, lists, picture, get_num_threads())
         partial = cpu.partial_sums(len(order), stride).flatten(1).numpy()
         blend_backward.blend_backward(channels, rows, lists, picture, v_picture, partial)
 
