@@ -168,9 +168,9 @@ def entry_gradients(channels, row, blocks, origin, buffers, out):
 def blend_backward(channels, rows, lists, picture, v_picture, out):
     """Add each thread's gradients to its own rows `out` [threads, M * stride].
 
-    `picture` is what `blend_forward` made. A row of `out` holds the moments sum(v_s) of 1, x, y, x x,
-    x y, y y, where v_s is the gradient of the exponent at a pixel and x, y its offset from the
-    Gaussian; then the gradients of the colours.
+    `picture` is the result of `blend_forward`. A row of `out` holds the moments sum(v_s) of 1, x,
+    y, x x, x y, y y, where v_s is the gradient of the exponent at a pixel and x, y its offset from
+    the Gaussian; then the gradients of the colours.
     """
     starts, ranks, masks = lists
     head, tail, geometry = channels
