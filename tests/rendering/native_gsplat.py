@@ -46,7 +46,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
                 )
             else:
                 each = [
-                    reference.project(gaussians, View(viewmat, K, width, height))
+                    reference.project_gaussians(gaussians, View(viewmat, K, width, height))
                     for viewmat, K in zip(viewmats, Ks, strict=True)
                 ]
                 seen = Projected(*(torch.stack(tensors) for tensors in zip(*each, strict=True)))

@@ -1,6 +1,5 @@
 """A run continues from its checkpoint only; one that cannot be written costs a line."""
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -105,42 +104,32 @@ def test_what_is_no_checkpoint_is_refused_and_stays(place: Checkpoint, content):
     assert place.path.read_bytes() == before
 
 
-def put(*keys: str, value: object = None) -> Callable[[dict], None]:
-    """Change one thing deep in the content of a checkpoint, or delete it."""
-
-    def change(content: dict) -> None:
-        for key in keys[:-1]:
-            content = content[key]
-        content[keys[-1]] = value
-        if value is None:
-            del content[keys[-1]]
-
-    return change
-
-
 @pytest.mark.parametrize(
-    "change",
+    "part, name, value",
     [
-        *(put(key) for key in ("params", "first", "second", "ids", "counts", "seconds")),
-        put("params", "weight"),
-        put("second", "means"),
-        put("params", "means", value=torch.zeros(19, 3)),
-        put("params", "means", value=torch.full((20, 3), torch.nan)),
-        put("params", "means", value=torch.zeros(1, 1).expand(2**40, 3)),
-        put("params", "more", value=torch.zeros(20, 3)),
-        put("first", "quats", value=torch.full((20, 4), torch.inf)),
-        put("second", "sh0", value=torch.full((20, 1, 3), -1.0)),
-        put("ids", value=[0]),
-        put("params", "color_maps", value=torch.zeros(9, 3, 4)),
-        put("counts", value=[20]),
+        *((key, None, None) for key in ("params", "first", "second", "ids", "counts", "seconds")),
+        ("params", "weight", None),
+        ("second", "means", None),
+        ("params", "means", torch.zeros(19, 3)),
+        ("params", "means", torch.full((20, 3), torch.nan)),
+        ("params", "means", torch.zeros(1, 1).expand(2**40, 3)),
+        ("params", "more", torch.zeros(20, 3)),
+        ("first", "quats", torch.full((20, 4), torch.inf)),
+        ("second", "sh0", torch.full((20, 1, 3), -1.0)),
+        ("ids", None, [0]),
+        ("params", "color_maps", torch.zeros(9, 3, 4)),
+        ("counts", None, [20]),
     ],
 )
 def test_checkpoints_that_cannot_be_continued_are_refused(
-    place: Checkpoint, change: Callable[[dict], None]
+    place: Checkpoint, part: str, name: str | None, value: object
 ):
     save_checkpoint(place, some_state())
     content = torch.load(place.path, weights_only=True)
-    change(content)
+    changed, key = (content, part) if name is None else (content[part], name)
+    changed.pop(key, None)
+    if value is not None:
+        changed[key] = value
     torch.save(content, place.path)
     with pytest.raises(StyleSplatError, match=r"Cannot continue from .*checkpoint\.pt: it is not"):
         load_checkpoint(place, CPU)

@@ -108,7 +108,7 @@ def spread(cameras: Cameras, truth: Cameras) -> float:
 
 
 def test_noisy_poses_get_better(plain: Capture, shaken: Capture, config: TrainConfig):
-    config = replace(config, steps=400, test_every=0, color_correction="off")
+    config = replace(config, steps=250, test_every=0, color_correction="off")
     as_given, state = (fit(shaken, replace(config, refine_poses=on)) for on in (False, True))
     found = with_refined_cameras(shaken, state, range(len(shaken)))
     # A turn and a shift look nearly alike in 72 pixels, so much of each stays

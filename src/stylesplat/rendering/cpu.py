@@ -91,7 +91,7 @@ class _Project(Function):
         n, new = len(gaussians[0]), gaussians[0].new_empty
         out = Projected(new(n, 2), new(n, 3), new(n, 1), torch.empty(n, 2, dtype=torch.int32))
         inputs = arrays(Gaussians(*gaussians))
-        project.project(inputs, arrays(view), arrays(out), get_num_threads())
+        project.project_forward(inputs, arrays(view), arrays(out), get_num_threads())
         out = out._replace(depths=out.depths[:, 0])
         ctx.save_for_backward(viewmat, *gaussians[:3], *out)
         ctx.mark_non_differentiable(out.depths, out.radii)
@@ -156,7 +156,7 @@ def rasterize_to_pixels(
     image = colors.new_empty(height, width, channels)
     alphas = colors.new_empty(height, width, 1)
     picture = as_picture(image, alphas)
-    blend.blend(vecs.channels(channels), rows, lists, picture, get_num_threads())
+    blend.blend_forward(vecs.channels(channels), rows, lists, picture, get_num_threads())
     return Raster(Tiled(order, rows, lists), image, alphas)
 
 

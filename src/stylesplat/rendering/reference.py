@@ -82,7 +82,7 @@ def perspective_jacobian(means_c: Float[Tensor, "N 3"], view: View) -> Float[Ten
     return torch.stack([row_x, row_y], dim=-2)
 
 
-def project(gaussians: Gaussians, view: View) -> Projected:
+def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
     """Elliptical weighted average projection of one camera's Gaussians."""
     means, quats, scales, opacities = gaussians
     viewmat, K, width, height = view
@@ -171,7 +171,7 @@ def rasterize(
     """
     projections, images, alphas = [], [], []
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
-        projected = project(gaussians, view)
+        projected = project_gaussians(gaussians, view)
         image, alpha = blend(
             projected,
             gaussians.opacities,

@@ -1,8 +1,7 @@
 """Settings of training, and what they say about each point of a run."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from stylesplat.errors import StyleSplatError, check_choice
 
@@ -15,8 +14,9 @@ MIN_SIZE = 64  # pixels; photos are not made smaller than this
 SH_DEGREE_EVERY = 0.1  # share of the run per band, unless the settings give a number of steps
 MEANS_DECAY = 0.01  # last learning rate of the means over the first (official)
 
-WHOLE_FROM_1 = (
+POSITIVE = (
     "steps",
+    "max_seconds",
     "max_gaussians",
     "refine_every",
     "identity_every",
@@ -24,6 +24,8 @@ WHOLE_FROM_1 = (
     "photos_at_once",
     "sh_degree_every",
 )
+NOT_NEGATIVE = ("test_every", "max_memory")
+FRACTIONS = ("max_seconds", "max_memory")  # the others are whole numbers
 IDENTITY_SETTINGS = (
     "object_growth",
     "identity_every",
@@ -123,18 +125,18 @@ class TrainConfig:
         return int(first * (max(self.max_gaussians, first) / first) ** share)
 
     def __post_init__(self) -> None:
-        def require(name: str, what: str, is_valid: Callable[[Any], bool]) -> None:
-            value = getattr(self, name)
-            if value is not None and not is_valid(value):
-                raise StyleSplatError(f"Cannot train with {name} {value}: give {what}.")
-
-        for name in WHOLE_FROM_1:
-            require(name, "a whole number from 1", lambda n: isinstance(n, int) and n > 0)
-        require("test_every", "a whole number from 0", lambda n: isinstance(n, int) and n >= 0)
-        require("seed", "a whole number", lambda n: isinstance(n, int))
-        require("max_seconds", "a number above 0", lambda x: x > 0)
-        require("max_memory", "a number from 0", lambda x: x >= 0)
-        require("sh_degree", "0 to 3", lambda n: n in SH_DEGREES)
+        for name in (*POSITIVE, *NOT_NEGATIVE, "seed"):
+            value, remedy = getattr(self, name), None
+            if name in POSITIVE and value is not None and not value > 0:
+                remedy = "it must exceed 0"
+            elif name in NOT_NEGATIVE and value is not None and not value >= 0:
+                remedy = "it must not be less than 0"
+            elif name not in FRACTIONS and not isinstance(value, int | None):
+                remedy = "give a whole number"
+            if remedy is not None:
+                raise StyleSplatError(f"Cannot train with {name} {value}: {remedy}.")
+        if self.sh_degree not in SH_DEGREES:
+            raise StyleSplatError(f"Cannot train with sh_degree {self.sh_degree}: use 0 to 3.")
         check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
 
 

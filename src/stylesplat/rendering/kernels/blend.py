@@ -71,7 +71,7 @@ def prefetch_row(rows, number):
 
 
 @inner
-def composite(row, dx, dy, transmittance):
+def composite_pixels(row, dx, dy, transmittance):
     """Send the light of some pixels through the Gaussian of a packed row; see `Composite`.
 
     `dx` and `dy` are the pixels' places from its centre.
@@ -141,7 +141,7 @@ def blend_block(channels, rows, ranks, entries, pixels, state):
         visited += 1
         row = RowPlace(rows.flat, ranks[entry] * rows.stride)
         dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
-        step = composite(row, dx, dy, transmittance)
+        step = composite_pixels(row, dx, dy, transmittance)
         transmittance = step.after
         coverage = coverage + step.weight
         sums = vecs.add_scaled_row(sums, step.weight, row.flat, row.first + ROW_COLORS)
@@ -172,7 +172,7 @@ def close_block(channels, state, block, picture):
 
 
 @kernel
-def blend(channels, rows, lists, picture, threads):
+def blend_forward(channels, rows, lists, picture, threads):
     """Fill the picture.
 
     Block by block, so that a block's colours stay in registers. Blocks that are finished are

@@ -12,7 +12,7 @@ from stylesplat.rendering.kernels.blend import (
     PIXELS,
     Patch,
     aligned,
-    composite,
+    composite_pixels,
     prefetch_row,
     tile_corner,
 )
@@ -115,7 +115,7 @@ def block_gradients(geometry, row, pixels, block, totals):
         What the Gaussian contributes to the pixels, and the new totals.
     """
     state, first = block
-    step = composite(row, pixels[0], pixels[1], vec.load(state, first))
+    step = composite_pixels(row, pixels[0], pixels[1], vec.load(state, first))
     weight = step.weight
     gradients = vecs.load_vecs(state, first + 2 * PIXELS, geometry)
     gain = weight * vecs.dot_row(gradients, row.flat, row.first + ROW_COLORS)
@@ -168,9 +168,9 @@ def entry_gradients(channels, row, blocks, origin, buffers, out):
 def blend_backward(channels, rows, lists, picture, v_picture, out):
     """Add each thread's gradients to its own rows `out` [threads, M * stride].
 
-    `picture` is what `blend` has made. A row of `out` holds the moments sum(v_s) of 1, x, y, x x,
-    x y, y y, where v_s is the gradient of the exponent at a pixel and x, y its offset from the
-    Gaussian; then the gradients of the colours.
+    `picture` is the result of `blend_forward`. A row of `out` holds the moments sum(v_s) of 1, x,
+    y, x x, x y, y y, where v_s is the gradient of the exponent at a pixel and x, y its offset from
+    the Gaussian; then the gradients of the colours.
     """
     starts, ranks, masks = lists
     head, tail, geometry = channels

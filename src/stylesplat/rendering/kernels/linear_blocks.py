@@ -17,7 +17,7 @@ from stylesplat.rendering.kernels.blend import (
     aligned,
     block_corner,
     block_pixels,
-    composite,
+    composite_pixels,
     open_block,
     tile_corner,
 )
@@ -63,7 +63,7 @@ def count_pairs(lists, picked, entries, pairs):
 
 @kernel
 def store_weights(rows, lists, picked, size, blocks, threads):
-    """Fill `blocks` from lists that `blend` has cut.
+    """Fill `blocks` from lists that `blend_forward` has cut.
 
     `picked` gives the number of a rank among the picked Gaussians, or -1.
     """
@@ -91,7 +91,7 @@ def store_weights(rows, lists, picked, size, blocks, threads):
                     x, y = block_corner(corner, block)
                     pixel_x, pixel_y = block_pixels(x, y)
                     dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
-                    step = composite(row, dx, dy, vec.load(light, block * PIXELS))
+                    step = composite_pixels(row, dx, dy, vec.load(light, block * PIXELS))
                     vec.store(light, block * PIXELS, step.after)
                     if mine:
                         vec.store_halves(weights, pair * PIXELS, step.weight)

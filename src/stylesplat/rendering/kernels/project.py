@@ -1,8 +1,8 @@
 """Projection of Gaussians to ellipses in the image, and its gradients (EWA splatting).
 
-The mathematics is `reference.project`'s, sixteen Gaussians at a time: a number is a `Vec` with one
-lane per Gaussian, a vector a tuple of three numbers, a matrix a tuple of three rows. The nouns are
-those of `rendering/gaussians.py`, with arrays.
+The mathematics is that of `reference.project_gaussians`, for 16 Gaussians at a time: a number is a
+`Vec` with one lane per Gaussian, a vector is a tuple of three numbers, a matrix is a tuple of three
+rows. The nouns are those of `rendering/gaussians.py`, with arrays.
 """
 
 from math import log, sqrt
@@ -227,7 +227,7 @@ def between(low, value, high):
 
 
 @kernel
-def project(gaussians, view, out, threads):
+def project_forward(gaussians, view, out, threads):
     """Fill `out` (depths as [N,1]) with what one camera sees: 0 for Gaussians that it does not."""
     means, quats, scales, opacities = gaussians
     means2d, conics, depths, radii = out
