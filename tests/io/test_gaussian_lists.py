@@ -1,6 +1,5 @@
 """Objects, labels and selections as lists of Gaussians."""
 
-import io
 import json
 import pickle
 import zipfile
@@ -74,11 +73,9 @@ def test_objects_come_back(suffix: str, labels: bool, tmp_path: Path):
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("a.npy", np.array(LABELS, np.uint32)),
         ("a.npy", np.array(LABELS, ">i4")),
         ("A.NPY", np.array(LABELS)[:, None]),
         ("a.npz", np.array(LABELS)),
-        ("a.npz", {"points": np.zeros((COUNT, 3)), "labels": np.array(LABELS)}),
         ("a.npz", {"scores": np.zeros(COUNT), "object_id": np.array(LABELS)}),
         ("a.json", LABELS),
         ("a.json", {"version": 1, "labels": LABELS}),
@@ -131,24 +128,15 @@ def refused(path: Path, fault: str, *, rows: bool) -> None:
     [
         ("a.npy", np.zeros(7, int), "it has 7 labels, but there are 8 Gaussians"),
         ("a.npy", np.zeros((8, 2), int), "it has 8 x 2 labels"),
-        ("a.npy", np.array(3), "it has 1 labels"),
         ("a.npy", np.zeros(8) + 0.5, "it holds float64, not integers"),
-        ("a.npy", np.zeros(8, bool), "it holds bool, not integers"),
-        ("a.npy", np.array(["a"] * 8), "it holds <U1, not integers"),
         ("a.npy", np.array([{}] * 8, object), "Python objects"),
         ("a.npz", {"labels": np.array([{}] * 8, object)}, "Object arrays cannot be loaded"),
         ("a.npy", np.arange(8) - 2, "its labels go from -2 to 5. Use 0"),
-        ("a.npy", np.full(8, 2**64 - 1, np.uint64), "to 18446744073709551615"),
         ("a.npz", {"a": np.zeros(8, int), "b": np.zeros(8, int)}, "nothing called labels or"),
         ("a.json", [0, 1, 2.5], "Expected `int`, got `float` - at `$[2]`"),
-        ("a.json", [0, 1, 10**30, 3, 4], "too large"),
-        ("a.json", [], "it has 0 labels"),
         ("a.json", {"ids": LABELS}, "it has neither `objects` nor `labels` nor `rows`"),
-        ("a.json", 3, "Expected `object`, got `int`"),
         ("a.pkl", LABELS, "unknown suffix '.pkl'. Save .npy, .npz"),
         ("a.ply", {"x": np.zeros(8, "f4")}, "it holds x, but nothing called labels or label"),
-        ("a.ply", {"label": np.zeros(2, "u1")}, "it has 2 labels"),
-        ("a.ply", {"label": np.full(8, 1.5, "f4")}, "it holds float32, not integers"),
     ],
 )
 def test_what_holds_no_labels(name: str, values: Any, fault: str, tmp_path: Path):
@@ -168,16 +156,12 @@ def objects(**content: Any) -> dict[str, Any]:
         ("a.npy", np.array([-1, 8]), "its rows go from -1 to 8. Use 0 to 7"),
         ("a.npy", np.zeros(3, bool), "a mask of 3 Gaussians, there are 8"),
         ("a.npy", np.zeros(8, bool), "it names no Gaussian"),
-        ("a.npz", {"a": np.arange(3), "b": np.arange(3)}, "it holds a, b, but nothing called"),
-        ("a.json", ["a"], "Expected `int`"),
         ("a.json", objects(gaussians=9), "about 9 Gaussians, there are 8"),
         ("a.json", objects(labels=[-1] * 8), "its labels go from -1"),
         ("a.json", objects(objects={}), "no object 'pot', but none"),
         ("a.json", objects(objects={"pot": {"rows": [9]}}), "its rows of 'pot' go from 9 to 9"),
         ("a.json", objects(objects={"a/b": {"rows": [1]}}), "no object is called"),
         ("a.json", objects(objects={"a": {"rows": [1], "shares": [1, 1]}}), "for each row"),
-        ("a.ply", {"state": np.zeros(2, "u1")}, "a mask of 2 Gaussians, there are 8"),
-        ("a.ply", {"x": np.zeros(8, "f4")}, "it holds x, but nothing called state"),
         ("lost.npy", None, "No such file"),
     ],
 )
@@ -196,17 +180,12 @@ def header(shape: str, kind: str = "<i8") -> bytes:
     "content",
     [
         b"",
-        b"\x93NUMPY\x03\x00\x00\x00\x00\x00",
         pickle.dumps(LABELS),
         header("(8,)") + bytes(63),
         header("(-8,)") + bytes(64),
-        header("(8, -1, -1)") + bytes(64),
-        header("8") + bytes(64),
         header("(99999999999999,)") + bytes(64),
         header("(8,)", "|O") + pickle.dumps(LABELS),
-        header("(8,)", "<i3") + bytes(64),
         header("(" * 300) + bytes(64),
-        header("(8L,)")[:-3] + b"'",
     ],
 )
 def test_damaged_arrays(content: bytes, tmp_path: Path):
@@ -217,12 +196,6 @@ def test_damaged_arrays(content: bytes, tmp_path: Path):
     refused(tmp_path / "a.npz", "a.npz", rows=False)
 
 
-def test_damaged_archives(tmp_path: Path):
-    for content in (b"PK\x03\x04 and no more", pickle.dumps(LABELS)):
-        (tmp_path / "a.npz").write_bytes(content)
-        refused(tmp_path / "a.npz", "a.npz", rows=False)
-    stream = io.BytesIO()
-    np.save(stream, np.zeros(COUNT, int))
-    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("labels.npy", stream.getvalue() + bytes(10**7))
+def test_an_archive_that_would_unpack_to_too_much(tmp_path: Path):
+    np.savez_compressed(tmp_path / "a.npz", labels=np.zeros(10**6))
     refused(tmp_path / "a.npz", "bytes, too many for 8 Gaussians", rows=False)

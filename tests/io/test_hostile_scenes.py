@@ -16,7 +16,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.scene import SceneObject
 
-BAD_NAMES = ["__metadata__", "a/b", "../a", "a\nb", "a\x00b", "x" * 101, " ", "42", "a=b"]
+BAD_NAMES = ["__metadata__", "../a", "a\nb", "x" * 101, "42", "a=b"]
 ONES = torch.ones
 FOX = "layers/01-fox"
 Change = Callable[[Any], Any]
@@ -48,47 +48,32 @@ def put(*keys: str | int, value: object) -> Change:
     return change
 
 
-def camera(*keys: str | int, value: object) -> Change:
-    return put("cameras", 0, *keys, value=value)
-
-
-def layer(key: str, value: object) -> Change:
-    return put("layers", 0, key, value=value)
-
-
-SCENE: dict[str, tuple[object, ...]] = {
-    "capture": (3, "a\0b", "\ud800"),
-    "test_views": (3, [3], ["a\nb"]),
-    "settings": (3, {"downscale": 0}, {"downscale": 10**400}, {"downscale": float("nan")}),
-}
-CAMERA: dict[str, tuple[object, ...]] = {
-    "size": ([-4, 3], [0, 3], [60_000, 60_000], [1.5, 3], [3]),
-    "name": ("", 3, "a\nb", "sub/b.png"),
-    "viewmat": ([[0.0] * 4] * 4, [[1.0] * 4] * 3, [[float("nan")] * 4] * 4, [[1e300] * 4] * 4),
-    "K": ([[0.0] * 3] * 3, [[float("nan")] * 3] * 3),
-}
-LAYER: dict[str, tuple[object, ...]] = {
-    "object": (*BAD_NAMES[:-3], 3, "7"),
-    "file": ("../picks.safetensors", "01-a/b.safetensors", "..", "01-fox.safetensors\n", 3),
-    "kind": ("photo", 3),
-    "styles": (3, [3], [{"path": "a\0"}], [{"sha256": "x" * 200}]),
-    "settings": (None, {"form": "x"}, {"form": 9}),
-    "strength": ("x", -1, 9, float("nan")),
-    "form": ("x", -1, 9),
-    "visible": ("x", 1),
-    "features": (3, "a\nb"),
-    "weights": (3, "a"),
+VALUES: dict[tuple[Any, ...], tuple[object, ...]] = {  # wrong ones, by the place in a file
+    ("scene.json", "capture"): (3, "a\0b"),
+    ("scene.json", "test_views"): ([3], ["a\nb"]),
+    ("scene.json", "settings"): ({"downscale": 0}, {"downscale": 10**400}),
+    ("cameras.json", "dtype"): ("float16",),
+    ("cameras.json", "cameras"): ([], [None]),
+    ("cameras.json", "cameras", 0, "size"): ([0, 3], [60_000, 60_000], [1.5, 3]),
+    ("cameras.json", "cameras", 0, "name"): ("", "a\nb", "sub/b.png"),
+    ("cameras.json", "cameras", 0, "viewmat"): ([[0.0] * 4] * 4, [[1e300] * 4] * 4),
+    ("cameras.json", "cameras", 0, "K"): ([[0.0] * 3] * 3,),
+    ("layers.json", "layers"): ([], [3], [{}]),
+    ("layers.json", "layers", 0, "object"): (*BAD_NAMES[:-2], 3, "7"),
+    ("layers.json", "layers", 0, "file"): ("../picks.safetensors", "01-a/b.safetensors", 3),
+    ("layers.json", "layers", 0, "kind"): ("photo",),
+    ("layers.json", "layers", 0, "styles"): ([3], [{"path": "a\0"}], [{"sha256": "x" * 200}]),
+    ("layers.json", "layers", 0, "settings"): (None, {"form": 9}),
+    ("layers.json", "layers", 0, "strength"): ("x", -1, 9, float("nan")),
+    ("layers.json", "layers", 0, "visible"): (1,),
+    ("layers.json", "layers", 0, "features"): (3, "a\nb"),
+    ("layers.json", "layers", 0, "weights"): ("a",),
+    ("objects.json", "fox"): (3, {"ids": 3}, {"ids": [-1]}),
+    ("metrics.json", "train"): (3,),
 }
 JSON_MUTANTS: list[tuple[str, Change]] = [
-    *(("scene.json", put(key, value=v)) for key, values in SCENE.items() for v in values),
-    *(("cameras.json", camera(key, value=v)) for key, values in CAMERA.items() for v in values),
-    *(("layers.json", layer(key, v)) for key, values in LAYER.items() for v in values),
-    ("cameras.json", put("dtype", value="float16")),
-    *(("cameras.json", put("cameras", value=value)) for value in ([], {}, [None])),
+    *((path[0], put(*path[1:], value=v)) for path, values in VALUES.items() for v in values),
     *(("objects.json", put(name, value={})) for name in BAD_NAMES),
-    *(("objects.json", put("fox", value=v)) for v in (3, {"ids": 3}, {"ids": [-1]})),
-    ("metrics.json", put("train", value=3)),
-    *(("layers.json", put("layers", value=value)) for value in ([], {}, [3], [{}])),
 ]
 
 
@@ -158,16 +143,12 @@ def stored(dtype: str, shape: list[int], data: bytes, name: str = "fox") -> byte
     "content",
     [
         (2**63).to_bytes(8, "little") + b"{}",
-        (10**8).to_bytes(8, "little") + b"{}",
         stored("F4", [2], b"\0"),
         stored("F8_E8M0", [2], b"\0\0"),
-        stored("C64", [1], b"\0" * 8),
         stored("BOOL", [COUNT], b"\0\1\2\3\4\5"),
         stored("BOOL", [2**62, 4], b""),
-        stored("BOOL", [0, 2**62], b""),
-        stored("BOOL", [], b"\0"),
     ],
-    ids=range(9),
+    ids=range(5),
 )
 def test_headers_that_lie(folder: Path, content: bytes):
     (folder / "picks.safetensors").write_bytes(content)
@@ -179,17 +160,14 @@ def test_headers_that_lie(folder: Path, content: bytes):
 )
 def test_pipes_devices_and_folders_are_no_files(folder: Path, name: str):
     path = folder / name
+    path.rename(folder / "elsewhere")
+    if name != "identities.safetensors":
+        refused(folder, name)
+    path.touch()
     for make in (os.mkfifo, Path.mkdir, lambda path: path.symlink_to("/dev/zero")):
         path.rmdir() if path.is_dir() else path.unlink()
         make(path)
         refused(folder, name)
-
-
-def test_a_scene_without_gaussians_is_refused(folder: Path):
-    path = folder / "splats.ply"
-    head, _, _ = path.read_bytes().partition(b"end_header\n")
-    path.write_bytes(head.replace(b"vertex 9", b"vertex 0") + b"end_header\n")
-    refused(folder, "splats.ply")
 
 
 @pytest.mark.parametrize("name", BAD_NAMES)

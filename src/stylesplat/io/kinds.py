@@ -88,12 +88,8 @@ def no_scene(path: Path) -> StyleSplatError:
         return _error(f"{path} is a part of the scene {path.parent}", "Give the whole folder")
     if kind == "splat" or kind in TRAINABLE:
         return _error(f"{path} is {_article(kind)}, not a scene", _way_to_scene(path, kind))
-    inner = _entries(path, _is_scene)
-    if inner:
-        fault = f"{path} is not a scene, but holds some: {some(inner, whole=True)}"
-        return _error(fault, "Give one of them")
-    fault = f"{path} is {_article(kind)}, not a scene"
-    return _error(f"{fault}: it has no scene.json", "Give the folder that `train` or `import` made")
+    remedy = "Give the folder that `train` or `import` made"
+    return _other(path, "scene", _is_scene, "it has no scene.json", remedy)
 
 
 def no_capture(path: Path) -> StyleSplatError:
@@ -115,18 +111,13 @@ def no_capture(path: Path) -> StyleSplatError:
             way = f"Find the cameras first: `stylesplat sfm {shlex.quote(str(path))} -o CAPTURE`"
             return _error(fault, f"{way}; or give the capture that was made of it")
         case "picture":
-            fault = f"{path} is one picture, not a capture"
-            return _error(fault, "Give the folder of all photos")
+            return _error(f"{path} is one picture, not a capture", "Give the folder of all photos")
         case "empty folder":
             fault = f"{path} is an empty folder, but photos are needed: at least 3, better 30"
             return _error(f"{fault} or more", "Check the name, or put photos that overlap into it")
-    inner = _entries(path, is_posed)
-    if inner:
-        fault = f"{path} is not a capture, but holds some: {some(inner, whole=True)}"
-        return _error(fault, "Give one of them")
-    needed = "sparse/0/cameras.bin (or .txt) nor transforms.json"
-    fault = f"{path} is {_article(kind)}, not a capture: it has neither {needed}, nor photos"
-    return _error(fault, "Check the name, or give the folder of the photos")
+    why = "it has neither sparse/0/cameras.bin (or .txt) nor transforms.json, nor photos"
+    remedy = "Check the name, or give the folder of the photos"
+    return _other(path, "capture", is_posed, why, remedy)
 
 
 def no_splat(path: Path) -> StyleSplatError:
@@ -169,6 +160,17 @@ def _scene_for_capture(scene: Path) -> StyleSplatError:
         return _error(f"{fault}, and its photos are unknown", f"Name its objects by `{way}`")
     way = f"stylesplat mask {shlex.quote(str(scene))} --box NAME=VIEW:x0,y0,x1,y1"
     return _error(f"{fault}, and has no photos", f"Objects are cut out of its views by `{way}`")
+
+
+def _other(
+    path: Path, wanted: str, fits: Callable[[Path], bool], why: str, remedy: str
+) -> StyleSplatError:
+    """The error for a path that is not what is wanted, but perhaps a folder of such things."""
+    inner = _entries(path, fits)
+    if inner:
+        fault = f"{path} is not a {wanted}, but holds some: {some(inner, whole=True)}"
+        return _error(fault, "Give one of them")
+    return _error(f"{path} is {_article(kind_of(path))}, not a {wanted}: {why}", remedy)
 
 
 def _kind_of_folder(path: Path) -> Kind:

@@ -129,10 +129,11 @@ def as_tuple(values: Any) -> tuple[Any, ...]:
 
 def _recipe_entry(layer: Layer, shared: Mapping[str, Any]) -> dict[str, Any]:
     weights = layer.weights
+    paths, digests = ([getattr(s, name) for s in layer.styles] for name in ("path", "sha256"))
     entry = {
         "name": layer.object,
-        "style": _single([source.path for source in layer.styles]),
-        "sha256": _single([source.sha256 for source in layer.styles]),
+        "style": paths[0] if len(paths) == 1 else paths,
+        "sha256": digests[0] if len(digests) == 1 else digests,
         "intensity": layer.strength if layer.visible else 0.0,
         "form": layer.form,
         "settings": {k: v for k, v in layer.settings.items() if k not in shared or v != shared[k]},
@@ -141,10 +142,6 @@ def _recipe_entry(layer: Layer, shared: Mapping[str, Any]) -> dict[str, Any]:
         "weights_sha256": weights and weights.sha256,
     }
     return entry | ({"precision": layer.precision} if layer.precision else {})
-
-
-def _single(items: list[Any]) -> Any:
-    return items[0] if len(items) == 1 else items
 
 
 def _identity(layer: Layer) -> tuple[int, ...]:
@@ -164,23 +161,22 @@ def _entry(number: int, layer: Layer) -> dict[str, Any]:
 def _tensors(layer: Layer) -> dict[str, Tensor]:
     """The content of a layer's file; higher bands that are all 0 are left out."""
     own, canvas = layer.relief.split([len(layer.rows), len(layer.parents)])
-    tensors = {
+    shN, canvas_shN = (
+        pad_bands(each) if each.any() else each[:, :0] for each in (layer.shN, layer.canvas.shN)
+    )
+    every = {**layer.canvas.tensors(), "shN": canvas_shN}
+    return {
         "rows": layer.rows,
         "shares": layer.shares,
         "sh0": layer.sh0,
-        "shN": _bands(layer.shN),
+        "shN": shN,
         "opacity_factors": layer.opacity_factors,
         "relief": own,
         "parents": layer.parents,
         "canvas_relief": canvas,
         "canvas_before": layer.canvas_sh0,
+        **{f"canvas_{name}": every[name] for name in CANVAS},
     }
-    every = {**layer.canvas.tensors(), "shN": _bands(layer.canvas.shN)}
-    return tensors | {f"canvas_{name}": every[name] for name in CANVAS}
-
-
-def _bands(shN: Tensor) -> Tensor:
-    return pad_bands(shN) if shN.any() else shN[:, :0]
 
 
 def _declared(count: int) -> dict[str, Declared]:
@@ -214,13 +210,12 @@ def _read(path: Path, entry: _Layer, count: int) -> Layer:
                 f"Cannot read {path}: {name} has a wrong number of bands. {AGAIN}"
             )
         tensors[name] = pad_bands(tensors[name])
-    columns: dict[str, Any] = {name: getattr(entry, name) for name in PLAIN}
     own = ("rows", "shares", "sh0", "shN", "opacity_factors", "parents")
-    columns |= {name: tensors[name] for name in own}
-    means, quats, scales, opacities, sh0, shN = (tensors[f"canvas_{name}"] for name in CANVAS)
+    columns: dict[str, Any] = {name: getattr(entry, name) for name in PLAIN}
+    canvas: dict[str, Any] = {name: tensors[f"canvas_{name}"] for name in CANVAS}
     return Layer(
-        **columns,
-        canvas=Splats(means, quats, scales, opacities, sh0, shN),
+        **columns | {name: tensors[name] for name in own},
+        canvas=Splats(**canvas),
         canvas_sh0=tensors["canvas_before"],
         relief=torch.cat([tensors["relief"], tensors["canvas_relief"]]),
         styles=tuple(map(_source, entry.styles)),

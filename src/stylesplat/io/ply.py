@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Shaped
@@ -22,7 +22,11 @@ PLY_TYPES = {  # PLY's two sets of names, and numpy's
     **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
 }
 PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
-BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+BYTE_ORDERS: dict[str, Literal["<", ">", "="]] = {
+    "binary_little_endian": "<",
+    "binary_big_endian": ">",
+    "ascii": "=",
+}
 MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
 AT_ONCE = 1 << 11  # rows: half a MB of a splat, which stays in the cache while columns are copied
 REMEDY = "Copy or export it again, as a PLY of vertices."
@@ -63,8 +67,8 @@ def ply_rows(path: Path | str, *, at_once: int) -> Iterator[PlyRows]:
     """
     with open_binary(path) as file:
         with reading(path, REMEDY):
-            rows, *extra = _open_rows(file, at_once)
-        report_extra(path, *extra)
+            rows, extra, unit = _open_rows(file, at_once)
+        report_extra(path, extra, unit)
         yield rows
 
 

@@ -77,9 +77,8 @@ class _How(msgspec.Struct):
 
 
 class _Metrics(msgspec.Struct):
-    """What is read again of the metrics: those of the scene before it was styled."""
-
     train: dict[str, Any] = {}
+    """Those of the scene before it was styled."""
 
 
 @check_arguments
@@ -207,8 +206,7 @@ def _read_stack(
             f"Cannot read {folder / BASE}: it and the layers do not make up the {len(splats):,} "
             f"Gaussians of {SPLATS}: the files belong to different scenes. {AGAIN}"
         )
-    own = {n: getattr(splats, n) for n in ("identities", "confidence")}
-    own = {name: tensor if tensor is None else tensor[:count] for name, tensor in own.items()}
+    own = {n: t[:count] for n, t in splats.tensors().items() if n in ("identities", "confidence")}
     return replace(base, **own, classifier=splats.classifier), layers
 
 
@@ -232,14 +230,12 @@ def _read_objects(path: Path, picks: Mapping[str, Tensor]) -> dict[str, SceneObj
     hows = read_json(path, most=MAX_JSON)
     fitting(hows, dict[str, _How], f"Cannot read {path}", "Select again.")
     for name in hows:
-        fault = name_fault(name)
+        fault = name_fault(name) or (None if name in picks else f"{PICKS} lacks it")
         if fault:
             raise StyleSplatError(
                 f"Cannot read {path}: no object is called {brief(name)!r}, for {fault}. "
                 "Select it again."
             )
-        if name not in picks:
-            raise StyleSplatError(f"{path} names {name!r}, but {PICKS} does not. Select it again.")
     return {name: SceneObject(picks[name], how) for name, how in hows.items()}
 
 
@@ -295,19 +291,14 @@ def _write_identities(splats: Splats, path: Path) -> None:
     if splats.identities is None or splats.classifier is None:
         path.unlink(missing_ok=True)
         return
-    tensors = {
-        "identities": splats.identities,
-        "weight": splats.classifier.weight,
-        "bias": splats.classifier.bias,
-        "ids": torch.tensor(splats.classifier.ids),
-    }
-    if splats.confidence is not None:
-        tensors["confidence"] = splats.confidence
-    write_tensors(tensors, path)
+    classifier = splats.classifier
+    tensors = {"weight": classifier.weight, "bias": classifier.bias}
+    tensors |= {"ids": torch.tensor(classifier.ids), "identities": splats.identities}
+    confidence = {} if splats.confidence is None else {"confidence": splats.confidence}
+    write_tensors(tensors | confidence, path)
 
 
 def _scene_folder(path: Path | str) -> Path:
-    folder = Path(path)
-    if not (folder / SCENE).is_file():
-        raise no_scene(folder)
-    return folder
+    if not (Path(path) / SCENE).is_file():
+        raise no_scene(Path(path))
+    return Path(path)

@@ -65,22 +65,6 @@ def test_cameras_photos_and_points_of_a_colmap_capture(make_capture: MakeCapture
         np.testing.assert_array_equal(capture.photos[1], np.asarray(image))
 
 
-def test_both_layouts_hold_the_same(make_capture: MakeCapture, tmp_path: Path):
-    colmap = load(make_capture())
-    other = tmp_path / "other"
-    for i in range(3):
-        save_noise(other / f"images/{i + 1:03d}.png", seed=i)
-    write_transforms(colmap.cameras, other, points=colmap.points, point_colors=colmap.point_colors)
-    capture = load(other)
-    assert capture.cameras.names == colmap.cameras.names
-    assert torch.equal(capture.cameras.viewmats, colmap.cameras.viewmats)
-    assert torch.equal(capture.cameras.Ks, colmap.cameras.Ks)
-    assert torch.equal(capture.cameras.sizes, colmap.cameras.sizes)
-    assert capture.points is not None and colmap.points is not None
-    assert torch.equal(capture.points, colmap.points)
-    assert all(torch.equal(a, b) for a, b in zip(capture.photos, colmap.photos, strict=True))
-
-
 def test_downscale_agrees_everywhere(make_capture: MakeCapture):
     folder = make_capture(*BARREL)
     for i in range(3):
@@ -100,16 +84,6 @@ def test_downscale_only_shrinks(make_capture: MakeCapture, factor: float):
         load(make_capture(), downscale=factor)
 
 
-def test_label_maps_are_found_or_given(make_capture: MakeCapture, tmp_path: Path):
-    folder = make_capture()
-    write_label_map(torch.full((HEIGHT, WIDTH), 5), folder / "object_mask/002.png")
-    write_label_map(torch.full((HEIGHT, WIDTH), 700), tmp_path / "mine/001.png")
-    found, given = load(folder).label_maps, load(folder, masks=tmp_path / "mine").label_maps
-    assert found is not None and given is not None
-    assert [None if m is None else int(m.max()) for m in found] == [None, 5, None]
-    assert [None if m is None else int(m.max()) for m in given] == [700, None, None]
-
-
 def test_objects_are_called_what_lies_beside_their_label_maps(
     make_capture: MakeCapture, tmp_path: Path
 ):
@@ -117,8 +91,9 @@ def test_objects_are_called_what_lies_beside_their_label_maps(
     for masks, names in ((folder / "object_mask", {5: "vase"}), (mine, {700: "cup"})):
         write_label_map(torch.full((HEIGHT, WIDTH), 5), masks / "002.png")
         write_names(names, masks)
-    assert load(folder).object_names == {5: "vase"}
-    assert load(folder, masks=mine, downscale=2.0).object_names == {700: "cup"}
+    found, given = load(folder), load(folder, masks=mine, downscale=2.0)
+    assert found.object_names == {5: "vase"} and given.object_names == {700: "cup"}
+    assert [None if m is None else int(m.max()) for m in found.label_maps or ()] == [None, 5, None]
     (mine / NAMES).unlink()
     assert load(folder, masks=mine).object_names == {}
     (folder / "object_mask" / NAMES).write_text("damaged")
@@ -148,13 +123,10 @@ def test_no_capture(tmp_path: Path):
     "pose",
     [
         [[float("nan"), 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]],
-        [[1, 0, 0, 0], [0, 1, 0, float("nan")], [0, 0, 1, 0]],
-        [[1, 0, 0, 0], [0, 1, 0, float("inf")], [0, 0, 1, 0]],
         [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]],
         [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]],
-        [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]],
     ],
-    ids=["NaN", "NaN shift", "infinite", "scaled", "mirrored", "zero"],
+    ids=["NaN", "scaled", "mirrored"],
 )
 def test_poses_that_are_none(make_capture: MakeCapture, tmp_path: Path, pose: list):
     write_transforms(load(make_capture()).cameras, tmp_path)

@@ -6,7 +6,7 @@ import pytest
 
 from capture_files import HEIGHT, PINHOLE, WIDTH, lenses_of, reconstruction
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap import check_complete, read_colmap
+from stylesplat.io.captures.colmap import check_complete, read_colmap, read_figures
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.kinds import find_sparse
 
@@ -101,3 +101,10 @@ def test_malformed_text(make_capture: Callable[..., Path], name: str, text: str)
     (folder / "sparse/0" / f"{name}.txt").write_text(text)
     with pytest.raises(StyleSplatError, match="Cannot read the reconstruction"):
         read(folder)
+
+
+def test_there_are_no_figures_without_a_model_or_tracks(
+    make_capture: Callable[..., Path], tmp_path: Path
+):
+    assert read_figures(tmp_path / "nowhere") is None
+    assert read_figures(make_capture()) is None

@@ -8,7 +8,6 @@ import torch
 from PIL import Image
 
 from capture_files import HEIGHT, WIDTH, write_capture, write_cut_outs
-from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import fit_photo
 from stylesplat.io.label_maps import write_label_map
@@ -66,19 +65,6 @@ def test_label_maps_come_before_alpha(cut_outs: Path):
     assert labels is not None and int(labels.min()) == 5
 
 
-@pytest.mark.parametrize("downscale", [2.0, 3.0])
-def test_smaller_cut_outs(cut_outs: Path, downscale: float):
-    capture = load(cut_outs, downscale=downscale)
-    width, height = capture.cameras.size
-    photo, alpha, labels = capture.photos[0], capture.alpha(0), capture.labels(0)
-    assert alpha is not None and labels is not None
-    assert photo.shape == (height, width, 3) and alpha.shape == labels.shape == (height, width)
-    whole = load(cut_outs)
-    for small, large in ((photo, whole.photos[0]), (alpha, whole.alpha(0))):
-        assert large is not None
-        assert float(small.float().mean()) == pytest.approx(float(large.float().mean()), abs=0.6)
-
-
 def test_opaque_photos_with_an_alpha_channel_are_ordinary(tmp_path: Path):
     folder = write_capture(tmp_path / "a")
     for i in range(3):
@@ -86,14 +72,6 @@ def test_opaque_photos_with_an_alpha_channel_are_ordinary(tmp_path: Path):
     capture = load(folder)
     assert capture.alphas is None and capture.label_maps is None and capture.object_names == {}
     assert int(capture.photos[2].unique()) == 100
-
-
-def test_ordinary_photos_are_not_decoded_to_find_out(tmp_path: Path):
-    folder = write_capture(tmp_path / "a")
-    for i in range(3):
-        path = folder / f"images/{i + 1:03d}.png"
-        path.write_bytes(path.read_bytes()[:100])  # the header alone
-    assert not open_capture(folder).cut_out
 
 
 def test_some_photos_may_have_no_alpha(tmp_path: Path):

@@ -76,11 +76,6 @@ def test_without_distortion_nothing_changes(model: str, params: tuple[float, ...
     assert (taken.K[0, 0], taken.K[0, 2], taken.K[1, 2]) == (50, 30, 20)
 
 
-def test_scaled_multiplies_the_intrinsics():
-    half = Lens("PINHOLE", 64, 48, (50.0, 52.0, 30.0, 20.0)).scaled(32, 24)
-    assert half == Lens("PINHOLE", 32, 24, (25.0, 26.0, 15.0, 10.0))
-
-
 @pytest.mark.parametrize(
     ("model", "params", "match"),
     [

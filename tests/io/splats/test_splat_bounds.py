@@ -17,19 +17,8 @@ from stylesplat.selection.members import inliers
 from stylesplat.verbs.select import select
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "suffix"),
-    [
-        ("means", 1e38, "ply"),
-        ("scales", 80.0, "ply"),
-        ("opacities", 1e30, "ply"),
-        ("sh0", 1e38, "ply"),
-        ("shN", 1e20, "ply"),
-        ("quats", 1e30, "ply"),
-        ("means", 1e38, "splat"),
-        ("scales", 80.0, "splat"),
-    ],
-)
+@pytest.mark.parametrize("suffix", ["ply", "splat"])
+@pytest.mark.parametrize(("field", "value"), [("means", 1e38), ("scales", 80.0)])
 def test_numbers_of_no_splat_are_refused(field: str, value: float, suffix: str, tmp_path: Path):
     splats = plain_scene().splats
     values = getattr(splats, field).clone()

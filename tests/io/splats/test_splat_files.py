@@ -3,7 +3,6 @@ import struct
 from dataclasses import replace
 from pathlib import Path
 
-import gsply
 import pytest
 import torch
 import zstandard
@@ -12,13 +11,10 @@ from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.export import export
 
-SHARED = Path(__file__).parents[3] / "shared" / "data" / "splats"
 PLAIN = replace(SPLATS, identities=None, classifier=None)
-needs_samples = pytest.mark.skipif(not SHARED.is_dir(), reason="the sample files are not here")
 
 
 def with_bands(count: int) -> Splats:
@@ -29,21 +25,6 @@ def with_bands(count: int) -> Splats:
 def difference(one: Splats, other: Splats) -> float:
     images = [rasterize(splats, CAMERAS[0], backend="reference")[0] for splats in (one, other)]
     return float((images[0] - images[1]).abs().mean())
-
-
-def compressed(splats: Splats, path: Path) -> Path:
-    """As SuperSplat writes it."""
-    data = gsply.GSData(
-        means=splats.means.numpy(),
-        scales=splats.scales.numpy(),
-        quats=torch.nn.functional.normalize(splats.quats, dim=1).numpy(),
-        opacities=splats.opacities.numpy(),
-        sh0=splats.sh0[:, 0].numpy(),
-        shN=splats.shN.numpy(),
-    )
-    gsply.plywrite(path, data, compressed=True)
-    (written,) = path.parent.glob(f"{path.stem}*")
-    return written.rename(path)
 
 
 @pytest.mark.parametrize("bands", [0, 3, 8, 15])
@@ -59,44 +40,6 @@ def test_what_is_exported_is_read_back(tmp_path: Path, suffix: str, bands: int):
     # has a palette of 256
     most = {".ply": 1e-6, ".glb": 1e-6, ".sog": 0.02}.get(suffix, 0.01)
     assert difference(found, expected) < most
-
-
-def _facing(splats: Splats) -> Cameras:
-    """A camera in front of all of it."""
-    middle = splats.means.mean(dim=0)
-    away = 3 * float((splats.means - middle).norm(dim=1).max()) + 1
-    position = (middle - torch.tensor([0.0, 0.0, away]))[None]
-    K = torch.tensor([[[64.0, 0, 32], [0, 64, 32], [0, 0, 1]]])
-    viewmats = look_at(position, middle, torch.tensor([0.0, -1.0, 0.0]))
-    return Cameras(viewmats, K, torch.tensor([[64, 64]]), ("a",))
-
-
-@needs_samples
-def test_samples_of_other_programs_agree():
-    found = [
-        read_splats(SHARED / "metalsplatter" / f"test-splat.3-points-from-train{suffix}")
-        for suffix in (".ply", ".splat", ".spz")
-    ]
-    ply, splat, spz = found
-    images = [rasterize(replace(s, shN=s.shN[:, :0]), _facing(ply))[0] for s in found]
-    assert images[0].max() > 0.05
-    assert max(float((image - images[0]).abs().max()) for image in images) < 0.05
-    for other in (splat, spz):
-        nearest = torch.cdist(other.means, ply.means).min(dim=1).values
-        assert nearest.max() < 0.01
-        assert len(other) == 3
-    assert spz.sh_degree == ply.sh_degree
-
-
-@needs_samples
-@pytest.mark.parametrize("version", [3, 4])
-def test_samples_of_spz_versions(version: int):
-    folder = SHARED / "splat_transform_fixtures"
-    splats = read_splats(folder / f"minimal-v{version}.spz")
-    other = read_splats(folder / "minimal.splat")
-    torch.testing.assert_close(splats.means, other.means)
-    assert (splats.sh0 - other.sh0).abs().max() < 0.01  # 8 bits each
-    assert (splats.opacities - other.opacities).abs().max() < 0.01
 
 
 def spz(content: bytes, path: Path) -> Path:
@@ -128,18 +71,21 @@ def test_hostile_spz(tmp_path: Path):
         read_splats(path)
 
 
-@needs_samples
 def test_hostile_spz_of_version_4(tmp_path: Path):
-    content = (SHARED / "splat_transform_fixtures" / "minimal-v4.spz").read_bytes()
-    (tmp_path / "a.spz").write_bytes(content[:0x70] + b"!" + content[0x71:])
-    with pytest.raises(StyleSplatError, match="Cannot read"):
-        read_splats(tmp_path / "a.spz")
-    start = 0x70  # where the streams are, after the table
+    path = tmp_path / "a.spz"
+    export(PLAIN, path)
+    content = path.read_bytes()
+    (start,) = struct.unpack_from("<I", content, 16)  # where the table of streams is
     bomb = zstandard.ZstdCompressor().compress(bytes(10**7))
-    table = struct.pack("<QQ", len(bomb), 36) + content[0x30:start]
-    (tmp_path / "a.spz").write_bytes(content[:0x20] + table + bomb)
+    size, unpacked = struct.unpack_from("<QQ", content, start)
+    table = struct.pack("<QQ", len(bomb), unpacked)
+    rest = content[start + 16 :]
+    first = len(rest) - sum(
+        struct.unpack_from("<QQ", content, start + 16 * n)[0] for n in range(content[15])
+    )
+    path.write_bytes(content[:start] + table + rest[:first] + bomb + rest[first + size :])
     with pytest.raises(StyleSplatError, match="holds more than its header says"):
-        read_splats(tmp_path / "a.spz")
+        read_splats(path)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +97,8 @@ def test_hostile_spz_of_version_4(tmp_path: Path):
     ],
 )
 def test_hostile_compressed_ply(tmp_path: Path, old: bytes, new: bytes, expected: str):
-    path = compressed(PLAIN, tmp_path / "a.ply")
+    path = tmp_path / "a.compressed.ply"
+    export(PLAIN, path)
     content = path.read_bytes()
     assert old in content
     path.write_bytes(content.replace(old, new))
@@ -159,7 +106,7 @@ def test_hostile_compressed_ply(tmp_path: Path, old: bytes, new: bytes, expected
         read_splats(path)
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply"])
+@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".glb"])
 def test_bytes_too_many(tmp_path: Path, suffix: str, said: list[str]):
     path = tmp_path / f"a{suffix}"
     export(PLAIN, path)
@@ -175,15 +122,6 @@ def test_no_whole_number_of_rows(tmp_path: Path):
     path.write_bytes(path.read_bytes() + b"more")
     with pytest.raises(StyleSplatError, match=r"Cannot read .*a\.splat: "):
         read_splats(path)
-
-
-def test_numbers_that_are_not_finite(tmp_path: Path):
-    means = PLAIN.means.clone()
-    means[3, 1], means[5, 0] = float("nan"), float("inf")
-    for suffix in (".ply", ".splat"):
-        export(replace(PLAIN, means=means), tmp_path / f"a{suffix}")
-        with pytest.raises(StyleSplatError, match="2 values of means are not finite"):
-            read_splats(tmp_path / f"a{suffix}")
 
 
 def test_nothing_to_read(tmp_path: Path):

@@ -4,8 +4,10 @@ import os
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
+import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
@@ -16,7 +18,7 @@ from stylesplat.progress import say
 
 # Bytes of a file's or folder's name: systems take 255, and a draft's name has 14 more
 MAX_PART = 240
-CONTROL = re.compile(r"[\x00-\x1f\x7f]")
+UNUSABLE = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")  # control characters, and no UTF-8
 
 
 @dataclass(frozen=True)
@@ -58,40 +60,28 @@ def drop_missing(posed: PosedFiles, folder: Path) -> PosedFiles:
     missing = [name for name, found in zip(posed.names, there, strict=True) if not found]
     if not missing:
         return posed
-    count = len(posed.names)
+    count, posing = len(there), f"photos that have poses in {folder}"
     if 2 * len(missing) > count:
         raise StyleSplatError(
-            f"Only {count - len(missing)} of the {count} photos that have poses in {folder} are "
-            f"there. Missing: {some(missing)}. Put them back, or pose the photos again."
+            f"Only {count - len(missing)} of the {count} {posing} are there. "
+            f"Missing: {some(missing)}. Put them back, or pose the photos again."
         )
-    say(
-        f"Missing, so left out: {some(missing)} "
-        f"({len(missing)} of the {count} photos that have poses in {folder})."
-    )
-    rows = [row for row, found in enumerate(there) if found]
-    return replace(
-        posed,
-        names=tuple(posed.names[row] for row in rows),
-        paths=tuple(posed.paths[row] for row in rows),
-        lenses=tuple(posed.lenses[row] for row in rows),
-        viewmats=posed.viewmats[rows],
-    )
+    say(f"Missing, so left out: {some(missing)} ({len(missing)} of the {count} {posing}).")
+    columns = zip(posed.names, posed.paths, posed.lenses, strict=True)
+    names, paths, lenses = zip(*compress(columns, there), strict=True)
+    viewmats = posed.viewmats[torch.tensor(there)]
+    return replace(posed, names=names, paths=paths, lenses=lenses, viewmats=viewmats)
 
 
 def check_path(text: str) -> None:
     """Raise a StyleSplatError for a path that no photo can have."""
     encoded = text.encode(errors="surrogatepass")
-    if len(encoded) > MAX_NAME or max(map(len, encoded.split(b"/"))) > MAX_PART:
-        fault = "its name is too long"
-    elif CONTROL.search(text):
-        fault = "its name has control characters"
-    elif any("\ud800" <= letter <= "\udfff" for letter in text):
-        fault = "its name is not UTF-8"
-    else:
-        return
-    raise StyleSplatError(
-        f"The photo {brief(text)!r} cannot be a file: {fault}. Rename it, and pose again."
-    )
+    too_long = len(encoded) > MAX_NAME or max(map(len, encoded.split(b"/"))) > MAX_PART
+    if too_long or UNUSABLE.search(text):
+        fault = "is too long for a file" if too_long else "has characters that no file name has"
+        raise StyleSplatError(
+            f"The photo's name {brief(text)!r} {fault}. Rename the photo, and pose again."
+        )
 
 
 def _leaves(name: str) -> bool:

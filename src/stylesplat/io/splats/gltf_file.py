@@ -142,8 +142,8 @@ class Gltf:
         """The rows of an accessor as float32; normalized integers become fractions."""
         accessor = self.accessor(index, name)
         if accessor.component_type not in COMPONENTS or accessor.type != KINDS[width]:
-            fault = f"the rows of {name} are {accessor.type!r:.20} of {accessor.component_type}"
-            raise ValueError(f"{fault}, which they cannot be")
+            kind = f"{accessor.type!r:.20} of {accessor.component_type}"
+            raise ValueError(f"the rows of {name} have the wrong type: {kind}")
         if accessor.sparse is not None or accessor.buffer_view is None:
             raise ValueError(f"the rows of {name} are left out or sparse, which is not read here")
         content, stride = self.view(accessor.buffer_view, name)
@@ -151,8 +151,8 @@ class Gltf:
         stride = stride or width * dtype.itemsize
         end = accessor.byte_offset + (accessor.count - 1) * stride + width * dtype.itemsize
         if stride < width * dtype.itemsize or (accessor.count and end > len(content)):
-            fault = f"{accessor.count} rows of {name} are to lie {stride} bytes apart"
-            raise ValueError(f"{fault}, in {len(content)} bytes")
+            fault = f"{accessor.count} rows of {name}, {stride} bytes apart, do not fit"
+            raise ValueError(f"{fault} into {len(content)} bytes")
         shape, strides = (accessor.count, width), (stride, dtype.itemsize)
         values = np.ndarray(shape, dtype, content, accessor.byte_offset, strides)
         if values.dtype.kind == "f" or not accessor.normalized:
@@ -169,7 +169,7 @@ class Gltf:
             raise ValueError(f"{fault}. Export it without compression")
         content, end = self._buffer(view.buffer), view.byte_offset + view.byte_length
         if end > len(content):
-            raise ValueError(f"the rows of {name} are to end at byte {end} of {len(content)}")
+            raise ValueError(f"the rows of {name} end at byte {end}, its buffer at {len(content)}")
         return content[view.byte_offset : end], view.byte_stride
 
     def _buffer(self, index: int) -> memoryview:
@@ -181,11 +181,11 @@ class Gltf:
             elif index == 0 and self.binary is not None:
                 self.loaded[key] = self.binary
             else:
-                raise ValueError(f"its buffer {index} is nowhere")
+                raise ValueError(f"its buffer {index} is missing")
         content = self.loaded[key]
         if buffer.byte_length > len(content):
-            size = f"{buffer.byte_length} bytes, it has {len(content)}"
-            raise ValueError(f"buffer {index} is to have {size}")
+            size = f"{buffer.byte_length} bytes, but has {len(content)}"
+            raise ValueError(f"buffer {index} should have {size}")
         return content[: buffer.byte_length]
 
     def _load(self, uri: str) -> bytes:
@@ -252,7 +252,7 @@ def _chunks(path: Path, content: bytes) -> tuple[bytes, memoryview | None]:
         size, kind = CHUNK.unpack_from(rest)
         if size > len(rest) - CHUNK.size:
             left = len(rest) - CHUNK.size
-            raise ValueError(f"a chunk is to have {size} bytes, {left} are left")
+            raise ValueError(f"a chunk should have {size} bytes, but {left} are left")
         chunks.setdefault(kind, rest[CHUNK.size : CHUNK.size + size])
         rest = rest[CHUNK.size + size :]
     if JSON not in chunks:

@@ -125,8 +125,7 @@ def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
 def _kmeans(rows: Rows, count: int) -> tuple[Centres, Labels]:
     """At most `count` centres that have rows, and the centre of each row."""
     with warnings.catch_warnings(action="ignore"):  # of equal rows, which leave centres empty
-        centres, labels = kmeans2(
-            rows, min(count, len(rows)), iter=KMEANS_ROUNDS, minit="points", seed=0
-        )
+        chosen = np.random.default_rng(0).permutation(len(rows))[:count]
+        centres, labels = kmeans2(rows, rows[chosen], iter=KMEANS_ROUNDS, minit="matrix")
     used, labels = np.unique(labels, return_inverse=True)
     return centres[used], labels

@@ -131,7 +131,9 @@ def _decode(meta: _Meta, files: Mapping[str, bytes]) -> Splats:
     """Splats from the pictures, which are decoded once their sizes are known to fit."""
     count, stored = meta.count, sum(map(len, files.values()))
     if count > max(MOST_PER_BYTE * stored, SMALL):
-        raise ValueError(f"it claims {count} Gaussians, which {stored} bytes of pictures hold not")
+        raise ValueError(
+            f"it claims {count} Gaussians, more than {stored} bytes of pictures can hold"
+        )
     size = _open_webp(files, meta.means.files[0]).size
     if not count <= size[0] * size[1] <= SPARE * count + SMALL:
         raise ValueError(f"it has pictures of {size[0] * size[1]} pixels for {count} Gaussians")
@@ -145,7 +147,7 @@ def _decode(meta: _Meta, files: Mapping[str, bytes]) -> Splats:
     quats = rows(meta.quats.files[0])
     bad = int((quats[:, 3] < FIRST_TAG).sum())
     if bad:
-        raise ValueError(f"{bad} rotations do not tell their largest part")
+        raise ValueError(f"{bad} rotations do not name their largest component")
     largest = torch.from_numpy(quats[:, 3].astype(np.int64) - FIRST_TAG)
     others = torch.from_numpy(quats[:, :3] / np.float32(255)) * 2 - 1
     colors = rows(meta.sh0.files[0])
@@ -281,7 +283,7 @@ def _bundle_reader(path: Path) -> Reader:
         except KeyError as error:
             raise ValueError(f"{brief(name)!r} is not in the bundle") from error
         if entry.compress_type not in ZIP_METHODS:
-            raise ValueError(f"{brief(name)!r} is packed in a way that the format has not")
+            raise ValueError(f"{brief(name)!r} has a compression that SOG does not use")
         if entry.file_size > (MAX_META if name == SOG_META else MAX_GROWTH * len(content)):
             raise ValueError(f"{brief(name)!r} would unpack to {entry.file_size} bytes")
         with bundle.open(entry) as file:
@@ -294,7 +296,7 @@ def _webp_pixels(files: Mapping[str, bytes], name: str, size: tuple[int, int]) -
     image = _open_webp(files, name)
     if image.size != size:
         has, due = (f"{width} x {height}" for width, height in (image.size, size))
-        raise ValueError(f"{brief(name)!r} has {has} pixels, where {due} are due")
+        raise ValueError(f"{brief(name)!r} has {has} pixels instead of {due}")
     try:
         return np.asarray(image.convert("RGBA")).reshape(-1, 4)
     except OSError as error:

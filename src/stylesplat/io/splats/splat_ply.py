@@ -33,7 +33,9 @@ def read_splat_ply(path: Path | str, *, bands: bool = True) -> Splats:
         rest = _find_rest(rows.dtype, path)
         rest = rest if bands else ()
         shapes = ((3,), (4,), (3,), (), (1, 3), (len(rest) // 3, 3))
-        splats = Splats(*(torch.empty(rows.count, *shape) for shape in shapes))
+        empty = (torch.empty(rows.count, *shape) for shape in shapes)
+        means, quats, scales, opacities, sh0, shN = empty
+        splats = Splats(means, quats, scales, opacities, sh0, shN)
         columns, first = _columns(splats, rest), 0
         for block in rows.blocks:
             for name, column in columns.items():
