@@ -212,9 +212,10 @@ def _read(path: Path, entry: _Layer, count: int) -> Layer:
         tensors[name] = pad_bands(tensors[name])
     own = ("rows", "shares", "sh0", "shN", "opacity_factors", "parents")
     columns: dict[str, Any] = {name: getattr(entry, name) for name in PLAIN}
+    columns |= {name: tensors[name] for name in own}
     canvas: dict[str, Any] = {name: tensors[f"canvas_{name}"] for name in CANVAS}
     return Layer(
-        **columns | {name: tensors[name] for name in own},
+        **columns,
         canvas=Splats(**canvas),
         canvas_sh0=tensors["canvas_before"],
         relief=torch.cat([tensors["relief"], tensors["canvas_relief"]]),

@@ -197,9 +197,9 @@ def match_files(keys: Iterable[str], names: Sequence[str]) -> dict[str, str]:
             )
         if left:
             matches[key] = left[0]
-    keys: dict[str, str] = {}
+    used: dict[str, str] = {}
     for key, photo in matches.items():
-        if (other := keys.setdefault(photo, key)) != key:
+        if (other := used.setdefault(photo, key)) != key:
             raise StyleSplatError(
                 f"Both {other} and {key} are named like {photo}. Give the folder of one kind."
             )

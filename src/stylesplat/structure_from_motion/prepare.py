@@ -104,7 +104,7 @@ def _open_source(source: Path, folder: Path, frames: int) -> _Source:
             raise StyleSplatError(
                 f"{source} holds {len(files.videos)} videos: {', '.join(files.videos)}. Give one."
             )
-        return _Source(source / files.videos[0], None, frames)
+        return _Source(source.joinpath(*files.videos), None, frames)
     require_regular(source)
     if not source.exists():
         raise StyleSplatError(f"There is no folder or video {source}. Check the name.")
