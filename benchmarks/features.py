@@ -91,7 +91,7 @@ def fox_views(bench: Bench, length: float) -> tuple[list[ObjectView], list[Tenso
     training, _ = bench.scene.working_views()
     studio = paint_context(bench.scene.splats, training, bench.vgg19)
     job = bench.job(next(iter(bench.paintings)))
-    views = evenly(object_views(studio, job, require_boxes(studio, job, training), length), VIEWS)
+    views = evenly(object_views(studio, job, require_boxes(studio, job), length), VIEWS)
     images = [rasterize(bench.scene.splats, view.camera)[0][0].clamp(0, 1) for view in views]
     return views, images
 

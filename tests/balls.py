@@ -20,8 +20,10 @@ from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb
 from stylesplat.selection.identities import render_labels
 from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.target import PaintTarget
+from stylesplat.stylization.target import PaintTarget, paint_context
+from stylesplat.stylization.views import Box, ObjectView, object_views
 from stylesplat.verbs.stylize import stylize_unmeasured
 
 BALLS = {  # label id: centre (x right, y forward, z up) and colour
@@ -195,6 +197,15 @@ def ball(number: int) -> torch.Tensor:
 
 def same(one: Splats, other: Splats) -> bool:
     return all(torch.equal(t, other.tensors()[name]) for name, t in one.tensors().items())
+
+
+def cropped(
+    splats: Splats, boxes: Sequence[Box], mask: Tensor, network: FeatureNetwork, **options: Any
+) -> list[ObjectView]:
+    """Views of some Gaussians, for the features of one layer group or some."""
+    target = PaintTarget("object", mask, (), StyleConfig(layers=options.pop("layers", (2,))))
+    context = paint_context(splats, CAMERAS, network)
+    return object_views(context, target, boxes, options.pop("zoom", 1.0), **options)
 
 
 def with_settings(job: PaintTarget, **settings) -> PaintTarget:

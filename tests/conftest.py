@@ -35,7 +35,7 @@ def quick_painting() -> Iterator[None]:
     """Objects are compared with their styles at a small size, and new Gaussians hardly fitted."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("stylesplat.evaluation.style.LENGTH", 30.0)
-        patch.setattr("stylesplat.stylization.fit_canvas.STEPS", 4)
+        patch.setattr("stylesplat.stylization.canvas.STEPS", 4)
         yield
 
 

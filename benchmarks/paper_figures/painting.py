@@ -40,7 +40,7 @@ def painted(
         PaintTarget(subject.called(id), subject.picked(id), (style,), config)
         for id, style in styles.items()
     ]
-    return paint_objects(studio, jobs)[0]
+    return paint_objects(studio, jobs)
 
 
 @contextmanager

@@ -29,7 +29,7 @@ def measured(
     held_out: Cameras | None = None,
 ) -> tuple[Painted, dict[str, Any]]:
     studio = paint_context(SCENE, cameras, network, held_out=held_out)
-    styled, _ = paint_objects(studio, jobs)
+    styled = paint_objects(studio, jobs)
     return styled, measure_painted(studio, jobs, styled.splats, held_out=held_out)
 
 

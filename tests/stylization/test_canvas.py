@@ -11,13 +11,11 @@ from balls import STRETCHED_PICKED as PICKED
 from stylesplat.metrics.images import psnr
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import colors_and_coverage, coverage
-from stylesplat.scene.compose import UNSEEN as UNSEEN_LOGIT
 from stylesplat.scene.compose import compose
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.canvas import Canvas, lay_canvas
+from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.confine import confine_canvas
-from stylesplat.stylization.fit_canvas import fit_canvas
 from stylesplat.stylization.optimize import PaintState
 from stylesplat.stylization.paint import layer_of
 from stylesplat.stylization.strokes import LONG, align_to_strokes
@@ -45,12 +43,12 @@ def fitted(boxes: list[Box]) -> Canvas:
     """Laid and fitted, so that it may show beside the object."""
     canvas = canvas_on(SOLID, boxes)
     assert canvas is not None
-    return fit_canvas(SOLID, canvas, PICKED, boxes, seed=0)
+    return fit_canvas(canvas, boxes, seed=0)
 
 
 @pytest.fixture(scope="module")
 def laid(fitted: Canvas, boxes: list[Box]) -> Canvas:
-    return confine_canvas(SOLID, fitted, PICKED, boxes, FINE)[0]
+    return confine_canvas(fitted, boxes, FINE)[0]
 
 
 def painted_with_stripes(canvas: Canvas) -> Splats:
@@ -66,7 +64,7 @@ def spilled(canvas: Canvas) -> float:
     shown = []
     for index in range(len(FINE)):
         nothing = coverage(SOLID, FINE[index], PICKED) == 0
-        shown.append(coverage(canvas.splats, FINE[index], PICKED[canvas.parents])[nothing].max())
+        shown.append(coverage(canvas.splats, FINE[index], canvas.mask)[nothing].max())
     return float(max(shown))
 
 
@@ -84,9 +82,9 @@ def test_discs_cover_the_object_and_look_like_it(laid: Canvas):
 def test_nothing_shows_where_nothing_of_the_object_did(fitted: Canvas, boxes: list[Box]):
     """Discs that show there become smaller or go; most stay as they are."""
     scales = fitted.splats.scales + math.log(1.6) * fitted.is_disc[:, None]
-    swollen = replace(fitted, splats=replace(fitted.splats, scales=scales))
+    swollen = fitted.changed(scales=scales)
     assert spilled(swollen) > 100 * UNSEEN, "else the check is worth nothing"
-    confined, kept = confine_canvas(SOLID, swollen, PICKED, boxes, FINE)
+    confined, kept = confine_canvas(swollen, boxes, FINE)
     assert spilled(confined) < UNSEEN
     assert (~kept).sum() < 0.05 * fitted.is_disc.sum()
     same_size = (confined.splats.scales == swollen.splats.scales[kept]).all(dim=1)
@@ -95,7 +93,7 @@ def test_nothing_shows_where_nothing_of_the_object_did(fitted: Canvas, boxes: li
 
 def test_nor_do_discs_along_strokes_show_there(fitted: Canvas, boxes: list[Box]):
     along = painted_with_stripes(fitted)
-    turned, kept = confine_canvas(SOLID, fitted, PICKED, boxes, FINE, painted=along)
+    turned, kept = confine_canvas(fitted, boxes, FINE, painted=along)
     free = align_to_strokes(along, fitted.is_disc, fitted.spacing)
     assert spilled(replace(fitted, splats=free)) > 100 * UNSEEN
     assert spilled(turned) < UNSEEN
@@ -108,15 +106,15 @@ def test_nor_do_discs_along_strokes_show_there(fitted: Canvas, boxes: list[Box])
 
 def test_discs_that_are_dropped_are_told(fitted: Canvas, boxes: list[Box]):
     """One that is far from the object shows there however small it becomes; no other goes then."""
-    canvas, kept = confine_canvas(SOLID, fitted, PICKED, boxes, FINE)
-    assert kept.shape == fitted.parents.shape and kept[: fitted.count].all()
+    canvas, kept = confine_canvas(fitted, boxes, FINE)
+    assert kept.shape == fitted.parents.shape and kept[: len(SOLID)].all()
     assert torch.equal(canvas.parents, fitted.parents[kept])
     assert torch.equal(canvas.splats.means, fitted.splats.means[kept])
     assert torch.equal(canvas.splats.sh0, fitted.splats.sh0[kept])
     means = fitted.splats.means.clone()
     means[-1] = SOLID.means[PICKED].mean(dim=0) + torch.tensor([0.0, 0.0, 0.6])
-    astray = replace(fitted, splats=replace(fitted.splats, means=means))
-    _, left = confine_canvas(SOLID, astray, PICKED, boxes, FINE)
+    astray = fitted.changed(means=means)
+    _, left = confine_canvas(astray, boxes, FINE)
     assert not left[-1]
     assert torch.equal(left[:-1], kept[:-1])
 
@@ -133,9 +131,7 @@ def test_others_stay_and_the_objects_rows_only_fade(laid: Canvas):
 
 
 def test_it_fades_in_as_strongly_as_is_wanted(laid: Canvas):
-    count, new = len(SOLID), len(laid.splats) - len(SOLID)
-    laid_on = torch.cat([SOLID.opacities, torch.full((new,), UNSEEN_LOGIT)])
-    before = replace(laid.splats, opacities=laid_on)
+    count, before = len(SOLID), laid.unpainted
     sh0 = laid.splats.sh0.clone()
     sh0[count:] = -sh0[count:]  # any other colours
     after = replace(laid.splats, sh0=sh0)
@@ -165,9 +161,8 @@ def test_the_same_seed_gives_the_same_canvas(fitted: Canvas, boxes: list[Box]):
     again, other = canvas_on(SOLID, boxes), canvas_on(SOLID, boxes, seed=1)
     assert again is not None and other is not None
     assert not same(other.splats, again.splats)
-    once, twice, shuffled = (fit_canvas(SOLID, again, PICKED, boxes, seed=s) for s in (0, 0, 1))
-    assert same(once.splats, fitted.splats) and same(twice.splats, fitted.splats)
-    assert not same(shuffled.splats, fitted.splats)
+    once, shuffled = (fit_canvas(again, boxes, seed=seed) for seed in (0, 1))
+    assert same(once.splats, fitted.splats) and not same(shuffled.splats, fitted.splats)
 
 
 def test_smoke_has_no_surface(boxes: list[Box]):
@@ -175,20 +170,14 @@ def test_smoke_has_no_surface(boxes: list[Box]):
     assert canvas_on(smoke, boxes) is None
 
 
-def test_thinned_points_keep_their_distance():
-    points = torch.rand(3000, 3, generator=torch.Generator().manual_seed(0))
+def test_points_are_thinned_and_flattened():
+    """Every point is close to one that is left, and no two of these to each other."""
+    generator = torch.Generator().manual_seed(0)
+    points = torch.rand(3000, 3, generator=generator) * torch.tensor([1.0, 1.0, 0.02])
     rows = thin(points, 0.1, seed=0)
     distances = torch.cdist(points, points[rows])
-    own = distances[rows].fill_diagonal_(1.0)
-    assert own.min() > 0.1
-    assert distances.amin(dim=1).max() <= 0.1, "every point is close to one that is left"
-
-
-def test_flattened_points_lie_on_their_plane():
-    generator = torch.Generator().manual_seed(0)
-    points = torch.rand(2000, 3, generator=generator) * torch.tensor([1.0, 1.0, 0.02])
-    normals = torch.tensor([0.0, 0.0, 1.0]).expand(2000, 3)
-    rows = torch.arange(0, 2000, 7)
+    assert distances[rows].fill_diagonal_(1.0).min() > 0.1 >= distances.amin(dim=1).max()
+    normals = torch.tensor([0.0, 0.0, 1.0]).expand(3000, 3)
     flat, up = project_to_planes(points, normals, rows)
     assert flat[:, 2].std() < 0.4 * points[rows, 2].std()
     torch.testing.assert_close(up, normals[rows])

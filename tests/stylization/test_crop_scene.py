@@ -80,9 +80,9 @@ def test_painted_as_in_the_whole_scene(
     studio: PaintContext, stripes: torch.Tensor, monkeypatch: pytest.MonkeyPatch
 ):
     job = PaintTarget("ball", behind(BALL), (stripes,), FAST)
-    cut, _ = paint_objects(studio, [job])
+    cut = paint_objects(studio, [job])
     monkeypatch.setattr(cutting, "LARGE", len(studio.splats) + 1)
-    whole, _ = paint_objects(studio, [job])
+    whole = paint_objects(studio, [job])
     assert not torch.equal(cut.splats.sh0, studio.splats.sh0)
     assert torch.equal(cut.splats.sh0, whole.splats.sh0)
     assert torch.equal(cut.family, whole.family)
@@ -90,7 +90,7 @@ def test_painted_as_in_the_whole_scene(
 
 def test_nothing_else_changes_beside_a_canvas(studio: PaintContext, stripes: torch.Tensor):
     job = PaintTarget("ball", behind(BALL), (stripes,), replace(FAST, quality="normal"))
-    styled, _ = paint_objects(studio, [job])
+    styled = paint_objects(studio, [job])
     count = len(studio.splats)
     assert len(styled.splats) == len(styled.family) > count
     assert job.mask[styled.family[count:]].all()
@@ -107,5 +107,5 @@ def test_a_layer_that_is_painted_in_a_part_is_of_the_whole_base(
     studio: PaintContext, stripes: torch.Tensor
 ):
     job = PaintTarget("ball", behind(BALL), (stripes,), FAST)
-    styled, _ = paint_objects(studio, [job])
+    styled = paint_objects(studio, [job])
     assert torch.equal(styled.layers[0].rows, job.mask.nonzero()[:, 0])

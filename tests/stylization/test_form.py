@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from balls import CAMERAS, LIGHT, PICKED, WAYS, dense_ball, enlarged
+from balls import CAMERAS, LIGHT, PICKED, WAYS, cropped, dense_ball, enlarged
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats
@@ -23,7 +23,7 @@ from stylesplat.stylization.form import (
     survey_form,
 )
 from stylesplat.stylization.paint import paint
-from stylesplat.stylization.views import crop_views, find_boxes, typical_length
+from stylesplat.stylization.views import find_boxes, typical_length
 
 LENGTH = 120.0  # longer side of the object, in pixels
 SIDE = 140
@@ -71,20 +71,16 @@ def test_an_eye_stands_out_of_a_plain_ball():
 
 
 def test_dots_all_over_do_not_stand_out():
-    """But for the outline, where there are fewer of them around."""
+    """But for the outline, where there are fewer of them around. Nothing does on a flat object."""
     dots, eye = form_of(DOTTED), form_of(WITH_EYE)
     assert max(dots.shares) < 0.3 * max(eye.shares)
+    flat = form_of(grey(torch.full((SIDE, SIDE), 0.5)))
+    assert max(flat.shares) < 1e-3
+    assert distance(SOME, flat) < 1e-2, "so that it asks for nothing"
     inside = XS.square() + YS.square() < (0.35 * LENGTH) ** 2
     shown, energy = dots.details, luminance_bands(DOTTED, MASK, LENGTH)
     for detail, band in zip(shown, energy, strict=True):
         assert detail[inside].square().sum() < 0.1 * band[inside].square().sum()
-
-
-def test_an_eye_stands_out_among_faint_dots():
-    form = form_of(grey(PLAIN - 0.05 * torch.as_tensor(DOTS) - 0.3 * spot(*EYE)))
-    strong = max(form.details, key=lambda detail: float(detail.abs().max()))
-    assert NEAR_EYE.flatten()[strong.abs().argmax()]
-    assert strong[NEAR_EYE].abs().max() > 10 * strong[FAR].abs().max()
 
 
 def test_the_unpainted_view_is_nearest_to_itself():
@@ -100,19 +96,13 @@ def test_the_unpainted_view_is_nearest_to_itself():
     assert distances == sorted(distances)
 
 
-@pytest.mark.parametrize("image", [WITH_EYE, SOME], ids=["itself", "noise"])
-def test_brightness_and_contrast_do_not_matter(image: Tensor):
-    form = form_of(WITH_EYE)
-    for factor, offset in ((1.0, 0.3), (0.5, 0.0), (0.4, 0.6)):
-        changed = distance(factor * image + offset, form)
-        assert changed == pytest.approx(distance(image, form), abs=0.05)
-
-
-def test_colours_of_one_luminance_do_not_matter():
+def test_brightness_contrast_and_hue_do_not_matter():
     form = form_of(WITH_EYE)
     hue = torch.tensor([0.3, 0.0, 0.0]) - 0.3 * LUMA[0] / LUMA.square().sum() * LUMA
-    colored = WITH_EYE + 0.5 * SOME[..., :1] * hue
-    assert distance(colored, form) == pytest.approx(distance(WITH_EYE, form), abs=1e-3)
+    for image in (WITH_EYE, SOME):
+        others = [factor * image + offset for factor, offset in ((1.0, 0.3), (0.4, 0.6))]
+        for other in (*others, image + 0.5 * SOME[..., :1] * hue):
+            assert distance(other, form) == pytest.approx(distance(image, form), abs=0.05)
 
 
 def test_what_lies_outside_does_not_matter():
@@ -126,12 +116,6 @@ def test_what_lies_outside_does_not_matter():
     form_distance(image, MASK, LENGTH, form).backward()
     assert image.grad is not None
     assert not image.grad[~MASK].any() and image.grad[MASK].any()
-
-
-def test_a_flat_object_has_no_form():
-    flat = form_of(grey(torch.full((SIDE, SIDE), 0.5)))
-    assert max(flat.shares) < 1e-3
-    assert distance(SOME, flat) < 1e-2, "so that it asks for nothing"
 
 
 def test_sizes_follow_the_object():
@@ -163,12 +147,11 @@ def luminance(splats: Splats) -> Tensor:
     return (rasterize(splats, FINE[0])[0][0] @ LUMA)[seen]
 
 
-@pytest.mark.parametrize("seed", [0, 1])
 def test_painted_objects_keep_their_eyes_if_their_form_is_kept(
-    seed: int, network: FeatureNetwork, stripes: Tensor
+    network: FeatureNetwork, stripes: Tensor
 ):
     def kept(form: float) -> float:
-        config = replace(FAST, form=form, seed=seed)
+        config = replace(FAST, form=form)
         painted = paint(BALL, FINE, PICKED, stripes, config=config, network=network)
         return float(torch.corrcoef(torch.stack([luminance(BALL), luminance(painted)]))[0, 1])
 
@@ -178,7 +161,7 @@ def test_painted_objects_keep_their_eyes_if_their_form_is_kept(
 def test_relief_is_where_the_form_is(network: FeatureNetwork):
     """Darker on the eye than around it, faint elsewhere, nothing on what is not picked."""
     boxes = find_boxes(BALL, FINE, PICKED)
-    views = crop_views(BALL, boxes, PICKED, [network.cells(2)], zoom=1.0, max_memory=1e9)
+    views = cropped(BALL, boxes, PICKED, network, max_memory=1e9)
     survey = FormSurvey((5e-4, 5e-4), (1.0, 1.0))
     relief = form_relief(BALL, BALL, PICKED, views, typical_length(boxes), survey).sum(dim=1)
     assert not relief[~PICKED].any()

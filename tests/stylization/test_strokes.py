@@ -66,7 +66,7 @@ def stretch(before: Splats, after: Splats) -> Tensor:
     return (after.scales - before.scales)[DISCS][INSIDE].exp()
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.4, math.pi / 4, 1.3, math.pi / 2, 2.5])
+@pytest.mark.parametrize("angle", [0.0, 0.4, math.pi / 2, 2.5])
 @pytest.mark.parametrize("quat", [TILT, torch.tensor([0.0, 1.0, 0.3, -2.0])], ids=["up", "down"])
 def test_discs_turn_along_stripes(angle: float, quat: Tensor):
     splats = plane(stripes(angle), quat)
@@ -92,23 +92,15 @@ def test_nothing_but_the_discs_turns_and_nothing_but_shapes_change():
     assert torch.allclose(turned.quats.norm(dim=1), splats.quats.norm(dim=1), atol=1e-5)
 
 
-def test_flat_paint_has_no_direction():
-    splats = plane(torch.full((COUNT**2,), 0.4))
-    assert torch.allclose(aligned(splats).scales, splats.scales, atol=1e-3)
-
-
-def test_noise_has_hardly_any():
-    noise = torch.rand(COUNT**2, generator=torch.Generator().manual_seed(2))
-    splats = plane(noise)
-    plain, striped = (
-        stretch(each, aligned(each))[:, 0].mean() for each in (splats, plane(stripes(0.7)))
-    )
-    assert plain - 1 < 0.5 * (striped - 1)
-
-
-def test_faint_stripes_count_as_strong_ones_do():
+def test_only_coherent_paint_has_a_direction_however_faint():
+    """Flat paint has none, noise hardly any; faint stripes count as strong ones do."""
     strong, faint = (plane(0.5 + share * (stripes(0.7) - 0.5)) for share in (1.0, 0.1))
     torch.testing.assert_close(aligned(faint).scales, aligned(strong).scales, atol=1e-3, rtol=0)
+    flat = plane(torch.full((COUNT**2,), 0.4))
+    assert torch.allclose(aligned(flat).scales, flat.scales, atol=1e-3)
+    noise = plane(torch.rand(COUNT**2, generator=torch.Generator().manual_seed(2)))
+    longer = [stretch(each, aligned(each))[:, 0].mean() - 1 for each in (noise, strong)]
+    assert longer[0] < 0.5 * longer[1]
 
 
 def test_the_order_of_discs_does_not_matter():

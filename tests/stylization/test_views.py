@@ -3,28 +3,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import BALLS, CAMERAS, SPLATS
+from balls import BALLS, CAMERAS, SPLATS, ball, cropped
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
-from stylesplat.scene.projection import crop
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.views import crop_views, find_boxes, typical_length, windows
-
-TABLE = 200  # Gaussians before the balls' 80 each
-
-
-def ball(number: int) -> torch.Tensor:
-    picked = torch.zeros(len(SPLATS), dtype=torch.bool)
-    picked[TABLE + 80 * number : TABLE + 80 * (number + 1)] = True
-    return picked
-
-
-def test_a_cropped_camera_sees_a_part_of_the_picture():
-    camera = CAMERAS[3]
-    whole, _, _ = rasterize(SPLATS, camera)
-    part, _, _ = rasterize(SPLATS, crop(camera, [11, 5], [29, 25]))
-    # Gaussians far outside the crop project a little differently: Jacobians are held there.
-    torch.testing.assert_close(part[0], whole[0, 5:30, 11:40], atol=1e-3, rtol=0)
+from stylesplat.stylization.views import find_boxes, typical_length, windows
 
 
 def test_coverages_add_up_to_the_alpha():
@@ -45,9 +28,6 @@ def test_boxes_hold_the_object():
         assert box.length == max(x1 - x0, y1 - y0)
     lengths = [box.length for box in boxes]
     assert min(lengths) <= typical_length(boxes) <= max(lengths)
-
-
-def test_hidden_objects_have_no_box():
     behind = replace(
         CAMERAS[0], viewmats=CAMERAS[0].viewmats * torch.tensor([1, 1, -1, 1])[:, None]
     )
@@ -56,9 +36,8 @@ def test_hidden_objects_have_no_box():
 
 @pytest.mark.parametrize("zoom", [1.0, 2.5])
 def test_cells_are_those_that_the_object_covers(network: FeatureNetwork, zoom: float):
-    cells = [network.cells(2), network.cells(1)]
     boxes = find_boxes(SPLATS, CAMERAS[3:5], ball(2))
-    views = crop_views(SPLATS, boxes, ball(2), cells, zoom=zoom)
+    views = cropped(SPLATS, boxes, ball(2), network, layers=(2, 1), zoom=zoom)
     assert len(views) == 2
     for view in views:
         image, _, _ = rasterize(SPLATS, view.camera)
@@ -74,7 +53,7 @@ def test_cells_are_those_that_the_object_covers(network: FeatureNetwork, zoom: f
 def test_cuts_include_all_that_the_features_depend_on(network: FeatureNetwork):
     cells = network.cells(2)
     box = find_boxes(SPLATS, CAMERAS[:1], ball(2))
-    (view,) = crop_views(SPLATS, box, ball(2), [cells], zoom=1.0)
+    (view,) = cropped(SPLATS, box, ball(2), network)
     whole, _, _ = rasterize(SPLATS, CAMERAS[:1])
     x, y = (CAMERAS.Ks[0, :2, 2] - view.camera.Ks[0, :2, 2]).int().tolist()
     width, height = view.camera.size
@@ -88,12 +67,6 @@ def test_cuts_include_all_that_the_features_depend_on(network: FeatureNetwork):
     torch.testing.assert_close(network(part, [2])[0][rows, columns], around)
 
 
-def test_views_that_hardly_show_the_object_are_skipped(network: FeatureNetwork):
-    boxes = find_boxes(SPLATS, CAMERAS, ball(0))
-    cells = [network.cells(2)]
-    assert crop_views(SPLATS, boxes, ball(0), cells, zoom=0.2) == []
-
-
 def test_windows_are_parts_of_boxes_with_the_object_inside(network: FeatureNetwork):
     boxes = find_boxes(SPLATS, CAMERAS[:3], ball(0))
     side = min(box.length for box in boxes) / 2
@@ -104,12 +77,8 @@ def test_windows_are_parts_of_boxes_with_the_object_inside(network: FeatureNetwo
         (box,) = (box for box in boxes if box.camera.names == part.camera.names)
         assert (part.low >= box.low).all() and (part.high <= box.high).all()
         assert part.length <= side
-    (view, *_) = crop_views(SPLATS, parts, ball(0), [network.cells(1)], zoom=4.0)
+    (view, *_) = cropped(SPLATS, parts, ball(0), network, layers=(1,), zoom=4.0)
     inside = (view.cells[0].sum(dim=1) > 0).sum()
     assert 0 < inside <= 4 * side + 2, "features of the margin are not the part's"
-
-
-def test_windows_of_small_boxes_are_the_boxes():
-    boxes = find_boxes(SPLATS, CAMERAS[:1], ball(0))
-    (part,) = windows(boxes, 1000.0, 1, torch.Generator().manual_seed(0))
+    (part,) = windows(boxes[:1], 1000.0, 1, torch.Generator().manual_seed(0))
     assert torch.equal(part.low, boxes[0].low) and torch.equal(part.high, boxes[0].high)

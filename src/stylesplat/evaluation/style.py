@@ -121,7 +121,7 @@ def measure_style(
         StyleSplatError: If the object is not visible, or a picture is too small to compare.
     """
     blocks, network = target.config.layers, context.network
-    boxes = boxes or require_boxes(context, target, context.cameras)
+    boxes = boxes or require_boxes(context, target)
     views, style_feats = _views_and_features(context, target, boxes, blocks)
     images = renders(styled, views)
     before, after = (

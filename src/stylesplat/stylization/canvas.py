@@ -5,8 +5,9 @@ take. The canvas hides them. They keep their positions, and undoing gives them b
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -16,22 +17,26 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.progress import track
+from stylesplat.rendering import cpu
 from stylesplat.rendering.at_once import at_once
+from stylesplat.rendering.gaussians import activated, views_of, with_matrices_of
 from stylesplat.rendering.linear import contributions
+from stylesplat.rendering.render import rasterize, render
 from stylesplat.rendering.shares import COVERED, coverage, without_looks
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sampling import evenly
-from stylesplat.scene.splats import Splats, sh0_from_rgb
+from stylesplat.scene.compose import UNSEEN
+from stylesplat.scene.sampling import drawn
+from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.surface import (
     LENGTH,
     POOLED,
-    SurfacePoints,
     find_surface,
     pool_points,
     project_to_planes,
     thin,
 )
-from stylesplat.stylization.views import Box, crop_to_box, typical_length
+from stylesplat.stylization.views import Box, box_cameras, per_view, typical_length
+from stylesplat.training.adam import Moments, adam_step
 
 SPACING = 1.3  # pixels between discs: a stroke is several of them wide
 WIDE, FLAT = 1.0, 0.15  # deviations of a disc in its plane and across it, in spacings
@@ -45,28 +50,64 @@ IN_HOLES = 0.05  # part of a Gaussian's contribution to a view that has to lie i
 FEW = 500  # pixels of all views that show no surface
 SPARE = 0.9  # share of the discs' maximum that is aimed at
 
+FIT_VIEWS = 16  # renders of the scene before, which tell what the discs have to look like
+FIT_LENGTH = 180.0  # longer side of the object in them, in pixels
+FIT_MARGIN = 8  # pixels around a box, where nothing is to show
+STEPS = 35
+RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}  # of logits, logarithms and colours
+RAISED = 0.4  # colours at most: more is noise, with none what lies behind shines through
+LAST = 0.1  # rate of the last step, as a share of the first's
+
 
 @dataclass(frozen=True)
 class Canvas:
-    """A scene with discs on an object's surface, under which the object's Gaussians fade."""
+    """The Gaussians that carry an object's paint: its own, and discs under which these fade."""
 
+    before: Splats
+    """The scene without discs, whose detail they blur."""
+    own: Bool[Tensor, " B"]
+    """The object's Gaussians in it."""
     splats: Splats
     """The discs follow all other Gaussians."""
     parents: Int[Tensor, " N"]
     """The Gaussian of the scene before that each one belongs to: of a disc, the nearest."""
-    spacing: float
+    spacing: float = 0.0
     """The distance between neighbouring discs."""
-    count: int
-    """Gaussians of the scene before."""
+
+    @classmethod
+    def without_discs(cls, splats: Splats, own: Bool[Tensor, " N"]) -> "Canvas":
+        """The object on its own Gaussians."""
+        return cls(splats, own, splats, torch.arange(len(splats), device=splats.device))
 
     @property
     def is_disc(self) -> Bool[Tensor, " N"]:
         """Which of its Gaussians are discs."""
-        return torch.arange(len(self.parents), device=self.parents.device) >= self.count
+        return torch.arange(len(self.parents), device=self.parents.device) >= len(self.own)
 
-    def select(self, rows: Int[Tensor, " M"]) -> "Canvas":
+    @property
+    def mask(self) -> Bool[Tensor, " N"]:
+        """Which of its Gaussians are painted."""
+        return self.own[self.parents]
+
+    @property
+    def unpainted(self) -> Splats:
+        """The same Gaussians as the scene looked before: discs do not show."""
+        opacities = torch.full_like(self.splats.opacities, UNSEEN)
+        opacities[: len(self.own)] = self.before.opacities
+        return replace(self.splats, opacities=opacities)
+
+    def changed(self, **tensors: Tensor) -> "Canvas":
+        """The canvas with other tensors of its splats."""
+        return replace(self, splats=replace(self.splats, **tensors))
+
+    def select(self, kept: Bool[Tensor, " N"]) -> "Canvas":
         """The canvas with some of its Gaussians, all of the scene before among them."""
-        return replace(self, splats=self.splats[rows], parents=self.parents[rows])
+        return replace(self, splats=self.splats[kept], parents=self.parents[kept])
+
+    def to(self, device: torch.device | str) -> "Canvas":
+        """The same canvas on another device."""
+        rest = {"own": self.own.to(device), "parents": self.parents.to(device)}
+        return replace(self, before=self.before.to(device), splats=self.splats.to(device), **rest)
 
 
 @torch.no_grad()
@@ -79,57 +120,39 @@ def lay_canvas(
     max_discs: int,
     seed: int,
 ) -> Canvas | None:
-    """Lay a canvas on an object, and fade the Gaussians under it.
+    """Lay a canvas on an object of a scene on the CPU, and fade the Gaussians under it.
 
-    Args:
-        splats: The scene, on the CPU.
-        mask: The object's Gaussians.
-        boxes: Where it is seen.
-        length: The object's longer side in pixels that discs are to be fine enough for.
-        max_discs: The maximum number of discs.
-        seed: Of their positions.
-
-    Returns:
-        The canvas, not fitted yet (`fit_canvas`), which may show beside the object
-        (`confine_canvas`). None if the object has no surface, as smoke has none.
+    The discs are fine enough for views in which the object is so many pixels long. The canvas is
+    not fitted yet (`fit_canvas`), and may show beside the object (`confine_canvas`). Returns None
+    if the object has no surface, as smoke has none.
     """
     surface = find_surface(splats, mask, boxes)
     if len(surface.points) < FEW:
         return None
     spacing = SPACING * surface.pixel * LENGTH / length
-    discs, spacing = _make_discs(surface, spacing, max_discs, seed=seed)
-    own = mask.nonzero()[:, 0]
-    _, nearest = KDTree(splats.means[own].double().numpy()).query(discs.means.double().numpy())
-    parents = own[torch.from_numpy(nearest)]
-    laid = replace(splats[parents], **{**discs.tensors(), "shN": splats.shN[parents] * 0})
-    parents = torch.cat([torch.arange(len(splats)), parents])
-    canvas = Canvas(Splats.cat([splats, laid]), parents, spacing, len(splats))
-    return fade_hidden(splats, canvas, mask, boxes)
-
-
-def _make_discs(
-    surface: SurfacePoints, spacing: float, max_discs: int, *, seed: int
-) -> tuple[Splats, float]:
-    """Discs on a surface, at a larger spacing where there would be too many, and the spacing."""
     while True:
         values = [surface.normals, surface.colors]
         points, normals, colors = pool_points(POOLED * spacing, surface.points, values)
         rows = thin(points, spacing, seed=seed)
         if len(rows) <= max_discs:
             break
-        spacing *= math.sqrt(len(rows) / (SPARE * max_discs))
+        spacing *= math.sqrt(len(rows) / (SPARE * max_discs))  # there would be too many
     means, normals = project_to_planes(points, normals, rows)
+    own = mask.nonzero()[:, 0]
+    _, nearest = KDTree(splats.means[own].double().numpy()).query(means.double().numpy())
+    parents = own[torch.from_numpy(nearest)]
     scales = points.new_tensor([WIDE, WIDE, FLAT]).mul(spacing).log()
-    count = len(rows)
-    discs = Splats(
+    discs = replace(
+        splats[parents],
         means=means,
         quats=_facing(normals),
-        scales=scales.expand(count, 3).clone(),
-        opacities=torch.logit(points.new_full((count,), OPACITY)),
+        scales=scales.expand(len(rows), 3).clone(),
+        opacities=torch.logit(points.new_full((len(rows),), OPACITY)),
         sh0=sh0_from_rgb(colors[rows])[:, None],
-        shN=points.new_zeros(count, 0, 3),
+        shN=splats.shN[parents] * 0,
     )
-    return discs, spacing
+    parents = torch.cat([torch.arange(len(splats)), parents])
+    return fade_hidden(Canvas(splats, mask, Splats.cat([splats, discs]), parents, spacing), boxes)
 
 
 def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
@@ -141,63 +164,105 @@ def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
 
 
 @torch.no_grad()
-def fade_hidden(
-    splats: Splats, canvas: Canvas, mask: Bool[Tensor, " N"], boxes: Sequence[Box]
-) -> Canvas:
-    """Fade the object's Gaussians as far as the discs hide them.
-
-    Args:
-        splats: The scene before.
-        canvas: The scene with discs.
-        mask: The object's Gaussians.
-        boxes: Where it is seen.
-    """
-    own = mask[canvas.parents] & ~canvas.is_disc
-    bare, before = without_looks(canvas.splats[~own]), without_looks(splats)
-    zoom = LENGTH / typical_length(boxes)
-    cameras = [crop_to_box(box, zoom, (1, 1))[0] for box in evenly(boxes, VIEWS)]
+def fade_hidden(canvas: Canvas, boxes: Sequence[Box]) -> Canvas:
+    """Fade the object's Gaussians as far as the discs hide them."""
+    before, splats, count = without_looks(canvas.before), canvas.splats, len(canvas.before)
+    others = ~canvas.mask | canvas.is_disc
+    bare, is_disc = without_looks(splats[others]), canvas.is_disc[others]
 
     def look(camera: Cameras) -> Tensor:
-        hidden = coverage(bare, camera, canvas.is_disc[~own]) > COVERED
-        view = contributions(before, camera, mask)
+        hidden = coverage(bare, camera, is_disc) > COVERED
+        view = contributions(before, camera, canvas.own)
         sums = torch.stack([view.weights(hidden), view.weights()], dim=1)
-        return sums.new_zeros(len(splats), 2).index_copy_(0, view.gaussians, sums)
+        return sums.new_zeros(count, 2).index_copy_(0, view.gaussians, sums)
 
-    found = track(at_once(look, cameras), "looking under the canvas", total=len(cameras))
+    found = per_view(look, box_cameras(boxes, LENGTH, VIEWS), "looking under the canvas")
     hidden, everywhere = torch.stack([*found]).sum(dim=0).unbind(dim=1)
     low, high = HIDDEN
-    fading = ((hidden / everywhere.clamp(min=1e-9) - low) / (high - low)).clamp(0, 1) * mask
-    faded = torch.logit(torch.sigmoid(splats.opacities) * (1 - fading), eps=1e-6)
-    faded = torch.where(fading > 0, faded, splats.opacities)
-    opacities = torch.cat([faded, canvas.splats.opacities[len(splats) :]])
-    return replace(canvas, splats=replace(canvas.splats, opacities=opacities))
+    fading = ((hidden / everywhere.clamp(min=1e-9) - low) / (high - low)).clamp(0, 1) * canvas.own
+    faded = torch.logit(torch.sigmoid(before.opacities) * (1 - fading), eps=1e-6)
+    faded = torch.where(fading > 0, faded, before.opacities)
+    return canvas.changed(opacities=torch.cat([faded, splats.opacities[count:]]))
 
 
 @torch.no_grad()
-def fill_holes(
-    splats: Splats, canvas: Canvas, mask: Bool[Tensor, " N"], boxes: Sequence[Box]
-) -> Canvas:
-    """Give the Gaussians that show in holes between the discs their opacity back.
-
-    Args:
-        splats: The scene before.
-        canvas: The scene with discs, its hidden Gaussians faded.
-        mask: The object's Gaussians.
-        boxes: Where it is seen.
-    """
-    faded, before = without_looks(canvas.splats), without_looks(splats)
-    zoom = LENGTH / typical_length(boxes)
-    cameras = [crop_to_box(box, zoom, (1, 1))[0] for box in evenly(boxes, HOLE_VIEWS)]
+def fill_holes(canvas: Canvas, boxes: Sequence[Box]) -> Canvas:
+    """Give the Gaussians that show in holes between the discs their opacity back."""
+    faded, before, mask = without_looks(canvas.splats), without_looks(canvas.before), canvas.mask
 
     def look(camera: Cameras) -> Tensor:
-        view = contributions(before, camera, mask)
-        lost = view.coverage - coverage(faded, camera, mask[canvas.parents]) > LOST
+        view = contributions(before, camera, canvas.own)
+        lost = view.coverage - coverage(faded, camera, mask) > LOST
         covered = (view.coverage > COVERED).numpy().astype(np.uint8)
         inner = torch.from_numpy(cv2.erode(covered, np.ones((2 * RIM + 1, 2 * RIM + 1)))).bool()
         return view.gaussians[view.weights(lost & inner) > IN_HOLES * view.weights()]
 
-    found = track(at_once(look, cameras), "looking for holes of the canvas", total=len(cameras))
-    rows = torch.cat([*found])
+    cameras = box_cameras(boxes, LENGTH, HOLE_VIEWS)
+    rows = torch.cat([*per_view(look, cameras, "looking for holes of the canvas")])
     opacities = canvas.splats.opacities.clone()
-    opacities[rows] = splats.opacities[rows]
-    return replace(canvas, splats=replace(canvas.splats, opacities=opacities))
+    opacities[rows] = before.opacities[rows]
+    return canvas.changed(opacities=opacities)
+
+
+@dataclass(frozen=True)
+class _View:
+    """What one camera saw before the canvas was laid, and what it sees of it."""
+
+    camera: Cameras
+    image: Float[Tensor, "H W 3"]
+    coverage: Float[Tensor, "H W 1"]
+    visible: Bool[Tensor, " N"]
+    """Which Gaussians of the scene with the canvas are drawn."""
+    splats: Splats
+    """These, in the colours that they have from there."""
+    is_disc: Bool[Tensor, "M 1 1"]
+    own: Float[Tensor, "M 1 1"]
+    """1 for those of the object, 0 for others."""
+
+    def error(self, leaves: Mapping[str, Tensor], raised: Tensor) -> Float[Tensor, ""]:
+        """Of the image, the object's colours being raised.
+
+        By other amounts in every step, so that its coverage has to be right whatever lies behind.
+        """
+        moved = {name: leaf[self.visible] for name, leaf in leaves.items()}
+        sh0 = torch.where(self.is_disc, moved["sh0"], self.splats.sh0)
+        moved["sh0"] = sh0 + raised / SH_C0 * self.own
+        image, _, _ = rasterize(replace(self.splats, **moved), self.camera)
+        return (image[0] - self.image - raised * self.coverage).square().mean()
+
+
+def fit_canvas(canvas: Canvas, boxes: Sequence[Box], *, seed: int) -> Canvas:
+    """Give the discs of a canvas what makes the object look as before.
+
+    The seed is of the order of the views, and of the colours that tell object and background apart.
+    """
+    length = min(FIT_LENGTH, typical_length(boxes))
+    cameras = box_cameras(boxes, length, FIT_VIEWS, FIT_MARGIN)
+    views = [*at_once(partial(_look, canvas), cameras)]
+    leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in RATES}
+    moments = Moments.zeros(leaves)
+    generator = torch.Generator().manual_seed(seed)
+    order = track(drawn(views, STEPS, generator), "fitting the canvas", total=STEPS)
+    for step, view in enumerate(order, start=1):
+        raised = RAISED * torch.rand(3, generator=generator)
+        with torch.enable_grad():
+            view.error(leaves, raised).backward()
+        rates = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
+        adam_step(leaves, moments, rates, step, visible=canvas.is_disc & view.visible)
+        for leaf in leaves.values():
+            leaf.grad = None
+    return canvas.changed(**{name: leaf.detach() for name, leaf in leaves.items()})
+
+
+@torch.no_grad()
+def _look(canvas: Canvas, camera: Cameras) -> _View:
+    image, _ = render(canvas.before, camera, features=canvas.own.to(canvas.before.means)[:, None])
+    image, coverage = image.split((3, 1), dim=2)
+    views = views_of(with_matrices_of(canvas.splats, camera))
+    visible = (cpu.project_gaussians(activated(canvas.splats), views[0]).radii > 0).all(dim=1)
+    seen = replace(canvas.splats, identities=None, confidence=None)[visible]
+    directions = seen.means - camera.positions.to(seen.means)
+    colors = cpu.spherical_harmonics(seen.sh_degree, directions, seen.sh0, seen.shN)
+    baked = replace(seen, sh0=sh0_from_rgb(colors)[:, None], shN=seen.shN[:, :0])
+    is_disc, own = (each[visible, None, None] for each in (canvas.is_disc, canvas.mask))
+    return _View(camera, image, coverage, visible, baked, is_disc, own.to(image))

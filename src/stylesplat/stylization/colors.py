@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.metrics.lab import LUMA, distinct, lab_from_rgb, nearest_colors, thinned
-from stylesplat.scene.splats import SH_C0, Splats
+from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_bands
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
@@ -33,42 +33,13 @@ FAINT = 0.05  # of the median weight: Gaussians that show less move accordingly 
 
 
 @torch.no_grad()
-def initial_colors(
-    splats: Splats,
-    mask: Bool[Tensor, " N"],
-    views: Sequence[ObjectView],
-    palette: Float[Tensor, "P 3"],
-    *,
-    seed: int,
-) -> Splats:
-    """The colours to start from: varied a little, with the palette's mean and covariance.
-
-    Args:
-        splats: The scene, its object without the pattern that is to go.
-        mask: The object's Gaussians.
-        views: Of the object.
-        palette: The style's colours in 0..1.
-        seed: Of the variation.
-    """
-    splats = vary_colors(splats, mask, seed=seed)
-    return transfer_colors(splats, mask, palette, views)
-
-
-@torch.no_grad()
 def transfer_colors(
     splats: Splats,
     mask: Bool[Tensor, " N"],
     style: Float[Tensor, "P 3"],
     views: Sequence[ObjectView],
 ) -> Splats:
-    """Map an object's colours so that its pixels have the style's mean and covariance.
-
-    Args:
-        splats: The scene.
-        mask: The object's Gaussians.
-        style: Colours in 0..1.
-        views: Of the object.
-    """
+    """Map an object's colours so that its pixels have the style's mean and covariance."""
     matrix, offset = color_map(object_colors(splats, views), style)
     return map_colors(splats, mask, matrix, offset)
 
@@ -92,9 +63,9 @@ def vary_colors(splats: Splats, mask: Bool[Tensor, " N"], *, seed: int) -> Splat
     pattern = torch.cos(means @ waves.T + phases.to(means)) @ mixture.to(means)
     luma = pattern @ pattern.new_tensor(LUMA)
     pattern = pattern - (1 - LUMA_VARIATION) * luma[:, None]
-    sh0 = splats.sh0.clone()
-    sh0[mask] += VARIATION / SH_C0 * pattern[:, None]
-    return replace(splats, sh0=sh0)
+    rows = mask.nonzero()[:, 0]
+    varied = splats.sh0[rows] + VARIATION / SH_C0 * pattern[:, None]
+    return splats.with_rows(rows, {"sh0": varied})
 
 
 def color_map(
@@ -146,19 +117,13 @@ def remove_pattern(
     """Remove a share of the object's own pattern, all that is smaller than `PATTERN` of it.
 
     With it goes a part of the shading, so that strokes and form have room between the style's
-    darkest colour and its brightest on either side of the object.
-
-    Args:
-        splats: The scene.
-        mask: The object's Gaussians.
-        views: Of the whole object.
-        length: The object's longer side in these views, in pixels.
-        share: 0 changes nothing, 1 removes all of it.
+    darkest colour and its brightest on either side of the object. The length is the object's
+    longer side in views of all of it, in pixels.
     """
     if share == 0:
         return splats
-    smooth = blur_colors(splats, mask, views, PATTERN * length).sh0[mask]
-    flat = smooth.mean(dim=0).lerp(smooth, SHADING)
+    blurred = blur_colors(splats, mask, views, PATTERN * length).sh0[mask]
+    flat = blurred.mean(dim=0).lerp(blurred, SHADING)
     rows = mask.nonzero()[:, 0]
     return splats.with_rows(rows, {"sh0": splats.sh0[rows].lerp(flat, share)})
 
@@ -170,20 +135,12 @@ def add_luminance(splats: Splats, luminance: Float[Tensor, " N"]) -> Splats:
 
 @torch.no_grad()
 def blur_colors(
-    splats: Splats,
-    mask: Bool[Tensor, " N"],
-    views: Sequence[ObjectView],
-    deviation: float = 0.0,
+    splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[ObjectView], deviation: float = 0.0
 ) -> Splats:
     """Give Gaussians the mean colour of the pixels that they contribute to.
 
-    Renders of this size match nothing finer than their pixels: there Gaussians differ by chance.
-
-    Args:
-        splats: The scene.
-        mask: The object's Gaussians.
-        views: Of the object, as small as the strokes are large.
-        deviation: Of a Gaussian blur of the renders, in pixels.
+    Renders as small as the strokes are large match nothing finer than their pixels: there Gaussians
+    differ by chance. The deviation is that of a Gaussian blur of the renders, in pixels.
     """
     matte = replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
     total, weights = torch.zeros_like(splats.sh0), torch.zeros_like(splats.sh0)
@@ -263,39 +220,22 @@ def project_to_palette(
 
     Each round backprojects every pixel's offset to the Gaussians by their weights, and averages
     (simultaneous algebraic reconstruction, Gilbert 1972).
-
-    Args:
-        splats: The scene.
-        mask: The object's Gaussians.
-        views: Of the object.
-        palette: The style's colours.
     """
     views = with_fixed_bands(views, splats)
     weights = total_weights(views, splats, mask)
     weights = weights + FAINT * weights[weights > 0].median()
-    colors = splats.sh0[mask, 0] * SH_C0 + 0.5
+    rows = mask.nonzero()[:, 0]
+    colors = splats.sh0[rows, 0] * SH_C0 + 0.5
     brightest = colors.clamp(min=1)  # Gaussians that show in part need colours beyond white
     for _ in range(ROUNDS):
         # below black nothing shows, and nothing can be asked for
-        splats = _with_colors(splats, mask, colors.clamp(min=DARKEST))
-        offsets = _backprojected_offsets(splats, mask, views, palette) / weights[:, None]
-        colors = (colors.clamp(min=DARKEST) + STRIDE * offsets).minimum(brightest)
-    return _with_colors(splats, mask, colors.clamp(min=0))
-
-
-def _with_colors(splats: Splats, mask: Tensor, colors: Tensor) -> Splats:
-    sh0 = splats.sh0.clone()
-    sh0[mask, 0] = (colors - 0.5) / SH_C0
-    return replace(splats, sh0=sh0)
-
-
-def _backprojected_offsets(
-    splats: Splats, mask: Tensor, views: Sequence[ObjectView], palette: Palette
-) -> Tensor:
-    sh0 = splats.sh0.detach().requires_grad_()
-    with torch.enable_grad():
-        for view in views:
-            image = view.render(replace(splats, sh0=sh0))
-            (image * palette.offset(image) * view.pixels[..., None]).sum().backward()
-    assert sh0.grad is not None
-    return sh0.grad[mask, 0] / SH_C0
+        colors = colors.clamp(min=DARKEST)
+        sh0 = splats.sh0.index_copy(0, rows, sh0_from_rgb(colors)[:, None]).requires_grad_()
+        with torch.enable_grad():
+            for view in views:
+                image = view.render(replace(splats, sh0=sh0))
+                (image * palette.offset(image) * view.pixels[..., None]).sum().backward()
+        assert sh0.grad is not None
+        offsets = sh0.grad[rows, 0] / SH_C0 / weights[:, None]
+        colors = (colors + STRIDE * offsets).minimum(brightest)
+    return splats.with_rows(rows, {"sh0": sh0_from_rgb(colors.clamp(min=0))[:, None]})

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,8 +9,6 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from stylesplat.progress import track
-from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import contributions
 from stylesplat.rendering.shares import COVERED, coverage, without_looks
 from stylesplat.rendering.visibility import pixel_bounds, touching
@@ -21,7 +18,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, fade_hidden, fill_holes
 from stylesplat.stylization.strokes import align_to_strokes
-from stylesplat.stylization.views import Box
+from stylesplat.stylization.views import Box, per_view
 
 VIEWS = 24  # that are checked: discs lie on the very outline of the object
 COARSER = 2.0  # ratio of the photos' size to that of the check: finds the same as full size
@@ -37,48 +34,37 @@ NO_ROWS = torch.zeros(0, dtype=torch.long)
 
 @torch.no_grad()
 def confine_canvas(
-    splats: Splats,
-    canvas: Canvas,
-    mask: Bool[Tensor, " N"],
-    boxes: Sequence[Box],
-    cameras: Cameras,
-    *,
-    painted: Splats | None = None,
+    canvas: Canvas, boxes: Sequence[Box], cameras: Cameras, *, painted: Splats | None = None
 ) -> tuple[Canvas, Bool[Tensor, " M"]]:
     """Turn the discs of a canvas along the strokes, and let none show beside the object.
 
     Discs that show beside it become smaller; those that still do are removed.
 
     Args:
-        splats: The scene before, on the CPU.
-        canvas: What was laid on it.
-        mask: The object's Gaussians.
+        canvas: What was laid, on the CPU.
         boxes: Where the object is seen.
-        cameras: Views in which nothing may show beside the object.
+        cameras: Views in which nothing may show beside it.
         painted: The canvas in the colours of the strokes; None leaves the discs round.
 
     Returns:
         The canvas, and which of its Gaussians are left.
     """
-    round_discs = canvas.splats
+    splats, round_discs = canvas.before, canvas.splats
     if painted is not None:
         turned = align_to_strokes(painted, canvas.is_disc, canvas.spacing)
-        turned = replace(round_discs, quats=turned.quats, scales=turned.scales)
-        canvas = replace(canvas, splats=turned)
+        canvas = canvas.changed(quats=turned.quats, scales=turned.scales)
     coarser = min(COARSER, max(1.0, float(cameras.sizes.max()) / LEAST_SIZE))
     checked = cameras[[*evenly(range(len(cameras)), VIEWS)]].downscale(coarser)
-    outside = _find_outside(splats, mask, _crop_to_gaussians(splats[mask], checked))
+    outside = _find_outside(splats, canvas.own, _crop_to_gaussians(splats[canvas.own], checked))
     rows, outside = _overflow(canvas, outside)
     scales = canvas.splats.scales.clone()
     scales[rows] = round_discs.scales[rows] + math.log(SMALLER)
-    canvas = replace(canvas, splats=replace(canvas.splats, scales=scales))
+    canvas = canvas.changed(scales=scales)
     kept = torch.ones_like(canvas.is_disc)
     while outside:  # a removed disc may uncover others
-        left = kept.nonzero()[:, 0]
-        rows, outside = _overflow(canvas.select(left), outside)
-        kept[left[rows]] = False
-    canvas = fade_hidden(splats, canvas.select(kept.nonzero()[:, 0]), mask, boxes)
-    return fill_holes(splats, canvas, mask, boxes), kept
+        rows, outside = _overflow(canvas.select(kept), outside)
+        kept[kept.nonzero()[rows, 0]] = False
+    return fill_holes(fade_hidden(canvas.select(kept), boxes), boxes), kept
 
 
 def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
@@ -109,40 +95,34 @@ def _find_outside(
         edge = torch.from_numpy(cv2.dilate(solid, disc)).bool()
         return camera, (covered == 0) | ((covered < FAINT) & ~edge)
 
-    return [*track(at_once(look, cameras), "looking beside the object", total=len(cameras))]
+    return [*per_view(look, cameras, "looking beside the object")]
 
 
 def _overflow(
     canvas: Canvas, outside: Sequence[Outside]
 ) -> tuple[Int[Tensor, " M"], list[Outside]]:
     """The discs that show outside the object, and the pixels outside that they may uncover."""
-    bare = without_looks(canvas.splats)
+    bare, is_disc = without_looks(canvas.splats), canvas.is_disc
 
     def look(view: Outside) -> Tensor:
-        return _contributing(bare, canvas.is_disc, *view)
+        camera, pixels = view
+        low, high = pixel_bounds(bare, camera)
+        suspects = is_disc.nonzero()[:, 0]
+        suspects = suspects[touching(low[suspects], high[suspects], pixels)]
+        pixels = pixels & reached_pixels(bare[suspects], camera)
+        if not pixels.any():
+            return suspects[:0]
+        there = touching(low, high, pixels).nonzero()[:, 0]
+        seen = contributions(bare[there], camera, is_disc[there])
+        return there[seen.gaussians[seen.weights(pixels) > 0]]
 
-    found = [*track(at_once(look, outside), "checking the outline", total=len(outside))]
+    found = [*per_view(look, outside, "checking the outline")]
     uncovered = [
         (camera, pixels & reached_pixels(canvas.splats[rows], camera))
         for (camera, pixels), rows in zip(outside, found, strict=True)
         if len(rows)
     ]
     return torch.cat([NO_ROWS, *found]).unique(), uncovered
-
-
-def _contributing(
-    splats: Splats, mask: Tensor, camera: Cameras, pixels: Bool[Tensor, "H W"]
-) -> Int[Tensor, " M"]:
-    """Which of some Gaussians contribute to some pixels of one camera."""
-    low, high = pixel_bounds(splats, camera)
-    suspects = mask.nonzero()[:, 0]
-    suspects = suspects[touching(low[suspects], high[suspects], pixels)]
-    pixels = pixels & reached_pixels(splats[suspects], camera)
-    if not pixels.any():
-        return suspects[:0]
-    there = touching(low, high, pixels).nonzero()[:, 0]
-    view = contributions(splats[there], camera, mask[there])
-    return there[view.gaussians[view.weights(pixels) > 0]]
 
 
 @torch.no_grad()

@@ -38,9 +38,9 @@ RARE = 0.05  # share of an object: less form than that counts less
 class FormSurvey:
     """The detail of an object in all views, by bands of size."""
 
-    energies: Sequence[float] = (0.0, 0.0)
+    energies: Sequence[float]
     """The median of the local energy: what stands out has more."""
-    shares: Sequence[float] = (1.0, 1.0)
+    shares: Sequence[float]
     """The share of the detail that is form; 0 if the object has its detail everywhere."""
 
 
@@ -60,20 +60,11 @@ class Form:
 def survey_form(
     images: Sequence[Float[Tensor, "_ _ 3"]], masks: Sequence[Bool[Tensor, "_ _"]], length: float
 ) -> FormSurvey:
-    """Measure an object's detail in several views.
-
-    Args:
-        images: Views of the whole unpainted object.
-        masks: The object's pixels in each.
-        length: The object's longer side in these views, in pixels.
-    """
-    energies = [
-        [smooth(band.square(), mask, ENERGY_DEVIATION * length)[mask] for band in bands]
-        for mask, bands in (
-            (mask, luminance_bands(image, mask, length))
-            for image, mask in zip(images, masks, strict=True)
-        )
-    ]
+    """Measure an object's detail in views of the whole unpainted object, so many pixels long."""
+    energies = []
+    for image, mask in zip(images, masks, strict=True):
+        squares = (band.square() for band in luminance_bands(image, mask, length))
+        energies.append([smooth(each, mask, ENERGY_DEVIATION * length)[mask] for each in squares])
     bands = [torch.cat(views) for views in zip(*energies, strict=True)]
     variations = [float(energy.std() / (energy.mean() + TINY)) for energy in bands]
     shares = [min(max((each - EVEN) / (UNEVEN - EVEN), 0.0), 1.0) for each in variations]
@@ -82,27 +73,16 @@ def survey_form(
 
 @torch.no_grad()
 def measure_form(
-    image: Float[Tensor, "H W 3"],
-    mask: Bool[Tensor, "H W"],
-    length: float,
-    survey: FormSurvey,
+    image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float, survey: FormSurvey
 ) -> Form:
-    """Find the form in a picture of the unpainted object.
-
-    Args:
-        image: The unpainted view.
-        mask: The object's pixels.
-        length: The longer side of the whole object, in pixels.
-        survey: Of the whole object.
-    """
+    """Find the form in a view of the unpainted object, which is so many pixels long."""
     details, weights = [], []
     bands = luminance_bands(image, mask, length)
     for band, typical in zip(bands, survey.energies, strict=True):
         energy = smooth(band.square(), mask, ENERGY_DEVIATION * length)
         least = SALIENT * typical + FAINT**2
         weight = (1 - least / energy.clamp(min=least)) * mask
-        detail = weight * band
-        details.append(detail)
+        details.append(weight * band)
         weights.append(weight)
     return Form(details, weights, survey.shares)
 
@@ -117,9 +97,9 @@ def form_distance(
     """
     total, near = image.new_zeros(()), NEAR * length
     faint = 2 * math.pi * (near * FAINT) ** 2  # a blur has the sum of its Gaussian
-    known = zip(form.details, form.weights, form.shares, strict=True)
-    for band, (detail, weight, share) in zip(
-        luminance_bands(image, mask, length), known, strict=True
+    bands = luminance_bands(image, mask, length)
+    for band, detail, weight, share in zip(
+        bands, form.details, form.weights, form.shares, strict=True
     ):
         norms = blur(band.square(), near) * blur(detail.square(), near)
         correlation = blur(band * detail, near) / (norms + faint**2).sqrt()
@@ -142,16 +122,8 @@ def form_relief(
     luminance whose renders are nearest to the form in all views (simultaneous algebraic
     reconstruction, Gilbert 1972).
 
-    Args:
-        before: The unpainted scene.
-        splats: The Gaussians that are painted.
-        mask: Those of the object.
-        views: Of the whole object.
-        length: The object's longer side in these views, in pixels.
-        survey: Of the whole object.
-
-    Returns:
-        In -1..1; 0 for Gaussians that are not the object's or hardly show.
+    The views show the whole object, so many pixels long. Values are in -1..1, and 0 for Gaussians
+    that are not the object's or hardly show.
     """
     hidden = mask[:, None, None]
     flat = replace(splats, sh0=splats.sh0.masked_fill(hidden, 0), shN=splats.shN * ~hidden)

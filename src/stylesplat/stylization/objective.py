@@ -1,15 +1,13 @@
 """The objective of the optimisation: style, form, content, palette and large shapes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.progress import track
-from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.colors import Palette
@@ -17,7 +15,7 @@ from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.form import Form, FormSurvey, form_distance, measure_form
 from stylesplat.stylization.matching import StyleIndex, cosine_distance
-from stylesplat.stylization.views import ObjectView
+from stylesplat.stylization.views import ObjectView, per_view
 
 PULL = 10.0  # weight of the squared distance from the palette; more costs style
 HOLD = 5.0  # weight of the squared change of large shapes; 50 leaves fine strokes no room
@@ -63,7 +61,7 @@ class Objective:
     """The layers and weights."""
     length: float
     """The whole object's longer side in the views, in pixels."""
-    form: FormSurvey = field(default_factory=FormSurvey)
+    form: FormSurvey
     """What tells the object's form from its pattern."""
     palette: Palette | None = None
     """The colours to stay near to; None leaves them free."""
@@ -74,46 +72,43 @@ class Objective:
     ) -> list[ViewTarget]:
         """What the paint is compared with in each view.
 
-        Args:
-            views: Of the object.
-            original: The unpainted scene, which need not have the same Gaussians.
-            painted: The scene whose large shapes are to stay; None leaves them free.
+        The unpainted scene need not have the same Gaussians as the painted one, whose large shapes
+        are to stay; None leaves them free.
         """
 
         def look(view: ObjectView) -> ViewTarget:
-            return self._target(view, original, painted)
+            form = content = None
+            if self.config.form > 0 or self.config.content > 0:
+                image = rasterize(original, view.camera)[0][0]
+                if self.config.form > 0:
+                    form = measure_form(image, view.pixels, self.length, self.form)
+                if self.config.content > 0:
+                    content = self._features(view, image)
+            shapes = None if painted is None else _large_shapes(view, view.render(painted))
+            return ViewTarget(view, form, content, shapes)
 
-        found = at_once(look, views, original.device)
-        return [*track(found, "measuring the form", total=len(views))]
-
-    def _target(self, view: ObjectView, original: Splats, painted: Splats | None) -> ViewTarget:
-        form = content = None
-        if self.config.form > 0 or self.config.content > 0:
-            image = rasterize(original, view.camera)[0][0]
-            if self.config.form > 0:
-                form = measure_form(image, view.pixels, self.length, self.form)
-            if self.config.content > 0:
-                content = self._features(view, image)
-        shapes = None if painted is None else _large_shapes(view, view.render(painted))
-        return ViewTarget(view, form, content, shapes)
+        return [*per_view(look, views, "measuring the form", original.device)]
 
     def __call__(self, target: ViewTarget, splats: Splats) -> Losses:
         """The losses of splats in one view."""
         view = target.view
         image = view.render(splats)
         feats = self._features(view, image)
-        pairs = zip(feats, self.styles, strict=True)
         matched = [
             cosine_distance(own, style.directions.index_select(0, style.nearest(own.detach())))
-            for own, style in pairs
+            for own, style in zip(feats, self.styles, strict=True)
         ]
         style = total = torch.stack(matched).mean()
         if target.form is not None:
             distance = form_distance(image, view.pixels, self.length, target.form)
             total = total + FORM * self.config.form * distance
         if target.content is not None:
-            change = _relative_change(feats, target.content)
-            total = total + content_weight(self.config.content) * change
+            pairs = zip(feats, target.content, strict=True)
+            changes = [  # in units of the mean square
+                (own.float() - old.float()).square().mean() / old.float().square().mean()
+                for own, old in pairs
+            ]
+            total = total + content_weight(self.config.content) * torch.stack(changes).mean()
         if self.palette is not None:
             total = total + PULL * self.palette.distance(image, view.pixels)
         if target.shapes is not None:
@@ -128,23 +123,9 @@ class Objective:
 
 
 def content_weight(content: float) -> float:
-    """The weight of the change of features, so that a setting of 0 to 1 has an even effect.
-
-    Example:
-        >>> content_weight(0.0), content_weight(0.5)
-        (0.0, 0.1)
-    """
+    """The weight of the change of features, so that a setting of 0 to 1 has an even effect."""
     share = min(content, MOST_CONTENT)
     return EVEN * share / (1 - share)
-
-
-def _relative_change(feats: Sequence[Tensor], wanted: Sequence[Tensor]) -> Float[Tensor, ""]:
-    """The mean squared change of features, in units of their mean square."""
-    changes = [
-        (own.float() - other.float()).square().mean() / other.float().square().mean()
-        for own, other in zip(feats, wanted, strict=True)
-    ]
-    return torch.stack(changes).mean()
 
 
 def _large_shapes(view: ObjectView, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "3 h w"]:

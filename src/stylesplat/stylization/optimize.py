@@ -3,14 +3,19 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
+from stylesplat.progress import say
 from stylesplat.rendering.shares import COVERED, colors_and_coverage
 from stylesplat.scene.sampling import drawn, evenly
 from stylesplat.scene.splats import Splats, sh0_from_rgb
+from stylesplat.selection.soft_picks import own_shares
+from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.colors import (
     DARKEST,
     Palette,
@@ -18,17 +23,17 @@ from stylesplat.stylization.colors import (
     blur_colors,
     build_palette,
     color_map,
-    initial_colors,
     object_colors,
     project_to_palette,
     remove_pattern,
     transfer_colors,
+    vary_colors,
 )
 from stylesplat.stylization.config import ColorMode, Stage, StyleConfig
+from stylesplat.stylization.confine import confine_canvas
 from stylesplat.stylization.form import SURVEY_LENGTH, FormSurvey, form_relief, survey_form
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective, ViewTarget
-from stylesplat.stylization.paintable import Paintable, confine, lay, own_gaussians
 from stylesplat.stylization.style_image import (
     check_size,
     coarsen_style,
@@ -40,7 +45,7 @@ from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import (
     Box,
     ObjectView,
-    crop_to_box,
+    box_cameras,
     object_views,
     require_boxes,
     stage_views,
@@ -50,6 +55,7 @@ from stylesplat.stylization.views import (
 )
 from stylesplat.training.adam import Moments, adam_step
 
+OWN = 0.5  # share of a Gaussian that is the object's: one with less is not painted
 KEPT_HUES: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
 STYLE_FEATURES = 4096  # at random, of those of a fine stage, which has many
 COLOR_VIEWS = 8  # whose pixels give an object's colours
@@ -86,6 +92,28 @@ class PaintState:
 
 
 @dataclass(frozen=True)
+class _Object:
+    """An object with the canvas that it is painted on."""
+
+    context: PaintContext
+    """Its scene is that of the canvas."""
+    target: PaintTarget
+    """Its mask has the Gaussians that are painted."""
+    canvas: Canvas
+    survey: Sequence[Box]
+    """Where it is seen, in the views to optimise on."""
+    boxes: Sequence[Box]
+    """Those that are used: the paper uses few."""
+    form: FormSurvey
+
+    def on(self, canvas: Canvas) -> "_Object":
+        """The same object on another canvas."""
+        context = replace(self.context, splats=canvas.splats)
+        target = replace(self.target, mask=canvas.mask)
+        return replace(self, context=context, target=target, canvas=canvas)
+
+
+@dataclass(frozen=True)
 class _Goal:
     """What an object is to look like."""
 
@@ -93,7 +121,7 @@ class _Goal:
     """The style images, in the hues that the object is to have."""
     colors: Float[Tensor, "P 3"]
     """All of their colours."""
-    palette: Palette | None
+    palette: Palette | None = None
     """The colours to stay near to; None leaves them free."""
 
 
@@ -108,7 +136,7 @@ def paint_steps(
         preview: Show first strokes on the object's own Gaussians before the canvas is laid. These
             steps come in addition, and change nothing in the result.
 
-    Yields:
+    Returns:
         The state after every step. Whoever stops asking keeps what there is; whoever asks again
         goes on.
 
@@ -116,60 +144,17 @@ def paint_steps(
         StyleSplatError: If the object is not seen, nothing is its own, or a style image is too
             small.
     """
-    config, object = target.config, own_gaussians(context, target)
-    survey = require_boxes(object.context, object.target, context.cameras)
-    boxes = _used_boxes(survey, config)
-    stages, canvas_at = _stages(context, target, typical_length(boxes)), 0
-    if preview and config.max_discs(1) > 0:
-        stages, canvas_at = [replace(stages[0], steps=PREVIEW_STEPS), *stages], 1
-    confined_at = next((n for n, each in enumerate(stages) if each.fine), len(stages) - 1)
-    steps, done = sum(stage.steps for stage in stages), 0
-    generator = torch.Generator().manual_seed(config.seed)
-    views, goal, paint = list[ObjectView](), None, object.splats
-    form, relief = _survey_form(object, boxes), object.splats.means.new_zeros(0, 2)
-    color_views, color_length = list[ObjectView](), 0.0
-    for number, stage in enumerate(stages):
-        views.clear()  # before there are others: they take much memory
-        anew = number in (0, canvas_at)
-        if number == canvas_at:
-            object = lay(object, boxes, stages[-1].length)
-        if number == confined_at and object.canvas is not None:
-            object, kept = confine(object, boxes, None if anew else paint)
-            if not anew:
-                paint = replace(object.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
-        views += stage_views(object.context, object.target, boxes, stage, generator)
-        if stage.window is None and len(views) >= COLOR_VIEWS:
-            color_views, color_length = evenly(views, COLOR_VIEWS), stage.length
-        elif number <= confined_at:  # later stages have the same Gaussians
-            color_length = min(stage.length, COLOR_LENGTH)
-            color_views = _color_views(object, boxes, color_length)
-        if anew or number == confined_at:
-            rest = color_views, color_length, form
-            relief = form_relief(object.before, object.splats, object.mask, *rest)
-        if anew or goal is None:
-            goal, paint = _begin(object, color_views, color_length, relief)
-        elif number == confined_at:  # coarse stages lose what is finer than their pixels
-            paint = add_luminance(paint, _form_weight(config, SHARPENED) * relief[:, 0])
-        objective = replace(_objective(object, goal, stage), form=form)
-        targets = objective.targets(views, object.before, paint if stage.fine else None)
-        taken = optimize_colors(paint, object.mask, targets, objective, stage.steps)
-        for number_in_stage, (paint, nnfm) in enumerate(taken, start=1):
-            done += 1
-            if number_in_stage == stage.steps:
-                last = number == len(stages) - 1
-                if not (stage.fine or last or goal.palette is None):
-                    paint = blur_colors(paint, object.mask, color_views)
-                paint = _end_stage(object, goal, paint, color_views, last)
-            yield PaintState(
-                step=done,
-                steps=steps,
-                nnfm=nnfm,
-                splats=paint,
-                base=object.unpainted,
-                parents=object.parents,
-                relief=relief.sum(dim=1),
-                boxes=survey,
-            )
+    target, survey, boxes, stages = _survey(context, target)
+    canvas = Canvas.without_discs(context.splats, target.mask)
+    form = _survey_form(context, target, boxes)
+    object = _Object(context, target, canvas, survey, boxes, form)
+    previews = list[Stage]()
+    if preview and target.config.max_discs(1) > 0:
+        previews.append(replace(stages[0], steps=PREVIEW_STEPS))
+    done = sum(stage.steps for stage in previews)
+    steps = done + sum(stage.steps for stage in stages)
+    painting = _paint(object, stages, done=done, steps=steps)
+    return chain(_paint(object, previews, steps=steps, is_preview=True), painting)
 
 
 def check_visible(context: PaintContext, target: PaintTarget) -> None:
@@ -178,99 +163,37 @@ def check_visible(context: PaintContext, target: PaintTarget) -> None:
     Raises:
         StyleSplatError: As `paint_steps` does.
     """
-    object = own_gaussians(context, target)
-    boxes = require_boxes(object.context, object.target, context.cameras)
-    boxes = _used_boxes(boxes, target.config)
-    length = typical_length(boxes)
-    first, *_ = _stages(context, target, length)
-    object_views(object.context, object.target, boxes, first.length / length)
+    target, _, boxes, (first, *_) = _survey(context, target)
+    object_views(context, target, boxes, first.length / typical_length(boxes))
 
 
-def optimize_colors(
-    paint: Splats,
-    mask: Bool[Tensor, " N"],
-    targets: Sequence[ViewTarget],
-    objective: Objective,
-    steps: int,
-) -> Iterator[tuple[Splats, float]]:
-    """Move the colours of some Gaussians until the object's features match the style's.
+def _survey(
+    context: PaintContext, target: PaintTarget
+) -> tuple[PaintTarget, list[Box], Sequence[Box], list[Stage]]:
+    """The target without what lies mostly beside it, where it is seen, and the stages.
 
-    Args:
-        paint: The scene, without gradients, with the colours to start from.
-        mask: The Gaussians to paint.
-        targets: Views of the object; one is drawn per step.
-        objective: What to minimise; its settings are the rates and the seed.
-        steps: How many to take.
-
-    Yields:
-        The scene after every step, and the style loss before it.
+    The boxes are those of the views to optimise on, and those that are used: the paper uses few.
     """
-    config = objective.config
-    generator = torch.Generator().manual_seed(config.seed)
-    rows = mask.nonzero()[:, 0]
-    leaves = {"sh0": paint.sh0[rows].requires_grad_()}
-    rates = {"sh0": config.lr, "shN": config.lr / SHN_SLOWDOWN}
-    trust = None
-    if config.published:
-        leaves["shN"] = paint.shN[rows].requires_grad_()
-    else:
-        views = with_fixed_bands([target.view for target in targets], paint)
-        pairs = zip(targets, views, strict=True)
-        targets = [replace(target, view=view) for target, view in pairs]
-        weights = total_weights(views, paint, mask)
-        typical = weights[weights > 0].median()
-        trust = (weights / (weights + TRUSTED * typical))[:, None, None]
-    moments = Moments.zeros(leaves)
-    for number, target in enumerate(drawn(targets, steps, generator), start=1):
-        with torch.enable_grad():  # the caller may have disabled it
-            losses = objective(target, paint.with_rows(rows, leaves))
-            losses.total.backward()
-        before = leaves["sh0"].detach().clone()
-        decay = 1.0 if config.published else FINAL_RATE ** ((number - 1) / steps)
-        adam_step(leaves, moments, {name: decay * rates[name] for name in leaves}, number)
-        with torch.no_grad():
-            if trust is not None:  # Adam's steps are as long for Gaussians that hardly show
-                sh0 = leaves["sh0"]
-                sh0.copy_(torch.lerp(before, sh0, trust))
-                _clamp_to_range(sh0)
-            for leaf in leaves.values():
-                leaf.grad = None
-        yield paint.with_rows(rows, leaves).detach(), losses.style.item()
-
-
-def target_features(
-    context: PaintContext, config: StyleConfig, pictures: Sequence[Tensor], length: float
-) -> list[Tensor]:
-    """The features of all style images together, for each layer group.
-
-    Args:
-        context: Its network is used.
-        config: The scale and the layer groups.
-        pictures: Colours in 0..1.
-        length: The object's longer side in pixels, which the pictures follow.
-    """
-    size = config.scale * length
-    generator = torch.Generator().manual_seed(config.seed)
-    features = [
-        style_features(part, context.network, config.layers, length=size * share)
-        for picture in pictures
-        for part, share in style_parts(picture, size, generator)
-    ]
-    return [torch.cat(group) for group in zip(*features, strict=True)]
-
-
-def _used_boxes(boxes: Sequence[Box], config: StyleConfig) -> Sequence[Box]:
-    """Boxes of the views to optimise on."""
+    config = target.config
     if not config.published:
-        return boxes
-    return evenly(boxes, math.ceil(PUBLISHED_VIEWS * len(boxes)))
+        own = own_shares(context.splats, target.mask, context.cameras) > OWN
+        if not own.any():
+            require_boxes(context, target)  # else that is why
+            raise StyleSplatError(
+                f"Cannot stylise {target.name}: most of what each of its Gaussians paints lies "
+                "where they cover less than half. Pick more of the object."
+            )
+        target = replace(target, mask=own)
+    survey = boxes = require_boxes(context, target)
+    if config.published:
+        boxes = evenly(survey, math.ceil(PUBLISHED_VIEWS * len(survey)))
+    return target, survey, boxes, _stages(context, target, typical_length(boxes))
 
 
 def _stages(context: PaintContext, target: PaintTarget, photo_length: float) -> list[Stage]:
     """The stages; all steps at the last size if a style image is too small before.
 
-    Raises:
-        StyleSplatError: If a style image is too small for that, too.
+    One that is too small for that, too, is a StyleSplatError.
     """
     config = target.config
     *_, last = stages = config.stages(photo_length)
@@ -282,53 +205,124 @@ def _stages(context: PaintContext, target: PaintTarget, photo_length: float) -> 
     return stages
 
 
-def _color_views(object: Paintable, boxes: Sequence[Box], length: float) -> list[ObjectView]:
-    """A few views of the whole object, which is as long in them, for its colours."""
-    few, zoom = evenly(boxes, COLOR_VIEWS), length / typical_length(boxes)
-    return object_views(object.context, object.target, few, zoom, max_memory=math.inf)
-
-
-def _survey_form(object: Paintable, boxes: Sequence[Box]) -> FormSurvey:
+def _survey_form(context: PaintContext, target: PaintTarget, boxes: Sequence[Box]) -> FormSurvey:
     """The object's detail, whatever size it is painted in."""
-    splats, zoom = object.before, SURVEY_LENGTH / typical_length(boxes)
-    cameras = [crop_to_box(box, zoom, (0, 0))[0] for box in evenly(boxes, COLOR_VIEWS)]
-    pairs = [colors_and_coverage(splats, camera, object.mask) for camera in cameras]
+    cameras = box_cameras(boxes, SURVEY_LENGTH, COLOR_VIEWS, margin=0)
+    pairs = [colors_and_coverage(context.splats, camera, target.mask) for camera in cameras]
     images, covered = zip(*pairs, strict=True)
     return survey_form(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH)
 
 
+def _paint(
+    object: _Object, stages: Sequence[Stage], *, done: int = 0, steps: int, is_preview: bool = False
+) -> Iterator[PaintState]:
+    """Paint an object in stages: on a canvas, or for a preview on its own Gaussians.
+
+    Of all the steps some are done before.
+    """
+    config = object.target.config
+    if not is_preview:
+        object = _lay(object, stages[-1].length)
+    fixed_at = next((n for n, each in enumerate(stages) if each.fine), len(stages) - 1)
+    generator = torch.Generator().manual_seed(config.seed)
+    goal, paint, relief = None, object.canvas.splats, torch.zeros(0, 2)
+    whole = list[ObjectView](), 0.0  # views of the whole object, and its length in them
+    for number, stage in enumerate(stages):
+        is_last = number == len(stages) - 1 and not is_preview
+        if number == fixed_at and object.canvas.is_disc.any():
+            object, paint = _confine(object, paint, turned=goal is not None)
+        mask = object.target.mask
+        views = stage_views(object.context, object.target, object.boxes, stage, generator)
+        if stage.window is None and len(views) >= COLOR_VIEWS:
+            whole = evenly(views, COLOR_VIEWS), stage.length
+        elif number <= fixed_at:  # later stages have the same Gaussians
+            whole = _color_views(object, min(stage.length, COLOR_LENGTH))
+        if number in (0, fixed_at):
+            before, splats = object.canvas.before, object.canvas.splats
+            relief = form_relief(before, splats, mask, *whole, object.form)
+        if goal is None:
+            goal, paint = _begin(object, *whole, relief)
+        elif number == fixed_at:  # coarse stages lose what is finer than their pixels
+            weight = SHARPENED * config.form * config.pattern_removed
+            paint = add_luminance(paint, weight * relief[:, 0])
+        objective = _objective(object, goal, stage)
+        targets = objective.targets(views, object.canvas.before, paint if stage.fine else None)
+        taken = optimize_colors(paint, mask, targets, objective, stage.steps)
+        for step, (paint, nnfm) in enumerate(taken, start=1):
+            if step == stage.steps and goal.palette is not None:
+                if not (stage.fine or is_last):
+                    paint = blur_colors(paint, mask, whole[0])
+                paint = transfer_colors(paint, mask, goal.colors, whole[0])
+                if is_last:
+                    paint = project_to_palette(paint, mask, whole[0], goal.palette)
+            done += 1
+            yield PaintState(
+                step=done,
+                steps=steps,
+                nnfm=nnfm,
+                splats=paint,
+                base=object.canvas.unpainted,
+                parents=object.canvas.parents,
+                relief=relief.sum(dim=1),
+                boxes=object.survey,
+            )
+        del views, targets  # they take much memory: others are made next
+
+
+def _lay(object: _Object, length: float) -> _Object:
+    """Lay a canvas that is fine enough for this length, if the object has a surface for it."""
+    config, device = object.target.config, object.canvas.splats.device
+    max_discs = config.max_discs(int(object.target.mask.sum()))
+    if max_discs == 0 or config.intensity == 0:
+        return object
+    bare = object.canvas.to("cpu")  # contributions are known on the CPU only
+    rest = {"length": length, "max_discs": max_discs, "seed": config.seed}
+    canvas = lay_canvas(bare.splats, bare.mask, object.boxes, **rest)
+    if canvas is None:
+        say(f"{object.target.name} has no surface for a canvas: its own Gaussians are painted.")
+        return object
+    return object.on(fit_canvas(canvas, object.boxes, seed=config.seed).to(device))
+
+
+def _confine(object: _Object, paint: Splats, *, turned: bool) -> tuple[_Object, Splats]:
+    """Let no disc show beside the object, and turn them along the strokes if there are any."""
+    device = paint.means.device
+    painted = paint.to("cpu") if turned else None
+    canvas, boxes, cameras = object.canvas.to("cpu"), object.boxes, object.context.all_cameras
+    canvas, kept = confine_canvas(canvas, boxes, cameras, painted=painted)
+    canvas, kept = canvas.to(device), kept.to(device)
+    return object.on(canvas), replace(canvas.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
+
+
+def _color_views(object: _Object, length: float) -> tuple[list[ObjectView], float]:
+    """A few views of the whole object, which is as long in them, for its colours."""
+    few, zoom = evenly(object.boxes, COLOR_VIEWS), length / typical_length(object.boxes)
+    return object_views(object.context, object.target, few, zoom, max_memory=math.inf), length
+
+
 def _begin(
-    object: Paintable, views: Sequence[ObjectView], length: float, relief: Float[Tensor, "N 2"]
+    object: _Object, views: Sequence[ObjectView], length: float, relief: Float[Tensor, "N 2"]
 ) -> tuple[_Goal, Splats]:
     """What the object is to look like, and the colours to start from.
 
-    Args:
-        object: What is painted.
-        views: Of the object.
-        length: Its longer side in them, in pixels.
-        relief: Its form.
+    The views show all of it, so many pixels long.
     """
-    config, splats, mask = object.target.config, object.splats, object.mask
+    config, splats, mask = object.target.config, object.canvas.splats, object.target.mask
     pictures = _pictures(object, views)
-    colors = torch.cat([picture.reshape(-1, 3) for picture in pictures])
+    goal = _Goal(pictures, torch.cat([picture.reshape(-1, 3) for picture in pictures]))
     if config.published:
-        return _Goal(pictures, colors, None), splats
+        return goal, splats
     splats = remove_pattern(splats, mask, views, length, config.pattern_removed)
-    splats = add_luminance(splats, _form_weight(config) * relief.sum(dim=1))
-    palette = None
+    form = config.form * config.pattern_removed  # what was removed of it with the pattern
+    splats = add_luminance(splats, form * relief.sum(dim=1))
     if config.color != "free":
-        palette = build_palette(colors)
-        splats = initial_colors(splats, mask, views, colors, seed=config.seed)
-    matte = splats.shN.masked_fill(mask[:, None, None], 0)
-    return _Goal(pictures, colors, palette), replace(splats, shN=matte)
+        goal = replace(goal, palette=build_palette(goal.colors))
+        varied = vary_colors(splats, mask, seed=config.seed)
+        splats = transfer_colors(varied, mask, goal.colors, views)
+    return goal, replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
 
 
-def _form_weight(config: StyleConfig, factor: float = 1.0) -> float:
-    """The form to add to colours: what was removed of it with the pattern, times a factor."""
-    return factor * config.form * config.pattern_removed
-
-
-def _pictures(object: Paintable, views: Sequence[ObjectView]) -> list[Tensor]:
+def _pictures(object: _Object, views: Sequence[ObjectView]) -> list[Tensor]:
     """The style images, in the object's hues as far as these are to be kept."""
     config, styles = object.target.config, list(object.target.styles)
     if config.color != "free":
@@ -336,12 +330,12 @@ def _pictures(object: Paintable, views: Sequence[ObjectView]) -> list[Tensor]:
     share = KEPT_HUES[config.color]
     if share == 0:
         return styles
-    own = object_colors(object.splats, views)
+    own = object_colors(object.canvas.splats, views)
     matrix, offset = color_map(torch.cat([s.reshape(-1, 3) for s in styles]), own)
     return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in styles]
 
 
-def _objective(object: Paintable, goal: _Goal, stage: Stage) -> Objective:
+def _objective(object: _Object, goal: _Goal, stage: Stage) -> Objective:
     context, config = object.context, object.target.config
     features = target_features(context, config, goal.pictures, stage.length)
     if stage.fine:
@@ -349,28 +343,73 @@ def _objective(object: Paintable, goal: _Goal, stage: Stage) -> Objective:
         rows = (torch.randperm(len(group), generator=generator) for group in features)
         pairs = zip(features, rows, strict=True)
         features = [group[some[:STYLE_FEATURES].to(group.device)] for group, some in pairs]
-    rate = stage.rate * (1.0 if object.canvas is None else CANVAS_RATE)
+    rate = stage.rate * (CANVAS_RATE if object.canvas.is_disc.any() else 1.0)
     return Objective(
         network=context.network.to(context.splats.device, context.precision),
         styles=[build_index(group, context.precision) for group in features],
         config=replace(config, lr=rate * config.lr),
         length=stage.length,
+        form=object.form,
         palette=goal.palette,
     )
 
 
-def _end_stage(
-    object: Paintable, goal: _Goal, paint: Splats, views: Sequence[ObjectView], last: bool
-) -> Splats:
-    """The paint after a stage, in the style's colours."""
-    if goal.palette is None:
-        return paint
-    paint = transfer_colors(paint, object.mask, goal.colors, views)
-    return project_to_palette(paint, object.mask, views, goal.palette) if last else paint
+def optimize_colors(
+    paint: Splats,
+    mask: Bool[Tensor, " N"],
+    targets: Sequence[ViewTarget],
+    objective: Objective,
+    steps: int,
+) -> Iterator[tuple[Splats, float]]:
+    """Move the colours of some Gaussians until the object's features match the style's.
+
+    Each step draws one of the targets. The objective's settings are the rates and the seed. Yields
+    the scene after every step, and the style loss before it.
+    """
+    config = objective.config
+    generator = torch.Generator().manual_seed(config.seed)
+    rows = mask.nonzero()[:, 0]
+    leaves = {"sh0": paint.sh0[rows].requires_grad_()}
+    rates = {"sh0": config.lr, "shN": config.lr / SHN_SLOWDOWN}
+    # colours that the rasteriser clamps at 0 would have no gradient to come back by
+    limits = sh0_from_rgb(torch.tensor([[DARKEST], [1.0]]).expand(2, 3)).to(paint.sh0)
+    trust = None
+    if config.published:
+        leaves["shN"] = paint.shN[rows].requires_grad_()
+    else:
+        views = with_fixed_bands([target.view for target in targets], paint)
+        pairs = zip(targets, views, strict=True)
+        targets = [replace(target, view=view) for target, view in pairs]
+        weights = total_weights(views, paint, mask)
+        trust = (weights / (weights + TRUSTED * weights[weights > 0].median()))[:, None, None]
+    moments = Moments.zeros(leaves)
+    for number, target in enumerate(drawn(targets, steps, generator), start=1):
+        with torch.enable_grad():  # the caller may have disabled it
+            losses = objective(target, paint.with_rows(rows, leaves))
+            losses.total.backward()
+        before = leaves["sh0"].detach().clone()
+        decay = 1.0 if config.published else FINAL_RATE ** ((number - 1) / steps)
+        adam_step(leaves, moments, {name: decay * rates[name] for name in leaves}, number)
+        with torch.no_grad():
+            if trust is not None:  # Adam's steps are as long for Gaussians that hardly show
+                leaves["sh0"].copy_(before.lerp(leaves["sh0"], trust).clamp(*limits))
+            for leaf in leaves.values():
+                leaf.grad = None
+        yield paint.with_rows(rows, leaves).detach(), losses.style.item()
 
 
-@torch.no_grad()
-def _clamp_to_range(sh0: Tensor) -> None:
-    """Colours that the rasteriser clamps at 0 would have no gradient to come back by."""
-    black, white = sh0_from_rgb(torch.tensor([[DARKEST], [1.0]]).expand(2, 3)).to(sh0)
-    sh0.clamp_(black, white)
+def target_features(
+    context: PaintContext, config: StyleConfig, pictures: Sequence[Tensor], length: float
+) -> list[Tensor]:
+    """The features of all style images together, for each layer group.
+
+    The object is so many pixels long; the pictures' size follows it.
+    """
+    size = config.scale * length
+    generator = torch.Generator().manual_seed(config.seed)
+    features = [
+        style_features(part, context.network, config.layers, length=size * share)
+        for picture in pictures
+        for part, share in style_parts(picture, size, generator)
+    ]
+    return [torch.cat(group) for group in zip(*features, strict=True)]

@@ -1,6 +1,5 @@
 """Painting objects: one or several, and the layers that come of it."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,7 +19,7 @@ from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig, plain_se
 from stylesplat.stylization.crop_scene import SceneCrop, crop_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.optimize import PaintState, check_visible, paint_steps
+from stylesplat.stylization.optimize import PaintState, paint_steps
 from stylesplat.stylization.style_image import Picture, read_style
 from stylesplat.stylization.target import PaintContext, PaintTarget, check_targets, paint_context
 from stylesplat.stylization.views import Box, find_boxes
@@ -59,11 +58,8 @@ def paint(
     cameras = capture.cameras if isinstance(capture, Capture) else capture
     network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))
     image = read_style(style, rotate=config.rotate, region=config.region)
-    target = PaintTarget("object", mask, (image,), config).to(splats)
-    check_targets([target])
-    context = paint_context(splats, cameras, network)
-    layer, *_ = paint_layer(context, target, torch.arange(len(splats), device=splats.device))
-    return compose(context.splats, [layer])
+    target = PaintTarget("object", mask, (image,), config)
+    return paint_objects(paint_context(splats, cameras, network), [target]).splats
 
 
 @dataclass(frozen=True)
@@ -85,35 +81,22 @@ class Painted:
         return family_of(self.base, self.layers)
 
 
-def paint_objects(
-    context: PaintContext, targets: Sequence[PaintTarget]
-) -> tuple[Painted, dict[str, float]]:
+def paint_objects(context: PaintContext, targets: Sequence[PaintTarget]) -> Painted:
     """Repaint several objects one after the other, each on what is painted before.
-
-    Args:
-        context: The scene and its views.
-        targets: The objects and their styles, the lowest layer first.
-
-    Returns:
-        The painted splat, and by name the seconds that each object took.
 
     Raises:
         StyleSplatError: If two objects have the same name, an object has too few Gaussians or is
             not seen, or a style image is too small.
     """
     check_targets(targets)
-    targets = [target.to(context.splats) for target in targets]
-    if len(targets) > 1:
-        for target in targets:
-            check_visible(context, target)
-    painted, seconds = Painted(context.splats, ()), dict[str, float]()
+    painted = Painted(context.splats, ())
     for target in targets:
-        began, family = time.perf_counter(), painted.family
-        beneath = replace(context, splats=painted.splats)
-        layer, *_ = paint_layer(beneath, replace(target, mask=target.mask[family]), family)
+        family, beneath = painted.family, painted.splats
+        own = target.to(beneath)
+        own = replace(own, mask=own.mask[family])
+        layer, *_ = paint_layer(replace(context, splats=beneath), own, family)
         painted = replace(painted, layers=(*painted.layers, layer))
-        seconds[target.name] = time.perf_counter() - began
-    return painted, seconds
+    return painted
 
 
 def paint_layer(
@@ -121,10 +104,7 @@ def paint_layer(
 ) -> tuple[Layer, SceneCrop | None, list[Box]]:
     """Paint an object on what lies beneath its layer.
 
-    Args:
-        context: Its splats are what lies beneath.
-        target: The object, on the same device.
-        family: The row of the base that each of the Gaussians beneath belongs to.
+    The family is the row of the base that each of the Gaussians beneath belongs to.
 
     Returns:
         The layer; of a large scene the part that it was painted in; and the boxes of the object in
@@ -152,11 +132,6 @@ def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) 
     """The layer of an object that is being painted.
 
     A row of the base stands for all Gaussians beneath that belong to it: its paint is their mean.
-
-    Args:
-        state: The painting so far.
-        target: The object.
-        family: The row of the base that each of the Gaussians beneath belongs to.
     """
     count, own = len(family), target.mask.nonzero()[:, 0]
     before, after = state.base, state.splats.detach()
@@ -165,7 +140,6 @@ def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) 
     factors = (torch.sigmoid(after.opacities[own]) / opacities).clamp(0, 1)
     rows, members = family[own].unique(return_inverse=True)
     mean = partial(_group_means, members=members, weights=opacities.clamp(min=LEAST_WEIGHT))
-    settings = plain_settings(target.config)
     return Layer(
         object=target.name,
         rows=rows,
@@ -179,7 +153,7 @@ def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) 
         relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),
         strength=target.config.intensity,
         form=target.config.form,
-        settings=settings,
+        settings=plain_settings(target.config),
     )
 
 
@@ -188,8 +162,6 @@ def _group_means(
 ) -> Float[Tensor, "R *_"]:
     """The weighted means of groups of values; of a single value that value, to the bit."""
     count = int(members.max()) + 1
-    if count == len(members):
-        return values.new_empty(values.shape).index_copy_(0, members, values)
     shape = (-1, *(1,) * (values.dim() - 1))
     sums = values.new_zeros(count, *values.shape[1:])
     sums.index_add_(0, members, values * weights.view(shape))

@@ -23,10 +23,8 @@ def align_to_strokes(splats: Splats, discs: Bool[Tensor, " N"], distance: float)
     In each disc's tangent plane the structure tensor of the painted luminance gives the direction
     (the eigenvector of its smaller eigenvalue) and how coherent it is (Weickert 1999).
 
-    Args:
-        splats: The scene, on the CPU; the third axis of a disc is its normal.
-        discs: Which Gaussians are discs.
-        distance: The typical distance between neighbouring discs.
+    The scene is on the CPU. The third axis of a disc is its normal. The distance is that between
+    neighbouring discs.
     """
     rows = discs.nonzero()[:, 0]
     means, axes = splats.means[rows], rotation_matrices(splats.quats[rows])

@@ -10,19 +10,16 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.progress import track
-from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, TINY_COVERAGE, coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, pixel_centres, project, unproject
-from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.shapes import extent
-from stylesplat.stylization.views import Box, crop_to_box, typical_length
+from stylesplat.stylization.views import Box, box_cameras, per_view
 
 VIEWS = 16
-LENGTH = 200  # longer side of the object in them, in pixels
+LENGTH = 200.0  # longer side of the object in them, in pixels
 SOLID = 0.7  # coverage from which a pixel shows the surface
 BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it
 GRAZING = 0.25  # cosine below which depths are too uncertain
@@ -46,15 +43,8 @@ class SurfacePoints:
 
 @torch.no_grad()
 def find_surface(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]) -> SurfacePoints:
-    """Find an object's surface from rendered depths.
-
-    Args:
-        splats: The scene.
-        mask: The object's Gaussians.
-        boxes: Where it lies in views to choose from.
-    """
-    zoom = LENGTH / typical_length(boxes)
-    cameras = [crop_to_box(box, zoom, (1, 1))[0] for box in evenly(boxes, VIEWS)]
+    """Find an object's surface from rendered depths."""
+    cameras = box_cameras(boxes, LENGTH, VIEWS)
     far = BEHIND * extent(splats.means[mask])
     alone = without_looks(splats[mask])
     everyone = torch.ones(len(alone), dtype=torch.bool, device=splats.device)
@@ -62,8 +52,7 @@ def find_surface(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box])
     def look(camera: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         return *_points_of_view(splats, mask, camera, far), coverage(alone, camera, everyone)
 
-    found = at_once(look, cameras, splats.device)
-    found = track(found, "looking for the surface", total=len(cameras))
+    found = per_view(look, cameras, "looking for the surface", splats.device)
     *parts, silhouettes = zip(*found, strict=True)
     points, normals, colors, sizes = (torch.cat(each) for each in parts)
     kept = torch.ones(len(points), dtype=torch.bool, device=points.device)
@@ -126,13 +115,7 @@ def _normals(
 def pool_points(
     size: float, points: Float[Tensor, "P 3"], values: Sequence[Tensor]
 ) -> list[Tensor]:
-    """The means of the points, and of their values, in each cube of a grid.
-
-    Args:
-        size: Of a cube.
-        points: Positions.
-        values: More columns of the points, each [P, _].
-    """
+    """The means of the points, and of their values [P, _], in each cube of a grid."""
     cells = (points / size).floor().long()
     cells -= cells.amin(dim=0)
     across, along, _ = (cells.amax(dim=0) + 1).tolist()
@@ -148,11 +131,7 @@ def pool_points(
 def project_to_planes(
     points: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"], rows: Int[Tensor, " L"]
 ) -> tuple[Float[Tensor, "L 3"], Float[Tensor, "L 3"]]:
-    """Move some points onto the planes of their neighbours.
-
-    Returns:
-        The points, and the normals of the planes.
-    """
+    """Some points moved onto the planes of their neighbours, and the normals of the planes."""
     coordinates = points.double().numpy()
     count = min(PLANE, len(points))
     _, near = KDTree(coordinates).query(coordinates[rows.numpy()], k=count, workers=-1)
@@ -165,10 +144,7 @@ def project_to_planes(
 def thin(points: Float[Tensor, "P 3"], distance: float, *, seed: int) -> Int[Tensor, " L"]:
     """Choose points of which no two are closer than a distance, as many as fit.
 
-    Args:
-        points: All of them.
-        distance: Between those that are chosen.
-        seed: Of the order in which points are taken (independent sets, Luby 1986).
+    They are taken in random order (independent sets, Luby 1986).
     """
     pairs = KDTree(points.double().numpy()).query_pairs(distance, output_type="ndarray")
     ranks = np.random.default_rng(seed).permutation(len(points))

@@ -1,9 +1,10 @@
 """Views of an object: cameras cropped to it, and the pixels and features that are its own."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -21,7 +22,6 @@ from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.config import Stage
-from stylesplat.stylization.features.network import Cells
 from stylesplat.stylization.target import PaintContext, PaintTarget
 
 SURVEY_SIZE = 160  # longer side of the renders that find boxes, in pixels
@@ -31,6 +31,9 @@ MIN_CELLS = 16  # views with fewer features of the object are skipped
 VISITS = 5  # steps per view at least: preparing a view takes as long as a step
 VISITS_OF_WINDOWS = 2  # fewer, as it takes many windows to cover the object
 MEBIBYTE = 2**20
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class Box:
 
     @property
     def length(self) -> float:
-        """The longer side."""
+        """The longer side, in pixels."""
         return float((self.high - self.low).max())
 
 
@@ -70,15 +73,6 @@ class ObjectView:
         if self.linear is not None:
             return self.linear.render(splats)
         return rasterize(splats, self.camera)[0][0]
-
-    def weights(self, splats: Splats, mask: Bool[Tensor, " N"]) -> Float[Tensor, " N"]:
-        """The contribution of each of the object's Gaussians, summed over the pixels."""
-        if self.linear is not None:
-            weights = splats.means.new_zeros(len(splats))
-            return weights.index_copy_(0, self.linear.gaussians, self.linear.weights())
-        width, height = self.camera.size
-        everywhere = splats.means.new_ones(height, width, 1)
-        return contributed(splats, self.camera, everywhere)[:, 0] * mask
 
     def backproject(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 1 3"]:
         """The transpose of rendering: an image times the weight of each Gaussian, summed."""
@@ -103,8 +97,20 @@ def total_weights(
     """The contribution of each of the object's Gaussians, summed over all views."""
     weights = splats.means.new_zeros(len(splats))
     for view in views:
-        weights += view.weights(splats, mask)
+        if view.linear is not None:
+            weights.index_add_(0, view.linear.gaussians, view.linear.weights())
+        else:
+            width, height = view.camera.size
+            everywhere = weights.new_ones(height, width, 1)
+            weights += contributed(splats, view.camera, everywhere)[:, 0]
     return weights[mask]
+
+
+def per_view(
+    function: Callable[[T], R], items: Sequence[T], what: str, device: torch.device | str = "cpu"
+) -> Iterator[R]:
+    """The results of a function for each view, in order, with their progress."""
+    return track(at_once(function, items, device), what, total=len(items))
 
 
 def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[Box]:
@@ -123,8 +129,7 @@ def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> li
         low, high = ordered[few], ordered[len(ordered) - 1 - few] + 1
         return Box(camera, low * ratio, high * ratio, (pixels + 0.5) * ratio)
 
-    found = at_once(find, range(len(cameras)), splats.device)
-    found = track(found, "looking for the object", total=len(cameras))
+    found = per_view(find, range(len(cameras)), "looking for the object", splats.device)
     return [box for box in found if box is not None]
 
 
@@ -139,17 +144,13 @@ def typical_length(boxes: Sequence[Box]) -> float:
     return median(box.length for box in boxes)
 
 
-def require_boxes(context: PaintContext, target: PaintTarget, cameras: Cameras) -> list[Box]:
-    """Find the views that show the object.
-
-    Raises:
-        StyleSplatError: If no view shows it.
-    """
-    boxes = find_boxes(context.splats, cameras, target.mask)
+def require_boxes(context: PaintContext, target: PaintTarget) -> list[Box]:
+    """Find the views to optimise on that show the object; StyleSplatError if none does."""
+    boxes = find_boxes(context.splats, context.cameras, target.mask)
     if not boxes:
         raise StyleSplatError(
-            f"Cannot stylise {target.name}: it is seen in none of the {len(cameras)} views. "
-            f"Pick other Gaussians, or show views of it."
+            f"Cannot stylise {target.name}: it is seen in none of the {len(context.cameras)} "
+            f"views. Pick other Gaussians, or show views of it."
         )
     return boxes
 
@@ -162,87 +163,16 @@ def object_views(
     *,
     max_memory: float = 0.0,
 ) -> list[ObjectView]:
-    """Views of the object at a multiple of the cameras' size.
+    """Views cropped to boxes of the object, at a multiple of the cameras' size.
 
-    Args:
-        context: The scene and the network.
-        target: The object.
-        boxes: Where it lies.
-        zoom: Size of the views, as a multiple of the cameras'.
-        max_memory: Bytes that linear views may take; others are rasterised in every step.
+    Boxes that hardly show it are skipped. Linear views may take so many bytes of memory; others are
+    rasterised in every step.
 
     Raises:
         StyleSplatError: If it is hardly visible in any.
     """
+    splats, mask = context.splats, target.mask
     cells = [context.network.cells(group) for group in target.config.layers]
-    splats = context.splats
-    views = crop_views(splats, boxes, target.mask, cells, zoom=zoom, max_memory=max_memory)
-    if not views:
-        raise StyleSplatError(
-            f"Cannot stylise {target.name}: it is hardly visible in the {len(boxes)} views that "
-            f"show it. Pick a larger object, or show closer views of it."
-        )
-    return views
-
-
-def stage_views(
-    context: PaintContext,
-    target: PaintTarget,
-    boxes: Sequence[Box],
-    stage: Stage,
-    generator: torch.Generator,
-) -> list[ObjectView]:
-    """The views or windows of a stage; a stage of few steps needs few of them.
-
-    Raises:
-        StyleSplatError: If the object is hardly visible in any.
-    """
-    zoom = stage.length / typical_length(boxes)
-    if stage.window is None:
-        boxes = evenly(boxes, math.ceil(stage.steps / VISITS))
-    else:
-        count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
-        boxes = windows(boxes, stage.window / zoom, count, generator)
-    return object_views(context, target, boxes, zoom, max_memory=context.max_memory)
-
-
-def windows(boxes: Sequence[Box], side: float, count: int, generator: torch.Generator) -> list[Box]:
-    """Square windows in boxes, in random order and around random pixels of the object.
-
-    Args:
-        boxes: Each gives as many as the others.
-        side: In pixels of the cameras; windows of smaller boxes are smaller.
-        count: How many.
-        generator: Draws the pixels.
-    """
-    found = []
-    order = torch.randperm(count, generator=generator).tolist()
-    for box in (boxes[index % len(boxes)] for index in order):
-        point = box.points[int(torch.randint(len(box.points), (), generator=generator))]
-        low = (point - side / 2).minimum(box.high - side).maximum(box.low)
-        found.append(replace(box, low=low, high=box.high.minimum(low + side)))
-    return found
-
-
-def crop_views(
-    splats: Splats,
-    boxes: Sequence[Box],
-    mask: Bool[Tensor, " N"],
-    cells: Sequence[Cells],
-    *,
-    zoom: float,
-    max_memory: float = 0.0,
-) -> list[ObjectView]:
-    """Crop views to an object and mark its features; skip views that hardly show it.
-
-    Args:
-        splats: The scene.
-        boxes: Where the object lies.
-        mask: The object's Gaussians.
-        cells: Where the features of each layer group lie.
-        zoom: Size of the views, as a multiple of the cameras'.
-        max_memory: Bytes that linear views may take; others are rasterised in every step.
-    """
     views, used, full = list[ObjectView](), 0, False
     # what features depend on around a box
     before, after = max(c.before for c in cells), max(c.size - c.before for c in cells)
@@ -254,8 +184,7 @@ def crop_views(
         kept = is_linear and not full
         return camera, inside, contributions(splats, camera, mask) if kept else None
 
-    prepared = at_once(prepare, boxes, splats.device)
-    for camera, inside, linear in track(prepared, "preparing the views", total=len(boxes)):
+    for camera, inside, linear in per_view(prepare, boxes, "preparing the views", splats.device):
         linear = None if full else linear
         covered = linear.coverage if linear else coverage(splats, camera, mask)
         own = covered * inside.to(covered.device)
@@ -265,6 +194,11 @@ def crop_views(
             if used > max_memory:
                 full, linear = True, None
             views.append(ObjectView(camera, masks, covered > COVERED, linear))
+    if not views:
+        raise StyleSplatError(
+            f"Cannot stylise {target.name}: it is hardly visible in the {len(boxes)} views that "
+            f"show it. Pick a larger object, or show closer views of it."
+        )
     if is_linear and full:
         kept = sum(view.linear is not None for view in views)
         say(
@@ -274,15 +208,43 @@ def crop_views(
     return views
 
 
+def stage_views(
+    context: PaintContext,
+    target: PaintTarget,
+    boxes: Sequence[Box],
+    stage: Stage,
+    generator: torch.Generator,
+) -> list[ObjectView]:
+    """The views or windows of a stage; a stage of few steps needs few of them."""
+    zoom = stage.length / typical_length(boxes)
+    if stage.window is None:
+        boxes = evenly(boxes, math.ceil(stage.steps / VISITS))
+    else:
+        count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
+        boxes = windows(boxes, stage.window / zoom, count, generator)
+    return object_views(context, target, boxes, zoom, max_memory=context.max_memory)
+
+
+def windows(boxes: Sequence[Box], side: float, count: int, generator: torch.Generator) -> list[Box]:
+    """Square windows in boxes, equally many in each, around random pixels of the object.
+
+    The side is in pixels of the cameras; windows of smaller boxes are smaller.
+    """
+    found = []
+    order = torch.randperm(count, generator=generator).tolist()
+    for box in (boxes[index % len(boxes)] for index in order):
+        point = box.points[int(torch.randint(len(box.points), (), generator=generator))]
+        low = (point - side / 2).minimum(box.high - side).maximum(box.low)
+        found.append(replace(box, low=low, high=box.high.minimum(low + side)))
+    return found
+
+
 def crop_to_box(
     box: Box, zoom: float, margins: tuple[int, int]
 ) -> tuple[Cameras, Bool[Tensor, "H W"]]:
-    """The camera of a box with some pixels around it, and the mask of the box's pixels.
+    """The camera of a box at a multiple of its size, and the mask of the box's pixels.
 
-    Args:
-        box: Where an object lies.
-        zoom: Size of the image, as a multiple of the camera's.
-        margins: Pixels to the left and above, and to the right and below.
+    The margins are pixels to the left and above, and to the right and below.
     """
     camera = box.camera.downscale(1 / zoom)
     inner = (box.low * zoom).floor(), (box.high * zoom).ceil()
@@ -293,3 +255,9 @@ def crop_to_box(
     inside = torch.zeros(cropped.size[::-1], dtype=torch.bool)
     inside[top:bottom, left:right] = True
     return cropped, inside
+
+
+def box_cameras(boxes: Sequence[Box], length: float, count: int, margin: int = 1) -> list[Cameras]:
+    """At most `count` cameras cropped to boxes, in which the object is this long, in pixels."""
+    zoom = length / typical_length(boxes)
+    return [crop_to_box(box, zoom, (margin, margin))[0] for box in evenly(boxes, count)]
