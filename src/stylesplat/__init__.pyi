@@ -9,6 +9,7 @@ from .scene.capture import Capture as Capture
 from .scene.scene import Scene as Scene
 from .scene.splats import Splats as Splats
 from .studio_app.studio import studio as studio
+from .studio_app.studio import view as view
 from .stylization.recipe import read_recipe as read_recipe
 from .stylization.style import Style as Style
 from .verbs.adjust import adjust as adjust
@@ -31,4 +32,3 @@ from .verbs.stylize import stylise as stylise
 from .verbs.stylize import stylize as stylize
 from .verbs.stylize_live import stylize_live as stylize_live
 from .verbs.train import train as train
-from .verbs.view import view as view

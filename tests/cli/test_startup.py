@@ -12,7 +12,7 @@ import contextlib, sys
 from stylesplat.cli import main
 with contextlib.suppress(SystemExit):
     main({arguments!r})
-print(*sorted({{"torch", "numba", "cv2", "torchvision", "viser"}} & sys.modules.keys()))
+print(*sorted({{"torch", "numba", "cv2", "torchvision", "starlette", "uvicorn"}} & sys.modules.keys()))
 """
 
 
