@@ -378,10 +378,16 @@ class Tab:
             const {{ ids, names, size }} = studio.overlay.map;
             const number = names.indexOf({json.dumps(name)}) + 1;
             const rows = [...ids.keys()].filter((row) => ids[row] === number);
-            const mean = (of) => rows.reduce((sum, row) => sum + of(row), 0) / rows.length + 0.5;
+            const at = (row) => [row % size[0], Math.floor(row / size[0])];
+            const sum = (n) => rows.reduce((sum, row) => sum + at(row)[n], 0);
+            const mean = [sum(0) / rows.length, sum(1) / rows.length];
+            const away = (row) => Math.hypot(...at(row).map((value, n) => value - mean[n]));
+            const [x, y] = at(rows.reduce((one, other) => (away(other) < away(one) ? other : one)));
             const box = studio.canvas.getBoundingClientRect();
-            const [x, y] = [mean((row) => row % size[0]), mean((row) => Math.floor(row / size[0]))];
-            return [box.x + (x / size[0]) * box.width, box.y + (y / size[1]) * box.height];
+            return [
+                box.x + ((x + 0.5) / size[0]) * box.width,
+                box.y + ((y + 0.5) / size[1]) * box.height,
+            ];
         }})()""")
 
 

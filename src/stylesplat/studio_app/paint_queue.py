@@ -19,7 +19,7 @@ from stylesplat.scene.content import solid
 from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
-from stylesplat.studio_app.history import ObjectMasks, StudioState, hidden_rows, replace_scene
+from stylesplat.studio_app.history import StudioState, hidden_rows, replace_scene
 from stylesplat.studio_app.layers import refuse_locked
 from stylesplat.studio_app.session import Display, Progress, Session, Stopped
 from stylesplat.stylization.colors import color_map, map_colors
@@ -195,7 +195,7 @@ class PaintQueue:
         self.session.progress = Progress(what, step / steps, left)
         scene = live.scene()
         state = replace_scene(self.session.state, scene, "")
-        self.session.preview = Display(scene.splats, hidden_rows(state, ObjectMasks()))
+        self.session.preview = Display(scene.splats, hidden_rows(state, self.session.masks))
         self.session.on_change.call()
         self._drawing = time.monotonic() - now
 

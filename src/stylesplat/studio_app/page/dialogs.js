@@ -129,7 +129,7 @@ function View({ viewport, onClose }) {
     ${photos.length > 1 && html`<${Slider} label="Fly to photo" value=${row.value} high=${photos.length - 1} step="1" show=${(value) => photos[value].name} onInput=${fly} />
       <label class="check"><input type="checkbox" checked=${showPhotos.value} onChange=${(event) => (showPhotos.value = event.target.checked)} /><span>Show the cameras of photos; click one to fly there</span></label>`}
     ${!readonly && html`<label class="check"><input type="color" value=${code} onInput=${color} /><span>Background</span></label>`}
-    <dl>${KEYS.filter(([key]) => !readonly || !/Ctrl|Esc|^B$/.test(key)).map(([key, words]) => html`<dt>${key}</dt><dd>${words}</dd>`)}</dl>
+    <dl>${KEYS.filter(([key]) => !readonly || !/Ctrl|Esc/.test(key)).map(([key, words]) => html`<dt>${key}</dt><dd>${words}</dd>`)}</dl>
     <p class="hint">${gaussians.toLocaleString()} Gaussians</p>
   </${Dialog}>`;
 }

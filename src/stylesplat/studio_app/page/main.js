@@ -39,8 +39,7 @@ function objectBelow(event) {
 
 function Header() {
   const { title, readonly } = hello.value, now = state.value;
-  if (readonly) return html`<header class="bar"><h1>${title}</h1><span class="grow"></span><${Views} /></header>`;
-  const painted = now.layers.length > 0;
+  if (readonly) return html`<header class="bar"><h1>${title}</h1><span class="grow"></span>${now.layers.length > 0 && html`<${Compare} />`}<${Views} /></header>`;
   const name = now.folder.split("/").at(-1);
   return html`<header class="bar">
     <h1 title=${now.folder}>${name}</h1>
@@ -48,15 +47,19 @@ function Header() {
     <${Button} icon="undo" label=${now.undo ? `Undo: ${now.undo} (Ctrl+Z)` : "Nothing to undo"} disabled=${!now.undo} onClick=${() => act("undo")} />
     <${Button} icon="redo" label=${now.redo ? `Redo: ${now.redo} (Ctrl+Y)` : "Nothing to redo"} disabled=${!now.redo} onClick=${() => act("redo")} />
     <span class="note">${now.note}</span>
-    <div class="segments" role="group" aria-label="Compare">
-      ${[["after", "After"], ["split", "Split"], ["before", "Before"]].map(([key, words]) =>
-        html`<button type="button" aria-pressed=${(painted ? mode.value : "after") === key} disabled=${!painted && key !== "after"}
-          title=${key === "before" ? "Before painting (hold B)" : words} onClick=${() => (mode.value = key)}>${words}</button>`)}
-    </div>
+    <${Compare} />
     <${Views} />
     <${Button} icon="download" text="Export" label="Export, pictures, turntable, commands" onClick=${() => (dialog.value = "keep")} />
     <${Button} primary text="Save" label="Save into the scene's folder (Ctrl+S)" disabled=${!now.unsaved} onClick=${() => act("save")} />
   </header>`;
+}
+
+function Compare() {
+  const painted = state.value.layers.length > 0;
+  return html`<div class="segments" role="group" aria-label="Compare">
+    ${[["after", "After"], ["split", "Split"], ["before", "Before"]].map(([key, words]) =>
+      html`<button type="button" aria-pressed=${(painted ? mode.value : "after") === key} disabled=${!painted && key !== "after"}
+        title=${key === "before" ? "Before painting (hold B)" : words} onClick=${() => (mode.value = key)}>${words}</button>`)}</div>`;
 }
 
 const Views = () => html`<${Button} icon="home" label="Home: what is picked, or the first view (H)" onClick=${() => viewport.home()} />
