@@ -484,8 +484,6 @@ def _layer_info(state: StudioState, name: str) -> m.LayerInfo:
         visible=layer.visible,
         locked=name in state.locked,
         settings=describe_settings(layer.settings),
-        scale=float(layer.settings.get("scale", USUAL.scale)),
-        rotate=float(layer.settings.get("rotate", USUAL.rotate)),
     )
 
 

@@ -92,8 +92,6 @@ class LayerInfo(msgspec.Struct, frozen=True):
     visible: bool
     locked: bool
     settings: str
-    scale: float
-    rotate: float
 
 
 class VariantInfo(msgspec.Struct, frozen=True):

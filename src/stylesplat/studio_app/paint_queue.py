@@ -3,6 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
@@ -253,10 +254,12 @@ def seconds_left(
     return (now - earlier) / max(share - earlier_share, 1e-9) * (1 - share)
 
 
-def warm_up_painting(worker: Worker, **options: Any) -> None:
+def warm_up_painting(
+    worker: Worker, stopped: Callable[[], bool] = lambda: False, **options: Any
+) -> None:
     """Paint a ball of noise for a step, which loads kernels, libraries and the network."""
     style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=1, object_size=48))
-    with observed(_YieldingObserver(worker)):
+    with suppress(Stopped), observed(_YieldingObserver(worker, stopped)):
         for _ in stylize_live(noise_ball(), NAME, style, **options):
             pass
 
@@ -279,8 +282,10 @@ def noise_ball() -> Scene:
 class _YieldingObserver(Silence):
     """Lets short work in between the parts of long work."""
 
-    def __init__(self, worker: Worker) -> None:
-        self._worker = worker
+    def __init__(self, worker: Worker, stopped: Callable[[], bool]) -> None:
+        self._worker, self._stopped = worker, stopped
 
     def advance(self, amount: int | float = 1) -> None:
         self._worker.breathe()
+        if self._stopped():
+            raise Stopped

@@ -133,6 +133,8 @@ class PageServer:
         self.actions: Actions
         """Set before it serves."""
         self.on_first_client: Callable[[], None] = lambda: None
+        self.stopping = threading.Event()
+        """Set as soon as it is to end."""
         self.token = secrets.token_urlsafe(24)
         self.url = ""
         """The address that opens it, with the token."""

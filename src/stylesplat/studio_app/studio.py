@@ -55,6 +55,7 @@ class StudioServer:
         if self._closed.is_set():
             return
         self._closed.set()
+        self.server.stopping.set()
         self.session.worker.close()
         try:
             with ExitStack() as rest:  # runs all callbacks, the last one first, whatever fails
@@ -130,7 +131,8 @@ def studio(
 
     def warm_up() -> None:
         worker = session.worker
-        worker.ask(lambda: warm_up_painting(worker, **options), patient=True)
+        stopped = server.stopping.is_set
+        worker.ask(lambda: warm_up_painting(worker, stopped, **options), patient=True)
 
     def warm_up_soon() -> None:
         timer = threading.Timer(WARM_UP_AFTER, warm_up)
