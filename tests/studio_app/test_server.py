@@ -78,7 +78,7 @@ def test_other_sites_are_refused_even_with_the_token(viewer: Viewer):
             assert answer(viewer, path, **own | {"Origin": origin})[0] == 403
     rebound = {"Host": "evil.example", "Origin": "http://evil.example", **WEBSOCKET}
     assert answer(viewer, path, **rebound)[0] == 403
-    assert answer(viewer, path, Host="")[0] == 403
+    assert answer(viewer, path, Host="")[0] in (400, 403)
 
 
 @pytest.mark.parametrize("path", ["/page/../server.py", "/page/%2e%2e/server.py", "/page/none.js"])

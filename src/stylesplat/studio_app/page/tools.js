@@ -20,6 +20,7 @@ export class Tools {
     this.start = null;
     const { canvas } = viewport;
     if (!radius.value) radius.value = hello.value.extent / 12;
+    if (!state.value.objects.length) tool.value = "ball"; // there is nothing else to click
     canvas.addEventListener("pointermove", (event) => this.move(event));
     canvas.addEventListener("pointerup", (event) => this.release(event));
     canvas.addEventListener("pointercancel", () => this.reset());
