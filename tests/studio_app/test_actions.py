@@ -154,7 +154,8 @@ def test_layers_have_strength_form_order_and_locks(page: Page):
     before = page.session.state.scene
     state = painted(page, "3", "7")
     assert [each.object for each in state.layers] == ["3", "7"] and state.unsaved
-    assert state.layers[0].title == "stripes" and state.layers[0].settings.startswith("quality draft, steps 4")
+    assert state.layers[0].title == "stripes"
+    assert state.layers[0].settings.startswith("quality draft, steps 4")
     first = page.session.state.scene.splats
     state = page.act("order", name="3", by=1)
     assert [each.object for each in state.layers] == ["7", "3"] and "up" in state.undo
