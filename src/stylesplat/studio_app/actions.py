@@ -120,18 +120,19 @@ class Actions:
         name = str(type(message).__struct_config__.tag)
         values = msgspec.structs.asdict(message)
 
-        key = (name, values["name"]) if name in DRAGGED else None
+        if name in CHANGES:
+            key = (name, values["name"]) if name in DRAGGED else None
+            change = partial(CHANGES[name], **values)
+            self.session.do(change, merge=key, kind=str(key or ""))
+            return
 
         def job() -> None:
             self.client = client
-            if name in CHANGES:
-                state = CHANGES[name](self.state, **values)
-            else:
-                state = METHODS[name](self, **values)
+            state = METHODS[name](self, **values)
             if state is not None:
-                self.session.change(state, merge=key)
+                self.session.change(state)
 
-        self.session.ask(job, kind=str(key or ""))
+        self.session.ask(job)
 
     @property
     def state(self) -> StudioState:
