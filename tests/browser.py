@@ -8,7 +8,7 @@ import subprocess
 import time
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
@@ -25,15 +25,12 @@ from websockets.sync.connection import Connection
 
 from balls import CAMERAS, PICKS, SPLATS
 from scenes import layer_towards
-from stylesplat.figures.browser import camera_of
 from stylesplat.io.scene_folder import open, save
-from stylesplat.rendering.shares import coverage
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.layer import without_identities
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.studio_app.session import Session
-from stylesplat.studio_app.studio import StudioServer
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
 
@@ -285,10 +282,11 @@ def _tensor(values: Any) -> torch.Tensor:
 T = TypeVar("T")
 
 PATIENCE = 120.0  # seconds: of a machine that does much else
-KEYS = {"Home": 36, "ArrowRight": 39, "B": 66}  # with the numbers that the protocol has for them
-RESTING = """async found => {
-    if (!found || [...document.images].some(image => !image.complete)) return null;
-    found.scrollIntoView({block: 'center'});
+KEYS = {"Home": 36, "End": 35, "ArrowRight": 39, "b": 66}  # as the protocol numbers them
+# The middle of an element that lies on top and no longer moves
+RESTING = """async (found) => {
+    if (!found) return null;
+    found.scrollIntoView({ block: "nearest", inline: "nearest" });
     const boxes = [];
     for (let frame = 0; frame < 3; frame++) {
         const box = found.getBoundingClientRect();
@@ -296,20 +294,13 @@ RESTING = """async found => {
         await new Promise(requestAnimationFrame);
     }
     const [x, y, width, height] = boxes[0];
-    // In a folder that is not open yet it has a place as well
-    const hit = found.contains(document.elementFromPoint(x + width / 2, y + height / 2));
-    return hit && boxes.every(box => String(box) === String(boxes[0])) ? boxes[0] : null;
+    const middle = [x + width / 2, y + height / 2];
+    const top = document.elementFromPoint(...middle);
+    const still = boxes.every((box) => String(box) === String(boxes[0]));
+    return still && width && found.contains(top) ? middle : null;
 }"""
-BUTTON = """(() => {
-    const folders = '.mantine-Paper-root:not(:has(.mantine-Paper-root))';
-    const all = [...document.querySelectorAll(`button, [role=tab], [role=slider], ${folders}`)];
-    const fits = e => [(e.innerText || '').trim(), e.getAttribute('role')].includes(LABEL);
-    return all.find(e => fits(e) && e.getClientRects().length);
-})()"""
-PICTURE = """[...document.images].find(
-    e => e.offsetParent && e.parentElement.previousElementSibling?.textContent === LABEL)"""
 FILES = "document.querySelector('input[type=file]')"
-LAST_SLIDER = "[...document.querySelectorAll('[role=slider]')].filter(e => e.offsetParent).at(-1)"
+VIEW = "document.querySelector('.view').dataset"
 
 
 class Tab:
@@ -318,63 +309,85 @@ class Tab:
     def __init__(self, page: Page) -> None:
         self.page = page
 
-    def click(self, x: float, y: float) -> None:
+    def open(self, url: str) -> None:
+        """Load the page, until it shows the exact picture and knows what lies where in it."""
+        self.page.open(url)
+        until(lambda: self.page.evaluate("Boolean(window.studio)"), "the page")
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait for the picture, the map and the glow of the camera as it is."""
+        now = f"String(studio.number) === {VIEW}.after && String(studio.number) === {VIEW}.map"
+        until(lambda: self.page.evaluate(now), "the picture at rest")
+
+    def click(self, x: float, y: float, **options: Any) -> None:
         for what in ("move", "press", "release"):
-            self.page.mouse(what, x, y)
+            self.page.mouse(what, x, y, **options)
 
-    def press(self, key: str) -> None:
-        self.hold(key, True)
-        self.hold(key, False)
+    def drag(self, start: tuple[float, float], end: tuple[float, float], **options: Any) -> None:
+        self.page.mouse("move", *start)
+        self.page.mouse("press", *start, **options)
+        middle = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2
+        for place in (middle, end):
+            self.page.mouse("move", *place, button="left", buttons=1, **options)
+        self.page.mouse("release", *end, **options)
 
-    def hold(self, key: str, down: bool) -> None:
-        code = f"Key{key}" if len(key) == 1 else key
-        words = {"type": "keyDown" if down else "keyUp", "key": key.lower(), "code": code}
-        words = words if len(key) == 1 else {**words, "key": key}
+    def key(self, key: str, down: bool) -> None:
+        words = {"type": "keyDown" if down else "keyUp", "key": key, "code": key}
         self.page.call("Input.dispatchKeyEvent", **words, windowsVirtualKeyCode=KEYS[key])
 
     def press_button(self, label: str) -> None:
-        """Click what has these words on it, as soon as it is there."""
+        """Click the button that is labelled so or has these words on it, as soon as it is there."""
         self.click(*until(lambda: self.place_of(label), f"a button {label!r}"))
 
     def place_of(self, label: str) -> tuple[float, float] | None:
         """Its middle; None for as long as it is not there, or moves."""
-        found = self._box(BUTTON, label)
-        return (found[0] + found[2] / 2, found[1] + found[3] / 2) if found else None
-
-    def _box(self, element: str, label: str) -> list[float] | None:
-        """Left, top, width and height of what no longer moves."""
-        return self.page.evaluate(f"({RESTING})({element.replace('LABEL', json.dumps(label))})")
-
-    def unfold(self, label: str, title: str) -> None:
-        """Click a heading until a picture shows beneath; a click is lost while the panel grows."""
-        for _ in range(4):
-            self.press_button(label)
-            with suppress(AssertionError):
-                until(lambda: self._box(PICTURE, title), f"a picture {title!r}", PATIENCE / 8)
-                return
-
-    def drag_on(self, title: str, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """From one place on a picture of the panel to another, in shares of it."""
-        found = until(lambda: self._box(PICTURE, title), f"a picture {title!r}")
-        x, y, width, height = found
-        places = [(x + a * width, y + b * height) for a, b in (start, end)]
-        self.page.mouse("move", *places[0])
-        self.page.mouse("press", *places[0])
-        self.page.mouse("move", *places[1], buttons=1)
-        self.page.mouse("release", *places[1])
+        wanted = json.dumps(label)
+        button = f"""[...document.querySelectorAll("button, [role=slider]")].find((each) =>
+            !each.disabled && each.getClientRects().length &&
+            [each.innerText.trim(), each.ariaLabel, each.title].some((text) =>
+                text?.startsWith({wanted})))"""
+        return self.page.evaluate(f"({RESTING})({button})")
 
     def give(self, file: Path) -> None:
         """Choose a file for the button that asks for one."""
         found = self.page.call("Runtime.evaluate", expression=FILES)["result"]["objectId"]
         self.page.call("DOM.setFileInputFiles", files=[str(file)], objectId=found)
 
-    def focus_last_slider(self) -> None:
-        """As soon as there is one."""
-        until(lambda: self.place_of("slider"), "a slider")
-        self.page.evaluate(f"{LAST_SLIDER}.focus()")
+    def slide(self, label: str, value: float) -> None:
+        """Set a slider, as a pointer would."""
+        found = f"document.querySelector('input[type=range][aria-label={json.dumps(label)}]')"
+        until(lambda: self.page.evaluate(f"{found} && !{found}.disabled"), f"a slider {label}")
+        event = "new Event('input', {bubbles: true})"
+        self.page.evaluate(f"{found}.value = {value}; {found}.dispatchEvent({event})")
 
     def text(self) -> str:
         return self.page.evaluate("document.body.innerText") or ""
+
+    def picture(self) -> np.ndarray:
+        """The exact picture that the page shows, without what lies over it."""
+        self.settle()
+        content = self.page.evaluate("studio.after.toDataURL('image/png').split(',')[1]")
+        return np.array(Image.open(BytesIO(base64.b64decode(content))).convert("RGB")).astype(float)
+
+    def middle_of(self, name: str) -> tuple[float, float]:
+        """Where an object shows on the page, in pixels of it."""
+        self.settle()
+        return self.page.evaluate(f"""(() => {{
+            const {{ ids, names, size }} = studio.overlay.map;
+            const number = names.indexOf({json.dumps(name)}) + 1;
+            const rows = [...ids.keys()].filter((row) => ids[row] === number);
+            const at = (row) => [row % size[0], Math.floor(row / size[0])];
+            const sum = (n) => rows.reduce((sum, row) => sum + at(row)[n], 0);
+            const mean = [sum(0) / rows.length, sum(1) / rows.length];
+            const away = (row) => Math.hypot(...at(row).map((value, n) => value - mean[n]));
+            const [x, y] = at(rows.reduce((one, other) => (away(other) < away(one) ? other : one)));
+            const box = studio.canvas.getBoundingClientRect();
+            return [
+                box.x + ((x + 0.5) / size[0]) * box.width,
+                box.y + ((y + 0.5) / size[1]) * box.height,
+            ];
+        }})()""")
 
 
 def until(ask: Callable[[], T | None], what: str, seconds: float = PATIENCE) -> T:
@@ -388,16 +401,6 @@ def until(ask: Callable[[], T | None], what: str, seconds: float = PATIENCE) -> 
     raise AssertionError(f"Waited {seconds:g} s for {what}.")
 
 
-def center_of(opened: StudioServer, name: str) -> tuple[float, float]:
-    """Where an object shows on the page."""
-    (client,) = opened.server.get_clients().values()
-    camera = camera_of(client)
-    scene = opened.session.state.scene
-    seen = coverage(scene.splats, camera, opened.session.masks.of(scene, name))
-    y, x = (each.float().mean().item() for each in (seen > 0.8).nonzero(as_tuple=True))
-    return x, y
-
-
 @contextmanager
 def studio_tab(*, size: tuple[int, int], downloads: Path) -> Iterator[Tab]:
     """An empty page, and where its downloads go."""
@@ -408,7 +411,7 @@ def studio_tab(*, size: tuple[int, int], downloads: Path) -> Iterator[Tab]:
 
 # A session with the balls, and quick styles.
 
-QUICK = StyleConfig(steps=4, layers=(1,), object_size=30)
+QUICK = StyleConfig(quality="draft", steps=4, layers=(1,), object_size=30)
 
 
 def session_in(folder: Path) -> Session:

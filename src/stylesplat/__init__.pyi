@@ -9,6 +9,7 @@ from .scene.capture import Capture as Capture
 from .scene.scene import Scene as Scene
 from .scene.splats import Splats as Splats
 from .studio_app.studio import studio as studio
+from .studio_app.studio import view as view
 from .stylization.recipe import read_recipe as read_recipe
 from .stylization.style import Style as Style
 from .verbs.adjust import adjust as adjust
@@ -24,7 +25,6 @@ from .verbs.objects import objects as objects
 from .verbs.objects import rename as rename
 from .verbs.render import orbit as orbit
 from .verbs.render import render as render
-from .verbs.render import view as view
 from .verbs.select import select as select
 from .verbs.sfm import sfm as sfm
 from .verbs.sheet import sheet as sheet

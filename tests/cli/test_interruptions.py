@@ -102,7 +102,7 @@ def test_a_training_is_kept_and_goes_on(capture: Path, tmp_path: Path):
 
 
 def test_the_viewer(scene: Path, tmp_path: Path):
-    pytest.importorskip("viser")
+    pytest.importorskip("uvicorn")
     begun = Begun(tmp_path, "view", scene)
     begun.wait_for(lambda begun: begun.says("Ctrl-C closes the viewer."))
     assert begun.says("StyleSplat: http://127.0.0.1:") and begun.says("/?token=")

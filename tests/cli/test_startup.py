@@ -12,7 +12,8 @@ import contextlib, sys
 from stylesplat.cli import main
 with contextlib.suppress(SystemExit):
     main({arguments!r})
-print(*sorted({{"torch", "numba", "cv2", "torchvision", "viser"}} & sys.modules.keys()))
+heavy = {{"torch", "numba", "cv2", "torchvision", "starlette"}}
+print(*sorted(heavy & sys.modules.keys()))
 """
 
 

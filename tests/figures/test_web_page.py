@@ -187,10 +187,10 @@ def test_hands(shown: Page):
 
     first, angle = looks(), turned()
     assert shown.evaluate("document.getElementById('cut').style.left") == "50%"
-    drag((240, 100), (360, 90))
-    assert shown.evaluate("document.getElementById('cut').getAttribute('aria-valuenow')") == "75"
+    drag((240, 180), (360, 170))
+    assert shown.evaluate("document.getElementById('knob').getAttribute('aria-valuenow')") == "75"
     assert (looks(), turned()) == (first, angle), "the handle is not the scene"
-    shown.evaluate("document.getElementById('cut').focus()")
+    shown.evaluate("document.getElementById('knob').focus()")
     shown.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowRight")
     assert shown.evaluate("document.getElementById('cut').style.left") == "77%"
     drag((100, 200), (150, 200))

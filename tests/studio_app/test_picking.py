@@ -8,18 +8,20 @@ from balls import CAMERAS, SPLATS, enlarged
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
-from stylesplat.studio_app.history import ObjectMasks, StudioState, display_of, object_names
+from stylesplat.studio_app.history import ObjectMasks, StudioState, hidden_rows, object_names
+from stylesplat.studio_app.messages import How
 from stylesplat.studio_app.picking import (
     forget_picked,
-    hide_picked,
+    hide_objects,
     isolate_picked,
     object_in,
     pick_at,
     pick_ball,
     pick_box,
+    pick_drawn,
     pick_names,
-    pick_round,
     pick_words,
+    region_of,
     rename_picked,
     resize_picked,
     subtract_picked,
@@ -57,49 +59,70 @@ def test_a_rectangle_picks_what_shows_most_in_it_but_not_what_is_hidden():
     (x0, y0), (x1, y1) = pixel("3"), pixel("7")
     low, high = (x0 - 30, y0 - 30), ((x0 + x1) / 2 - 10, y1 + 30)
     assert object_in(STATE, ObjectMasks(), CAMERA, low, high) == "3"
-    without = hide_picked(pick_names(STATE, ["3"]), True)
+    without = hide_objects(STATE, ["3"], True)
     assert object_in(without, ObjectMasks(), CAMERA, low, high) != "3"
 
 
 def test_of_names_that_show_alike_a_click_picks_the_smallest():
     both = unite_picked(pick_names(STATE, ["3", "7"]))
-    assert both.picked == ("pick 1",)
+    assert both.picked == ("object 1",)
     assert pick_at(both, ObjectMasks(), CAMERA, pixel("3")).picked == ("3",)
 
 
 def test_a_ball_picks_without_labels_and_strokes_correct_it():
     masks = ObjectMasks()
     first = pick_ball(PLAIN, CAMERA, pixel("3"), 0.25)
-    assert first.picked == ("pick 1",)
-    count = int(masks.of(first.scene, "pick 1").sum())
+    assert first.picked == ("object 1",)
+    count = int(masks.of(first.scene, "object 1").sum())
     assert 0 < count < len(SPLATS)
     more = pick_ball(first, CAMERA, pixel("7"), 0.25, "add")
-    assert more.picked == ("pick 1",) and int(masks.of(more.scene, "pick 1").sum()) > count
+    assert more.picked == ("object 1",) and int(masks.of(more.scene, "object 1").sum()) > count
     less = pick_ball(more, CAMERA, pixel("7"), 0.25, "away")
-    assert torch.equal(masks.of(less.scene, "pick 1"), masks.of(first.scene, "pick 1"))
-    assert object_names(less.scene) == ["pick 1"], "what was taken away has no name any more"
+    assert torch.equal(masks.of(less.scene, "object 1"), masks.of(first.scene, "object 1"))
+    assert object_names(less.scene) == ["object 1"], "what was taken away has no name any more"
 
 
-def test_a_rectangle_corrects_a_pick_by_the_ball_that_fits_into_it():
-    masks, (x, y) = ObjectMasks(), pixel("3")
-    first = pick_round(PLAIN, CAMERA, (x - 60, y - 60), (x + 60, y + 60))
-    part = pick_round(PLAIN, CAMERA, (x - 60, y - 25), (x + 60, y + 25))
-    whole, some = (masks.of(state.scene, "pick 1") for state in (first, part))
-    assert 0 < int(some.sum()) < int(whole.sum()) and (whole | ~some).all()
-    less = pick_round(first, CAMERA, (x - 60, y - 25), (x + 60, y + 25), "away")
-    assert torch.equal(masks.of(less.scene, "pick 1"), whole & ~some)
-    places, _ = project(SPLATS.means[some], CAMERA)
-    assert (places - torch.tensor([x, y])).abs().max() < 28, "25 pixels, on the near side"
+def test_what_is_drawn_picks_what_shows_inside_and_corrects_a_pick():
+    masks, (x, y), (width, height) = ObjectMasks(), pixel("3"), CAMERA.size
+
+    def drawn(state: StudioState, left: float, right: float, how: How = "new") -> StudioState:
+        points = [((x + left) / width, (y - 60) / height), ((x + right) / width, (y + 60) / height)]
+        return pick_drawn(state, CAMERA, region_of("rectangle", points, CAMERA.size, 0), how)
+
+    ball = masks.of(STATE.scene, "3")
+    first = drawn(PLAIN, -60, 60)
+    whole = masks.of(first.scene, "object 1")
+    assert first.picked == ("object 1",) and 30 < int(whole.sum()) and (ball | ~whole).all()
+    less = drawn(first, 0, 60, "away")
+    left = masks.of(less.scene, "object 1")
+    assert less.picked == ("object 1",) and 0 < int(left.sum()) < int(whole.sum())
+    again = drawn(less, 0, 60, "add")
+    assert torch.equal(masks.of(again.scene, "object 1"), whole)
+    with pytest.raises(StyleSplatError, match="Nothing is left"):
+        drawn(first, -90, 90, "away")
+    with pytest.raises(StyleSplatError, match="Nothing shows inside"):
+        pick_drawn(PLAIN, CAMERA, torch.zeros(height, width, dtype=torch.bool))
+
+
+def test_lines_become_regions():
+    square = [(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)]
+    lasso = region_of("lasso", square, (40, 40), 0.0)
+    assert lasso[20, 20] and not lasso[5, 5] and 350 < int(lasso.sum()) < 480
+    assert not region_of("lasso", square[:2], (40, 40), 0.0).any()
+    dot = region_of("brush", [(0.5, 0.5)], (40, 40), 0.1)
+    assert dot[20, 20] and not dot[20, 26] and 40 < int(dot.sum()) < 75
+    back = region_of("rectangle", [(0.5, 0.5), (0.0, 0.0)], (40, 40), 0.0)
+    assert back[:20, :20].all() and not back[22:, 22:].any()
 
 
 def test_shapes_sizes_differences_and_names():
     masks = ObjectMasks()
     box = pick_box(STATE, (-1.2, -0.5, 0.05), (-0.2, 0.5, 0.8))
     of_ball = masks.of(STATE.scene, "3")
-    assert int((masks.of(box.scene, "pick 1") & of_ball).sum()) > 60
+    assert int((masks.of(box.scene, "object 1") & of_ball).sum()) > 60
     wide = resize_picked(box, 0.2)
-    assert int(masks.of(wide.scene, "pick 1").sum()) > int(of_ball.sum())
-    rest = subtract_picked(pick_names(wide, ["pick 1", "3"]))
+    assert int(masks.of(wide.scene, "object 1").sum()) > int(of_ball.sum())
+    rest = subtract_picked(pick_names(wide, ["object 1", "3"]))
     assert not (masks.of(rest.scene, rest.picked[0]) & of_ball).any()
     named = rename_picked(pick_names(STATE, ["3"]), "red ball")
     assert named.picked == ("red ball",) and "3" not in object_names(named.scene)
@@ -111,17 +134,23 @@ def test_shapes_sizes_differences_and_names():
     ]
 
 
-def test_what_is_picked_glows_and_is_shown_alone_or_not_at_all():
+def test_objects_are_hidden_or_shown_alone():
     masks, state = ObjectMasks(), pick_names(STATE, ["3"])
     red = masks.of(STATE.scene, "3")
-    seen = display_of(state, masks)
-    changed = (seen.visible.sh0 != SPLATS.sh0).flatten(1).any(dim=1)
-    assert torch.equal(changed, red), "these and no others"
-    assert seen.splats is state.scene.splats, "the scene stays as it is"
-    assert len(display_of(isolate_picked(state, True), masks).visible) == int(red.sum())
-    without = display_of(hide_picked(state, True), masks)
-    assert len(without.visible) == int((~red).sum())
-    assert len(display_of(hide_picked(state, False), masks).visible) == len(SPLATS)
+    assert hidden_rows(state, masks) is None
+    alone, without = (
+        hidden_rows(isolate_picked(state, True), masks),
+        hide_objects(state, ["3"], True),
+    )
+    assert alone is not None and torch.equal(alone, ~red)
+    hidden = hidden_rows(without, masks)
+    assert hidden is not None and torch.equal(hidden, red) and not without.picked
+    assert hidden_rows(hide_objects(without, ["3"], False), masks) is None
+
+
+def test_a_second_click_keeps_the_pick():
+    state = pick_at(STATE, ObjectMasks(), CAMERA, pixel("3"))
+    assert pick_at(state, ObjectMasks(), CAMERA, pixel("3")) is state
 
 
 @pytest.mark.parametrize(
@@ -137,7 +166,7 @@ def test_commands_name_the_same_gaussians(tmp_path: Path, capsys: pytest.Capture
 
     from processes import run
     from stylesplat.io.scene_folder import open, save
-    from stylesplat.studio_app.save_panel import command_lines
+    from stylesplat.studio_app.commands import command_lines
 
     save(PLAIN.scene, tmp_path / "balls")
     state = StudioState(open(tmp_path / "balls"))
@@ -147,8 +176,8 @@ def test_commands_name_the_same_gaussians(tmp_path: Path, capsys: pytest.Capture
     for line in command_lines(state, tmp_path / "balls", tmp_path / "out") or ():
         assert run(*shlex.split(line)[1:]) == 0, line
     found = open(tmp_path / "balls").objects
-    assert found.keys() == {"pick 1"}
-    assert torch.equal(found["pick 1"].picked, state.scene.objects["pick 1"].picked)
+    assert found.keys() == {"object 1"}
+    assert torch.equal(found["object 1"].picked, state.scene.objects["object 1"].picked)
 
 
 def test_words_download_no_model_while_all_browsers_wait(monkeypatch: pytest.MonkeyPatch):

@@ -7,24 +7,18 @@ import torch
 from balls import CAMERAS, SPLATS
 from browser import QUICK, quick_style, session_in, stripes
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.live_splats import browser_camera
 from stylesplat.io.scene_folder import open
 from stylesplat.progress import track
 from stylesplat.scene.compose import strengths_of
 from stylesplat.scene.scene import SceneObject
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.selection.choose import find_object
-from stylesplat.studio_app.autosave import (
-    AUTOSAVE,
-    COMMANDS,
-    FORMATS,
-    SceneStore,
-    export_bytes,
-    render_png,
-)
-from stylesplat.studio_app.compare_panel import make_variant, remove_paint, set_intensity
+from stylesplat.studio_app.autosave import AUTOSAVE, COMMANDS, SceneStore
+from stylesplat.studio_app.exports import FORMATS, export_bytes, render_png
 from stylesplat.studio_app.history import History, StudioState, replace_scene
-from stylesplat.studio_app.paint_queue import PaintQueue, preview_colors
+from stylesplat.studio_app.layers import set_strength
+from stylesplat.studio_app.messages import Look
+from stylesplat.studio_app.paint_queue import PaintQueue, preview_colors, seconds_left
 from stylesplat.studio_app.picking import pick_names, rename_picked
 from stylesplat.studio_app.session import Change, Session
 from stylesplat.stylization.config import plain_settings
@@ -93,7 +87,7 @@ def test_stop_keeps_what_there_is_and_continue_finishes_it(
     session.on_change.append(stop_at_two)
     queue.paint(("3",), quick_style(), "stripes")
     assert session.worker.settle()
-    assert session.state.note.startswith("Stopped at step"), said
+    assert session.state.note.endswith(" steps"), said
     early = session.state.scene
     assert early.layers and queue.can_continue
     queue.resume()
@@ -177,27 +171,30 @@ def test_an_object_of_three_gaussians_is_told_to_be_too_small(session: Session, 
     assert "3 Gaussians, too few" in said[-1]
 
 
-def test_intensity_is_one_step_of_undo_and_a_variant_brings_everything_back(session: Session):
+def test_a_drag_of_a_slider_is_one_step_of_undo(session: Session):
     painted(session, "3")
-    variant = make_variant(session, "3", "stripes")
     full = session.state
     for value in (0.8, 0.4, 0.0):
         session.do(
-            lambda state, value=value: set_intensity(state, "3", value),
+            lambda state, value=value: set_strength(state, "3", value),
             merge="slider",
             kind=f"slider {value}",
         )
     assert session.worker.settle()
     assert strengths_of(session.state.scene) == {"3": 0.0}
     assert torch.equal(session.state.scene.splats.sh0, full.scene.unpainted.sh0)
+    assert session.history.undo_note == "Strength of 3: 0%" and not session.history.redo_note
     session.step(-1)
     assert session.worker.settle()
     assert strengths_of(session.state.scene) == {"3": 1.0}
-    session.do(lambda state: remove_paint(state, "3"))
-    session.do(lambda _: session.history.at(variant.bookmark))
-    assert session.worker.settle()
-    assert torch.equal(session.state.scene.splats.sh0, full.scene.splats.sh0)
-    assert variant.thumbnail.shape[2] == 3 and variant.settings["steps"] == 4
+    assert session.history.redo_note == "Strength of 3: 0%"
+
+
+def test_time_left_follows_the_last_painting_or_the_speed_of_late():
+    assert seconds_left([(0.0, 0.0), (0.1, 1.0)], None) is None, "too early to say"
+    assert seconds_left([(0.0, 0.0), (0.5, 10.0)], None) == pytest.approx(10)
+    slow_end = [(0.0, 0.0), (0.5, 10.0), (1.0, 40.0)]
+    assert seconds_left([(0.0, 0.0), (0.5, 5.0)], slow_end) == pytest.approx(15)
 
 
 def test_the_preview_has_the_pictures_colours_on_the_object_alone(session: Session):
@@ -310,8 +307,8 @@ def test_exports_are_files_of_their_kind(session: Session, ending: str, begin: b
 
 
 def test_stills_have_the_size_that_is_asked_for(session: Session):
-    camera = browser_camera((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -3.0), 1.0, (300, 200), pixels=10**9)
-    content = render_png(session, camera, 90, (0.0, 0.0, 0.0))
+    look = Look(1, CAMERAS.viewmats[0].flatten().tolist(), 200.0, (300, 200))
+    content = render_png(session, look, 90, (0.0, 0.0, 0.0))
     assert content[:4] == b"\x89PNG" and content[16:24] == (90).to_bytes(4) + (60).to_bytes(4)
     with pytest.raises(StyleSplatError, match="8192"):
-        render_png(session, camera, 10**6, (0.0, 0.0, 0.0))
+        render_png(session, look, 10**6, (0.0, 0.0, 0.0))

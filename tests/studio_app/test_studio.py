@@ -12,7 +12,8 @@ from processes import as_nobody, public_folder
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.studio_app.autosave import AUTOSAVE, export_bytes
+from stylesplat.studio_app.autosave import AUTOSAVE
+from stylesplat.studio_app.exports import export_bytes
 from stylesplat.studio_app.history import replace_scene
 from stylesplat.studio_app.picking import pick_names, rename_picked
 from stylesplat.studio_app.studio import studio
@@ -54,7 +55,7 @@ def test_closing_keeps_what_there_is_of_a_painting(folder: Path):
             strokes.set()
 
     opened.session.on_change.append(look)
-    opened.page.paint.queue.paint(("3",), Style(stripes(), config=LONG), "stripes")
+    opened.server.actions.queue.paint(("3",), Style(stripes(), config=LONG), "stripes")
     assert strokes.wait(60)
     opened.close()
     kept = open(folder / AUTOSAVE)
@@ -74,7 +75,7 @@ def test_nothing_is_kept_while_something_is_painted_but_as_soon_as_it_is_done(fo
     try:
         opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
         opened.session.on_change.append(look)
-        opened.page.paint.queue.paint(("red",), Style(stripes(), config=QUICK), "stripes")
+        opened.server.actions.queue.paint(("red",), Style(stripes(), config=QUICK), "stripes")
         assert opened.session.worker.settle()
         assert kept and not any(kept)
         assert open(folder / AUTOSAVE).painted_objects == ("red",)
@@ -84,7 +85,7 @@ def test_nothing_is_kept_while_something_is_painted_but_as_soon_as_it_is_done(fo
 
 def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, said: list[str]):
     opened = studio(folder, port=0, block=False)
-    number, no_json = opened.server.get_port(), {"how": object()}
+    number, no_json = opened.server.port, {"how": object()}
     opened.session.do(
         lambda state: replace_scene(
             state,
@@ -131,14 +132,6 @@ def test_where_nothing_can_be_written_save_says_so_and_all_else_works(said: list
             opened.close()
         assert "Cannot autosave" in said[-1]
         assert not open(public / "balls").objects
-
-
-def test_of_what_is_thinned_every_browser_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("stylesplat.studio_app.viewport.MOST", 100)
-    opened = studio(folder, port=0, block=False)
-    opened.close()
-    (line,) = opened.session.greetings
-    assert "moves 100 of 440 Gaussians" in line
 
 
 def test_the_user_is_warned_of_the_network(folder: Path, said: list[str]):

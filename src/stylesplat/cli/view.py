@@ -1,8 +1,6 @@
 """`stylesplat view` and `studio`: pages that are served until Ctrl-C."""
 
-import sys
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import ClassVar, NoReturn
 
@@ -27,10 +25,9 @@ class ViewCommand(Command):
     after_interruption: ClassVar[str] = "The viewer is closed."
 
     def run(self) -> NoReturn:
-        from stylesplat.figures.browser import until_interrupted
+        from stylesplat.studio_app.studio import until_interrupted
 
         viewer = ss.view(ss.open(self.scene), port=self.port, block=False)
-        sys.stdout = StringIO()  # viser prints a line when it stops
         say("Ctrl-C closes the viewer.")
         until_interrupted(viewer.stop)
 
@@ -54,10 +51,9 @@ class StudioCommand(Command):
     after_interruption: ClassVar[str] = "The studio is closed."
 
     def run(self) -> NoReturn:
-        from stylesplat.figures.browser import until_interrupted
+        from stylesplat.studio_app.studio import until_interrupted
 
         options = {"port": self.port, "host": self.host, "device": self.device}
         studio = ss.studio(self.scene, styles=self.styles, block=False, **options)
-        sys.stdout = StringIO()  # viser prints a line when it stops
         say("Ctrl-C closes the studio; what is not saved is kept.")
         until_interrupted(studio.close)

@@ -81,13 +81,14 @@ class Packed:
     """How many Gaussians there are, and the range of each kind of number."""
 
 
-def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
-    """Pack what shows of splats, at least one Gaussian, sorted by place.
+def pack(splats: Splats, before: Splats, *, sh_degree: int, level: int = 9) -> Packed:
+    """Pack what shows of splats, sorted by place.
 
     Args:
         splats: The Gaussians.
         before: The same Gaussians in other colours and opacities, or the same.
-        sh_degree: Highest degree of the colours.
+        sh_degree: Up to which degree colours depend on where they are seen from.
+        level: Of compression, 1 to 9.
     """
     shown = torch.maximum(splats.opacities, before.opacities)
     rows = (torch.sigmoid(shown) >= MIN_ALPHA).nonzero()[:, 0]
@@ -108,7 +109,7 @@ def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
         *_bands(splats, before, about),
     ]
     content = b"".join(column.contiguous().numpy().tobytes() for column in columns)
-    return Packed(zlib.compress(content, 9), about)
+    return Packed(zlib.compress(content, level), about)
 
 
 def _shapes(splats: Splats, about: dict[str, Any]) -> Iterator[Column]:

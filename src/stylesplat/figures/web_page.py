@@ -24,6 +24,7 @@ from stylesplat.scene.splats import Splats
 PARTS = Path(__file__).with_name("viewer_page")
 SUFFIX = ".html"
 MAX_DEGREE = 3
+MODULAR = re.compile(r"^(import .*\n|export )", re.MULTILINE)  # needless in one script
 CODE = ("unpack.js", "sort.js", "draw.js", "camera.js", "hands.js", "main.js")
 
 
@@ -70,7 +71,7 @@ def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) ->
             "title": escape(title),
             "about": json.dumps(about).replace("<", r"\u003c"),
             "splats": b64encode(packed.content).decode(),
-            "code": "\n".join(_part(name) for name in CODE),
+            "code": "\n".join(MODULAR.sub("", _part(name)) for name in CODE),
         }
     )
 

@@ -1,37 +1,21 @@
-"""Saves a scene, autosaves it against crashes, and exports it."""
+"""Saves a scene, and autosaves it against crashes."""
 
-import io
 import os
 import shutil
-import tempfile
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import torch
-from PIL import Image
-
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.web_page import SUFFIX
 from stylesplat.io import scene_folder
 from stylesplat.io.atomic import changing, refuse_unwritable
 from stylesplat.io.json_files import read_json_as, write_json
-from stylesplat.io.splats.splat_files import COMPRESSED
-from stylesplat.io.video import write_video
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.scene import Scene, check_name
+from stylesplat.scene.scene import check_name
 from stylesplat.studio_app.history import StudioState, replace_scene
-from stylesplat.studio_app.session import Progress, Session
-from stylesplat.verbs.export import export
-from stylesplat.verbs.render import orbit
+from stylesplat.studio_app.session import Session
 
 AUTOSAVE = "autosave"  # the folder inside a scene's
 COMMANDS = "commands.json"  # in that folder
-FORMATS = (".ply", COMPRESSED, ".spz", ".splat", ".sog", ".glb", SUFFIX)
-FRAMES = 120  # of a turntable: four seconds
-TURNTABLE = 960  # pixels along its longer side
-MOST_PIXELS = 8192  # along a side of a still picture
 
 Stamp = dict[str, tuple[int, int]]
 
@@ -125,44 +109,6 @@ class SceneStore:
         state = replace(state, commands=(*state.commands, *found.commands))
         self._autosaved = state, stamp
         return state
-
-
-def export_bytes(scene: Scene, ending: str) -> bytes:
-    """The content of a file with the scene in another format, or as a web page."""
-    with tempfile.TemporaryDirectory(prefix="stylesplat-studio-") as folder:
-        path = Path(folder) / f"scene{ending}"
-        export(scene, path)
-        return path.read_bytes()
-
-
-def render_png(
-    session: Session, camera: Cameras, width: int, background: tuple[float, float, float]
-) -> bytes:
-    """A PNG of a view, without the glow of what is picked."""
-    if not 1 <= width <= MOST_PIXELS:
-        raise StyleSplatError(f"A picture has 1 to {MOST_PIXELS} pixels a side, not {width}.")
-    camera = camera.downscale(float(camera.sizes[0, 0]) / width)
-    pixels = replace(session.display, glowing=None).render(camera, background)
-    file = io.BytesIO()
-    Image.fromarray(pixels.numpy()).save(file, "PNG")
-    return file.getvalue()
-
-
-def render_turntable(
-    session: Session, background: tuple[float, float, float], done: "list[bytes]", count: int
-) -> Iterator[None]:
-    """Make a video of a round trip, frame by frame; `done` gets its content."""
-    scene, seen = session.state.scene, replace(session.display, glowing=None)
-    cameras, frames = orbit(scene, frames=count).at_most(TURNTABLE), list[torch.Tensor]()
-    for row in range(count):
-        frames.append(seen.render(cameras[row], background))
-        session.progress = Progress(f"Turntable, frame {row + 1} of {count}", (row + 1) / count)
-        session.on_progress.call()
-        yield
-    with tempfile.TemporaryDirectory(prefix="stylesplat-studio-") as folder:
-        path = Path(folder) / "turntable.mp4"
-        write_video(frames, path)
-        done.append(path.read_bytes())
 
 
 def _stamp(folder: Path) -> Stamp:

@@ -2,23 +2,18 @@
 
 import re
 import tempfile
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.progress import say
-from stylesplat.studio_app.thumbnails import Thumbnail, picture_thumbnail
+from stylesplat.studio_app.thumbnails import jpeg, shrunk
 from stylesplat.stylization.style_image import read_style
-
-if TYPE_CHECKING:
-    import viser
-
 
 MOST_BYTES = 40 * 2**20  # of an upload
 MOST_PICTURES = 60  # in the gallery
+SMALL, LARGE = 240, 720  # pixels along the longer side
 NO_NAME = re.compile(r"[^\w .-]|^\.+")
 
 
@@ -29,7 +24,10 @@ class StylePicture:
     path: Path
     size: tuple[int, int]
     """Width and height in pixels."""
-    thumbnail: Thumbnail
+    thumbnail: bytes
+    """A JPEG."""
+    large: bytes
+    """A larger JPEG."""
 
 
 class Gallery:
@@ -51,12 +49,13 @@ class Gallery:
 
     def add(self, path: Path) -> StylePicture:
         picture = read_style(path)
-        title, number = path.stem, 2
+        stem = path.stem.replace("_", " ")
+        title, number = stem, 2
         while title in self.pictures:
-            title, number = f"{path.stem} {number}", number + 1
+            title, number = f"{stem} {number}", number + 1
         height, width = picture.shape[:2]
-        thumbnail = picture_thumbnail(picture)
-        self.pictures[title] = StylePicture(title, path, (width, height), thumbnail)
+        small, large = (jpeg(shrunk(picture, side)) for side in (SMALL, LARGE))
+        self.pictures[title] = StylePicture(title, path, (width, height), small, large)
         return self.pictures[title]
 
     def upload(self, name: str, content: bytes) -> StylePicture:
@@ -83,29 +82,3 @@ class Gallery:
 
 def too_large(size: int) -> str:
     return f"The file has {size / 2**20:.0f} MB. Send {MOST_BYTES >> 20} MB at most."
-
-
-MOST_PARTS = 200  # viser's page sends half a megabyte at a time
-
-
-class BoundedUploads(dict[str, Any]):
-    """viser's dict of running uploads; viser ignores an upload that is not in it."""
-
-    def __init__(self, most: int, refused: Callable[[int], None]) -> None:
-        super().__init__()
-        self._most, self._refused = most, refused
-
-    def __setitem__(self, key: str, transfer: Mapping[str, Any]) -> None:
-        size = int(transfer["total_bytes"])
-        together = size + sum(int(each["total_bytes"]) for each in self.values())
-        if together > self._most or int(transfer["part_count"]) > MOST_PARTS:
-            self._refused(size)
-            return
-        super().__setitem__(key, transfer)
-
-
-def limit_uploads(server: "viser.ViserServer", most: int, refused: Callable[[int], None]) -> None:
-    """Bound the bytes of all running uploads together: viser itself has no bound."""
-    api: Any = server.gui
-    assert api._current_file_upload_states == {}  # its name in viser 1.1
-    api._current_file_upload_states = BoundedUploads(most, refused)

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.scene.compose import family
+from stylesplat.scene.content import Extent, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.identities import object_ids
@@ -27,8 +27,8 @@ class StudioState:
     hidden: frozenset[str] = frozenset()
     alone: bool = False
     """Only what is picked is displayed."""
-    glow: bool = True
-    """What is picked glows."""
+    locked: frozenset[str] = frozenset()
+    """Objects whose paint must not change."""
     commands: tuple[tuple[str, ...], ...] = ()
     """The commands that make these objects; `SCENE` stands for the scene's folder."""
     note: str = "Opened"
@@ -40,6 +40,7 @@ class ObjectMasks:
 
     def __init__(self) -> None:
         self._kept = dict[str, tuple[Tensor, Tensor]]()
+        self._extents = dict[tuple[str, ...], tuple[Tensor, Extent]]()
 
     def of(self, scene: Scene, name: str) -> Bool[Tensor, " N"]:
         if name in scene.objects:
@@ -51,6 +52,16 @@ class ObjectMasks:
             found = find_object(scene, name)[: len(means)]
             known = self._kept[name] = (means, found)
         return known[1][family(scene)] if scene.layers else known[1]
+
+    def extent(self, scene: Scene, names: tuple[str, ...]) -> Extent:
+        """The box around some objects, at least one."""
+        picked = self.together(scene, names)
+        assert picked is not None
+        own = picked[: len(scene.unpainted)]
+        known = self._extents.get(names)
+        if known is None or not torch.equal(known[0], own):
+            known = self._extents[names] = own, extent_of(scene.unpainted, own)
+        return known[1]
 
     def together(self, scene: Scene, names: Iterable[str]) -> Bool[Tensor, " N"] | None:
         """The Gaussians of several objects; None without objects."""
@@ -64,13 +75,13 @@ def object_names(scene: Scene) -> list[str]:
     return [*(str(id) for id in ids if not names_of(scene, id)), *scene.objects]
 
 
-def display_of(state: StudioState, masks: ObjectMasks) -> ViewerSplats:
-    """What browsers display of a state."""
-    scene, picked = state.scene, masks.together(state.scene, state.picked)
-    hidden = masks.together(scene, state.hidden)
-    if state.alone and picked is not None:
-        hidden = ~picked
-    return ViewerSplats(scene.splats, picked if state.glow else None, none_if_all(hidden))
+def hidden_rows(state: StudioState, masks: ObjectMasks) -> Bool[Tensor, " N"] | None:
+    """The Gaussians that are not displayed; None if all are."""
+    scene, hidden = state.scene, masks.together(state.scene, state.hidden)
+    if state.alone and state.picked:
+        picked = masks.together(scene, state.picked)
+        hidden = None if picked is None else ~picked
+    return none_if_all(hidden)
 
 
 def none_if_all(hidden: Bool[Tensor, " N"] | None) -> Bool[Tensor, " N"] | None:
@@ -85,6 +96,7 @@ def replace_scene(state: StudioState, scene: Scene, note: str) -> StudioState:
         scene=scene,
         picked=tuple(name for name in state.picked if name in known),
         hidden=state.hidden & known,
+        locked=state.locked & {*scene.painted_objects},
         note=note,
     )
 
@@ -99,6 +111,7 @@ class History:
         self._states = dict[int, StudioState | Path]()  # by number; the last one used comes last
         self._next, self._budget = 0, budget
         self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._notes = dict[int, str]()
         self._rows, self._row = [self._put(first)], 0
         self._bookmarks = set[int]()
         self._merge: object = None
@@ -108,6 +121,17 @@ class History:
     def on_disk(self) -> int:
         """Number of states on disk."""
         return sum(isinstance(state, Path) for state in self._states.values())
+
+    @property
+    def undo_note(self) -> str:
+        """The change that undo takes back; empty if there is none."""
+        return self.now.note if self._row else ""
+
+    @property
+    def redo_note(self) -> str:
+        """The change that redo makes again; empty if there is none."""
+        rows = self._rows[self._row + 1 : self._row + 2]
+        return self._notes[rows[0]] if rows else ""
 
     def add(self, state: StudioState, *, merge: object = None) -> None:
         """Add a state and display it. It replaces the last one if both have the same `merge`."""
@@ -148,7 +172,7 @@ class History:
 
     def _put(self, state: StudioState) -> int:
         number, self._next = self._next, self._next + 1
-        self._states[number] = state
+        self._states[number], self._notes[number] = state, state.note
         self._spill()
         return number
 

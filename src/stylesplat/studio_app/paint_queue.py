@@ -2,30 +2,26 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from itertools import count
+from typing import Any
 
 import torch
 from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.progress import Silence, observed
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
 from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats, rgb_from_sh0
-from stylesplat.studio_app.history import (
-    StudioState,
-    display_of,
-    none_if_all,
-    object_names,
-    replace_scene,
-)
-from stylesplat.studio_app.session import Progress, Session, Stopped
+from stylesplat.studio_app.history import StudioState, hidden_rows, replace_scene
+from stylesplat.studio_app.layers import refuse_locked
+from stylesplat.studio_app.session import Display, Progress, Session, Stopped
 from stylesplat.stylization.colors import color_map, map_colors
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
@@ -33,19 +29,19 @@ from stylesplat.stylization.style_image import Picture
 from stylesplat.verbs.stylize_live import Live, stylize_live
 from stylesplat.work import Worker
 
-if TYPE_CHECKING:
-    import viser
-
-
 SHOW_EVERY = 0.4  # seconds between two pictures of a painting
+SHOWING = 0.2  # of the time of a painting, which its pictures may take
+RECENT = 20  # steps whose speed is that of the rest
+FIRST_GUESS = 2.0  # seconds of painting before the rest is estimated
 SAMPLE = 20_000  # pixels of a style picture whose colours are measured
-WARM_UP_AFTER = 1.0  # seconds after a browser has connected, in which its first picture is made
 GAUSSIANS, NAME = 300, "noise"  # of the scene for the warm-up
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PaintJob:
     """An object to paint."""
+
+    number: int
 
     name: str
     """A name or a label id."""
@@ -59,17 +55,19 @@ class PaintQueue:
 
     def __init__(self, session: Session, **options: Any) -> None:
         self.session, self._options = session, options
-        self._waiting = deque[PaintJob]()
+        self._waiting, self._numbers = deque[PaintJob](), count(1)
         self._current: PaintJob | None = None
         self._latest: Live | None = None
         self._lives: Iterator[Live] = iter(())
         self._stopped: tuple[StudioState, PaintJob, Iterator[Live]] | None = None
-        self._began, self._drawn_at, self._first = 0.0, 0.0, 0
+        self._times = list[tuple[float, float]]()  # when each share of it was done
+        self._usual = dict[str, list[tuple[float, float]]]()  # the times of the last, by quality
+        self._drawn_at, self._drawing = 0.0, 0.0
         session.interrupt = self._stop
 
     @property
-    def waiting(self) -> int:
-        return len(self._waiting)
+    def waiting(self) -> tuple[PaintJob, ...]:
+        return tuple(self._waiting)
 
     @property
     def can_continue(self) -> bool:
@@ -83,11 +81,25 @@ class PaintQueue:
         def start() -> None:
             if not names:
                 raise StyleSplatError("Nothing is picked. Click an object first.")
-            self._waiting.extend(PaintJob(name, style, title) for name in names)
-            if not self.session.painting:
+            for name in names:
+                refuse_locked(self.session.state, name)
+            jobs = (PaintJob(next(self._numbers), name, style, title) for name in names)
+            self._waiting.extend(jobs)
+            if self.session.painting:
+                self.session.on_change.call()
+            else:
                 self._start()
 
         self.session.ask(start)
+
+    def remove(self, number: int) -> None:
+        """Ask for an object that waits not to be painted."""
+
+        def job() -> None:
+            self._waiting = deque(each for each in self._waiting if each.number != number)
+            self.session.on_change.call()
+
+        self.session.ask(job)
 
     def stop(self) -> None:
         """Ask for the painting to end with its result so far; the objects that wait are dropped."""
@@ -115,9 +127,9 @@ class PaintQueue:
             self._end()  # and the first step, if it has begun
             return True
         lives, step = self._lives, latest.state.step
-        self._finish(current, latest, f"Stopped at step {step} of {current.name}")
+        self._finish(current, latest, f"Painted {current.name} like {current.title}, {step} steps")
         self._stopped = (self.session.state, current, lives)
-        self.session.on_painted.call(current.name, f"{current.title} to step {step}")
+        self.session.on_painted.call(current.name, f"{current.title}, {step} steps")
         self.session.on_change.call()
         return True
 
@@ -129,17 +141,15 @@ class PaintQueue:
         state = session.state
         picked = session.masks.of(state.scene, job.name)
         splats = preview_colors(state.scene.splats, picked, job.style.read())
-        session.preview = replace(
-            display_of(replace(state, glow=False), session.masks), splats=splats
-        )
+        session.preview = replace(session.display_of(state), splats=splats)
         lives = stylize_live(state.scene, job.name, job.style, **self._options)
         self._begin(job, lives)
 
     def _begin(self, job: PaintJob, lives: Iterator[Live]) -> None:
         self._current, self._latest, self._stopped, self._lives = job, None, None, lives
-        self._began, self._first, self._drawn_at = time.monotonic(), 0, 0.0
+        self._times, self._drawn_at = [], 0.0
         self.session.painting = True
-        self.session.progress = Progress(f"{job.name}: {job.title}", 0.0)
+        self.session.progress = Progress(f"Painting {job.name} like {job.title}", 0.0)
         self.session.worker.go_on_with(self._steps(job, lives))
         self.session.on_change.call()
 
@@ -156,6 +166,7 @@ class PaintQueue:
                 live = self._next(lives)
             latest = self._latest
             assert latest is not None  # there is at least one step
+            self._usual[job.style.config.quality] = self._times
             self._finish(job, latest, f"Painted {job.name} like {job.title}")
             self.session.on_painted.call(job.name, job.title)
         except Stopped:
@@ -175,31 +186,22 @@ class PaintQueue:
     def _show(self, job: PaintJob, live: Live) -> None:
         """Show the progress from time to time."""
         now, step, steps = time.monotonic(), live.state.step, live.state.steps
-        if not self._first:
-            self._first, self._began = step, now
-        if now - self._drawn_at < SHOW_EVERY:
+        self._times.append((step / steps, now))
+        if now - self._drawn_at < max(SHOW_EVERY, self._drawing / SHOWING):
             return
         self._drawn_at = now
-        done = step - self._first
-        left = (now - self._began) / done * (steps - step) if done else None
-        what = f"{job.name}: {job.title}, step {step} of {steps}"
+        left = seconds_left(self._times, self._usual.get(job.style.config.quality))
+        what = f"Painting {job.name} like {job.title}: step {step} of {steps}"
         self.session.progress = Progress(what, step / steps, left)
         scene = live.scene()
-        self.session.preview = ViewerSplats(scene.splats, hidden=self._hidden(scene))
+        state = replace_scene(self.session.state, scene, "")
+        self.session.preview = Display(scene.splats, hidden_rows(state, self.session.masks))
         self.session.on_change.call()
-
-    def _hidden(self, scene: Scene) -> Bool[Tensor, " N"] | None:
-        state, known, masks = self.session.state, object_names(scene), self.session.masks
-        hidden = masks.together(scene, [name for name in state.hidden if name in known])
-        if state.alone:
-            picked = masks.together(scene, [name for name in state.picked if name in known])
-            hidden = None if picked is None else ~picked
-        return none_if_all(hidden)
+        self._drawing = time.monotonic() - now
 
     def _finish(self, job: PaintJob, live: Live, note: str) -> None:
         session = self.session
-        state = replace_scene(session.state, live.scene(), note)
-        session.history.add(replace(state, glow=False))
+        session.history.add(replace_scene(session.state, live.scene(), note))
         self._end()
 
     def _end(self) -> None:
@@ -230,25 +232,33 @@ def make_style(picture: Picture, **settings: Any) -> Style:
     return style
 
 
-def warm_up_at_first_client(server: "viser.ViserServer", worker: Worker, **options: Any) -> None:
-    """Warm up when the first browser has its picture."""
-    joined = list[bool]()
+def seconds_left(
+    times: Sequence[tuple[float, float]], usual: Sequence[tuple[float, float]] | None
+) -> float | None:
+    """How long a painting still takes.
 
-    async def join(client: "viser.ClientHandle") -> None:
-        if not joined:
-            joined.append(True)
-            server.get_event_loop().call_later(WARM_UP_AFTER, ask)
+    Args:
+        times: Shares of it that are done, and when, in seconds.
+        usual: The same of an earlier painting, whose stages take as long.
+    """
+    (_, began), (share, now) = times[0], times[-1]
+    if now - began < FIRST_GUESS:
+        return None
+    if usual:
+        at = next((time for done, time in usual if done >= share), usual[-1][1])
+        spent = at - usual[0][1]
+        if spent > 0:
+            return (now - began) * (usual[-1][1] - at) / spent
+    earlier_share, earlier = times[max(0, len(times) - RECENT - 1)]
+    return (now - earlier) / max(share - earlier_share, 1e-9) * (1 - share)
 
-    def ask() -> None:
-        worker.ask(lambda: warm_up_painting(worker, **options), patient=True)
 
-    server.on_client_connect(join)
-
-
-def warm_up_painting(worker: Worker, **options: Any) -> None:
+def warm_up_painting(
+    worker: Worker, stopped: Callable[[], bool] = lambda: False, **options: Any
+) -> None:
     """Paint a ball of noise for a step, which loads kernels, libraries and the network."""
     style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=1, object_size=48))
-    with observed(_YieldingObserver(worker)):
+    with suppress(Stopped), observed(_YieldingObserver(worker, stopped)):
         for _ in stylize_live(noise_ball(), NAME, style, **options):
             pass
 
@@ -271,8 +281,10 @@ def noise_ball() -> Scene:
 class _YieldingObserver(Silence):
     """Lets short work in between the parts of long work."""
 
-    def __init__(self, worker: Worker) -> None:
-        self._worker = worker
+    def __init__(self, worker: Worker, stopped: Callable[[], bool]) -> None:
+        self._worker, self._stopped = worker, stopped
 
     def advance(self, amount: int | float = 1) -> None:
         self._worker.breathe()
+        if self._stopped():
+            raise Stopped

@@ -1,19 +1,24 @@
 """Picks objects by names, clicks, rectangles and shapes, and changes picked objects."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from PIL import Image, ImageDraw
 from torch import Tensor
+from torch.nn.functional import pad
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.models.hub import is_at_hand
-from stylesplat.rendering.shares import AT_ONCE, render_shares
+from stylesplat.rendering.shares import AT_ONCE, contributed, render_shares
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import crop, depths_of
+from stylesplat.scene.projection import crop
 from stylesplat.scene.scene import Scene
+from stylesplat.selection.choose import find_object
 from stylesplat.selection.identities import MIN_COVERAGE
 from stylesplat.selection.shapes import surface_point
 from stylesplat.selection.text import CHECKPOINT
@@ -24,14 +29,16 @@ from stylesplat.studio_app.history import (
     object_names,
     replace_scene,
 )
+from stylesplat.studio_app.messages import How, Shape
 from stylesplat.verbs.objects import delete, rename
 from stylesplat.verbs.select import select
 
-How = Literal["new", "add", "away"]
 Pixel = tuple[float, float]
 
 AROUND = 1  # pixels around a click that count, too
-MADE = "pick {}"  # names of picks that are made by shapes
+MADE = "object {}"  # names of picks that are made by shapes
+LEAST_SHOWN = 0.05  # of a pixel, by which a Gaussian shows
+DRAWN = "#"  # instead of a command, for what none makes
 TAKEN = "taken away"  # the name of a shape while it is subtracted
 
 
@@ -42,7 +49,7 @@ def pick_names(state: StudioState, names: Sequence[str], how: How = "new") -> St
         before = state.picked if how == "add" else ()
         picked = tuple(dict.fromkeys((*before, *names)))
     words = ", ".join(picked) or "nothing"
-    return replace(state, picked=picked, glow=True, note=f"Picked {words}")
+    return replace(state, picked=picked, note=f"Picked {words}")
 
 
 def object_in(
@@ -85,6 +92,8 @@ def pick_at(
 ) -> StudioState:
     """Pick the object that shows at a pixel, or nothing where none shows."""
     found = object_at(state, masks, camera, place)
+    if found is not None and how == "new" and state.picked == (found,):
+        return state
     if found is None:
         return pick_names(state, [], how) if how == "new" and state.picked else state
     return pick_names(state, [found], how)
@@ -97,20 +106,56 @@ def pick_ball(
     return _ball(state, surface_point(state.scene.splats, camera, place), radius, how)
 
 
-def pick_round(
-    state: StudioState, camera: Cameras, low: Pixel, high: Pixel, how: How = "new"
-) -> StudioState:
-    """Pick the ball that fits into a rectangle of a picture, around the surface there."""
-    across, down = ((a + b) / 2 for a, b in zip(low, high, strict=True))
-    centre = surface_point(state.scene.splats, camera, (across, down))
-    pixels = min(b - a for a, b in zip(low, high, strict=True)) / 2
-    depth = float(depths_of(centre[None], camera)[0])
-    return _ball(state, centre, pixels * depth / float(camera.Ks[0, 0, 0]), how)
-
-
 def _ball(state: StudioState, centre: Float[Tensor, " 3"], radius: float, how: How) -> StudioState:
     sphere = tuple(round(float(number), 5) for number in (*centre.tolist(), radius))
     return _shaped(state, {"sphere": sphere}, how)
+
+
+@torch.no_grad()
+def pick_drawn(
+    state: StudioState, camera: Cameras, inside: Bool[Tensor, "H W"], how: How = "new"
+) -> StudioState:
+    """Pick the Gaussians that show mostly inside a region of a picture, or change the pick."""
+    pixels = torch.stack([inside, ~inside], dim=-1).to(state.scene.splats.means)
+    weights = contributed(state.scene.splats, camera, pad(pixels, (0, AT_ONCE - 2)))
+    within, beside = weights[:, 0], weights[:, 1]
+    rows = (within > beside) & (within > LEAST_SHOWN)
+    if not rows.any():
+        raise StyleSplatError("Nothing shows inside the line. Draw it around an object.")
+    own = [find_object(state.scene, name) for name in state.picked]
+    before = torch.stack(own).any(dim=0) if own else torch.zeros_like(rows)
+    name = _free_name(state.scene) if how == "new" or not own else _own_name(state)
+    mask = {"new": rows, "add": before | rows, "away": before & ~rows}[how]
+    if not mask.any():
+        raise StyleSplatError("Nothing is left of the pick.")
+    return _selected(state, name, {"rows": mask})
+
+
+def region_of(
+    shape: Shape, points: Sequence[Pixel], size: tuple[int, int], radius: float
+) -> Bool[Tensor, "H W"]:
+    """The pixels inside a line that is drawn on a picture.
+
+    Args:
+        shape: A rectangle between the first and the last point, a closed line, or a brush.
+        points: In shares of the picture.
+        size: Width and height of the picture in pixels.
+        radius: Of the brush, as a share of the height.
+    """
+    width, height = size
+    image = Image.new("1", size)
+    draw, line = ImageDraw.Draw(image), [(x * width, y * height) for x, y in points]
+    if shape == "rectangle":
+        (x0, y0), (x1, y1) = line[0], line[-1]
+        draw.rectangle((min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)), 1)
+    elif shape == "lasso" and len(line) > 2:
+        draw.polygon(line, 1)
+    elif shape == "brush":
+        reach = max(radius * height, 0.5)
+        draw.line(line, 1, max(1, round(2 * reach)))
+        for x, y in line:
+            draw.ellipse((x - reach, y - reach, x + reach, y + reach), 1)
+    return torch.from_numpy(np.array(image))
 
 
 def pick_box(
@@ -171,24 +216,25 @@ def forget_picked(state: StudioState) -> StudioState:
     """Delete the picked names; the Gaussians stay."""
     names = [name for name in state.picked if name in state.scene.objects]
     if not names:
-        raise StyleSplatError("Only objects that were named can be forgotten. Pick one of them.")
+        raise StyleSplatError("Only names can be deleted. Pick an object that has one.")
     scene = state.scene
     for name in names:
         scene = delete(scene, name)
     commands = (*state.commands, *(("delete", "SCENE", name) for name in names))
-    return replace(replace_scene(state, scene, f"Forgot {', '.join(names)}"), commands=commands)
+    return replace(
+        replace_scene(state, scene, f"Deleted the name {', '.join(names)}"), commands=commands
+    )
 
 
-def hide_picked(state: StudioState, hide: bool) -> StudioState:
-    """Hide what is picked, or show everything again."""
-    names = state.hidden | set(state.picked) if hide else frozenset()
-    picked = () if hide else state.picked
-    note = f"Hid {', '.join(sorted(names))}" if hide else "Showed everything"
-    return replace(state, hidden=names, picked=picked, alone=False, note=note)
+def hide_objects(state: StudioState, names: Sequence[str], hide: bool) -> StudioState:
+    hidden = state.hidden | {*names} if hide else state.hidden - {*names}
+    picked = tuple(name for name in state.picked if name not in hidden)
+    note = f"{'Hid' if hide else 'Showed'} {', '.join(names)}"
+    return replace(state, hidden=hidden, picked=picked, alone=False, note=note)
 
 
 def isolate_picked(state: StudioState, only: bool) -> StudioState:
-    return replace(state, alone=only, note="Showed alone" if only else "Showed with the rest")
+    return replace(state, alone=only, note="Showed the pick alone" if only else "Showed everything")
 
 
 def _shaped(state: StudioState, shape: dict[str, Any], how: How) -> StudioState:
@@ -212,21 +258,23 @@ def _selected(state: StudioState, name: str, choice: dict[str, Any]) -> StudioSt
     """Make a picked object, and note the command that makes it."""
     scene = select(state.scene, name, **choice)
     words = ["select", "SCENE", "--name", name]
+    if "rows" in choice:
+        words, choice = [DRAWN, f"{name!r} was drawn in the studio; saving the scene keeps it."], {}
     for key, value in choice.items():
         several = key in ("plus", "minus") and not isinstance(value, str)
         for each in value if several else (value,):
             numbers = each if isinstance(each, tuple) else (each,)
             words.append(f"--{key}={','.join(map(str, numbers))}")  # the first may be negative
     commands = (*state.commands, tuple(words))
-    state = replace(state, scene=scene, commands=commands, note=f"Made {name}")
-    return replace(state, picked=(name,), glow=True)
+    state = replace(state, scene=scene, commands=commands, note=f"Selected {name}")
+    return replace(state, picked=(name,))
 
 
 def _own_name(state: StudioState) -> str:
     """The name of the pick if it was made here, and not painted; else a new name."""
-    made = {words[3] for words in state.commands if words[0] == "select"}
-    if len(state.picked) == 1 and state.picked[0] in made - {*state.scene.painted_objects}:
-        return state.picked[0]
+    made = [name for name in state.picked if re.fullmatch(MADE.format(r"\d+"), name)]
+    if len(state.picked) == 1 and made and made[0] not in state.scene.painted_objects:
+        return made[0]
     return _free_name(state.scene)
 
 

@@ -4,13 +4,17 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
+from jaxtyping import Bool
+from torch import Tensor
+
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.live_splats import ViewerSplats
 from stylesplat.progress import Observer, Silence, Task, observed
 from stylesplat.scene.scene import Scene
-from stylesplat.studio_app.history import History, ObjectMasks, StudioState, display_of
+from stylesplat.scene.splats import Splats
+from stylesplat.studio_app.history import History, ObjectMasks, StudioState, hidden_rows
 from stylesplat.work import Worker
 
 Change = Callable[[StudioState], StudioState]
@@ -39,6 +43,21 @@ class Progress:
     """Estimated seconds that it still takes."""
     doing: str = ""
     """The preparation that is under way."""
+    export: bool = False
+    """Whether it is an export."""
+
+
+@dataclass(frozen=True, eq=False)
+class Display:
+    """What browsers display."""
+
+    splats: Splats
+    hidden: Bool[Tensor, " N"] | None = None
+    """Gaussians that are not drawn."""
+
+    @cached_property
+    def visible(self) -> Splats:
+        return self.splats if self.hidden is None else self.splats[~self.hidden]
 
 
 class Session:
@@ -51,15 +70,15 @@ class Session:
         """Where Save writes."""
         self.saved = self.history.now
         """The state that was saved last, or opened."""
-        self.preview: ViewerSplats | None = None
+        self.preview: Display | None = None
         """What browsers display in place of the state during a painting."""
         self.progress: Progress | None = None
+        self.export: Progress | None = None
+        """The progress of an export, which runs beside all else."""
         self.painting = False
         """Whether an object is being painted, or a video made: the scene does not change then."""
         self.interrupt: Callable[[], bool] = lambda: False
         """Stops the painting and keeps its result so far; returns whether there was one."""
-        self.greetings = list[str]()
-        """Messages for each new browser."""
         self.on_change = Callbacks()
         self.on_progress = Callbacks()
         """Called where `progress` alone has changed."""
@@ -67,16 +86,19 @@ class Session:
         """Called with an object and the title of its picture when it is painted, or stopped."""
         self.on_message = Callbacks()
         """Called with a line for the user, and whether it reports a failure."""
-        self.worker = Worker(self._report)
+        self.worker = Worker(self.report)
 
     @property
     def state(self) -> StudioState:
         return self.history.now
 
     @property
-    def display(self) -> ViewerSplats:
+    def display(self) -> Display:
         """What browsers display now."""
-        return self.preview or display_of(self.state, self.masks)
+        return self.preview or self.display_of(self.state)
+
+    def display_of(self, state: StudioState) -> Display:
+        return Display(state.scene.splats, hidden_rows(state, self.masks))
 
     @property
     def unsaved(self) -> bool:
@@ -86,17 +108,18 @@ class Session:
     def do(self, change: Change, *, merge: object = None, kind: str = "") -> None:
         """Ask for a change of the state; `merge` as for `History.add`, `kind` as for `ask`."""
 
-        def job() -> None:
-            state = change(self.state)
-            if state is not self.state:
-                if self.painting and state.scene is not self.state.scene:
-                    raise StyleSplatError(
-                        "An object is being painted. Wait until it is done, or press Stop."
-                    )
-                self.history.add(state, merge=merge)
-                self.on_change.call()
+        self.ask(lambda: self.change(change(self.state), merge=merge), kind=kind)
 
-        self.ask(job, kind=kind)
+    def change(self, state: StudioState, *, merge: object = None) -> None:
+        """Go on with another state, in the worker's thread."""
+        if state is self.state:
+            return
+        if self.painting and state.scene is not self.state.scene:
+            raise StyleSplatError(
+                "An object is being painted. Wait until it is done, or press Stop."
+            )
+        self.history.add(state, merge=merge)
+        self.on_change.call()
 
     def step(self, rows: int) -> None:
         """Ask for undo or redo. Undo first ends a painting, and takes its result so far back."""
@@ -140,7 +163,7 @@ class Session:
         self.worker.close()
         self.history.close()
 
-    def _report(self, error: Exception) -> None:
+    def report(self, error: Exception) -> None:
         if not isinstance(error, StyleSplatError):
             traceback.print_exception(error)  # our fault: the terminal gets the whole trace
         self.tell(str(error), failure=True)

@@ -1,33 +1,39 @@
-"""`studio`: choose, paint and compare in the browser."""
+"""`studio` and `view`: choose, paint and compare in the browser, or only look."""
 
 import threading
+import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+
+import torch
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.browser import refuse_empty
-from stylesplat.figures.private_server import ADDRESS, PrivateServer, private_server
 from stylesplat.io import scene_folder
 from stylesplat.progress import say
+from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
+from stylesplat.signals import Terminated
+from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.autosave import SceneStore
-from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, limit_uploads, too_large
-from stylesplat.studio_app.page import Page
-from stylesplat.studio_app.paint_queue import PaintQueue, warm_up_at_first_client
+from stylesplat.studio_app.gallery import Gallery
+from stylesplat.studio_app.paint_queue import PaintQueue, warm_up_painting
+from stylesplat.studio_app.server import ADDRESS, PageServer
 from stylesplat.studio_app.session import Session
 
 AUTOSAVE_SECONDS = 60.0
+WARM_UP_AFTER = 2.0  # seconds after a browser has connected, in which its first picture is made
 
 
 class StudioServer:
     """A running studio."""
 
-    def __init__(self, opened: PrivateServer, page: Page, store: SceneStore, gallery: Gallery):
-        self.server, self.page, self.store, self._gallery = opened.server, page, store, gallery
-        self.session = page.session
-        self.url = opened.url
+    def __init__(self, server: PageServer, store: SceneStore) -> None:
+        self.server, self.store, self.session = server, store, server.session
+        self.url = server.url
         """The address that opens it, with the token."""
         self._closed = threading.Event()
         self._has_warned = False
@@ -49,10 +55,11 @@ class StudioServer:
         if self._closed.is_set():
             return
         self._closed.set()
+        self.server.stopping.set()
         self.session.worker.close()
         try:
             with ExitStack() as rest:  # runs all callbacks, the last one first, whatever fails
-                rest.callback(self._gallery.close)
+                rest.callback(self.server.actions.gallery.close)
                 rest.callback(self.session.close)
                 rest.callback(self.server.stop)
                 rest.callback(self._autosave_at_the_end)
@@ -108,29 +115,114 @@ def studio(
         The studio; `close()` ends it.
 
     Raises:
-        StyleSplatError: If viser is not installed, the scene is empty or has no folder, or there
-            is no folder of styles.
+        StyleSplatError: If Starlette or uvicorn is not installed, the scene is empty or has no
+            folder, or there is no folder of styles.
     """
     if not isinstance(scene, Scene):
         scene = scene_folder.open(scene)
     if scene.path is None:
         raise StyleSplatError("This scene has no folder to save to. Save it first, and open that.")
-    refuse_empty(scene.splats)
+    _refuse_empty(scene.splats)
     gallery = Gallery(None if styles is None else Path(styles))
-    private = private_server(port, "StyleSplat studio", host=host)
-    server = private.server
     session = Session(scene, folder=scene.path)
     store = SceneStore(scene.path)
     _recover(session, store)
-    page = Page(server, session, PaintQueue(session, **options), gallery, store)
-    limit_uploads(server, MOST_BYTES, lambda size: session.tell(too_large(size), failure=True))
-    warm_up_at_first_client(server, session.worker, **options)
-    opened = StudioServer(private, page, store, gallery)
+    server = _page_server("StyleSplat studio", session, gallery, store, **options)
+
+    def warm_up() -> None:
+        worker = session.worker
+        stopped = server.stopping.is_set
+        worker.ask(lambda: warm_up_painting(worker, stopped, **options), patient=True)
+
+    def warm_up_soon() -> None:
+        timer = threading.Timer(WARM_UP_AFTER, warm_up)
+        timer.daemon = True
+        timer.start()
+
+    server.on_first_client = warm_up_soon
+    server.start(host, port)
+    opened = StudioServer(server, store)
     if host != ADDRESS:
         say(f"{host} is open to the network: anybody with the token sees and changes the scene.")
     if block:
         opened.wait()
     return opened
+
+
+@check_arguments
+def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "Viewer":
+    """Show a scene in a browser.
+
+    Args:
+        what: A scene, or splats alone, of which nobody knows what is up.
+        port: Port on 127.0.0.1, or the next free one.
+        block: Serve until Ctrl-C; otherwise return at once.
+
+    Returns:
+        The running server; its `url` opens it, `stop()` ends it.
+
+    Raises:
+        StyleSplatError: If Starlette or uvicorn is not installed, or there is nothing to show.
+    """
+    splats = what if isinstance(what, Splats) else what.splats
+    _refuse_empty(splats)
+    if isinstance(what, Splats):
+        up = torch.tensor([0.0, 0.0, 1.0])
+        what = Scene(what.detach().to("cpu"), ring_cameras(what.detach().to("cpu"), up))
+    session = Session(what, folder=what.path or Path())
+    server = _page_server("StyleSplat", session, Gallery(), None)
+    server.start(ADDRESS, port)
+    opened = Viewer(server)
+    if block:
+        try:
+            until_interrupted(opened.stop)
+        except Terminated:
+            raise
+        except KeyboardInterrupt:  # how a viewer is closed
+            pass
+    return opened
+
+
+class Viewer:
+    """A running viewer."""
+
+    def __init__(self, server: PageServer) -> None:
+        self.server, self.url = server, server.url
+
+    def stop(self) -> None:
+        """End it."""
+        self.server.session.close()
+        self.server.stop()
+
+
+def until_interrupted(stop: Callable[[], object]) -> NoReturn:
+    """Wait for Ctrl-C or SIGTERM, then stop the server."""
+    try:
+        while True:
+            time.sleep(1)
+    finally:
+        stop()
+
+
+def _refuse_empty(splats: Splats) -> None:
+    if not len(splats):
+        raise StyleSplatError("These splats are empty, so there is nothing to view.")
+
+
+def _page_server(
+    title: str, session: Session, gallery: Gallery, store: SceneStore | None, **options: Any
+) -> PageServer:
+    server = PageServer(title, session, readonly=store is None)
+    server.actions = Actions(
+        session,
+        queue=PaintQueue(session, **options),
+        gallery=gallery,
+        store=store,
+        send=server.send,
+        deliver=server.deliver,
+        on_state=server.send_state,
+    )
+    return server
 
 
 def _recover(session: Session, store: SceneStore) -> None:

@@ -6,10 +6,8 @@ from typing import Literal
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import some
-from stylesplat.figures.browser import serve_viewer
 from stylesplat.figures.orbits import orbit_around, orbit_cameras, zoom_to_content
 from stylesplat.figures.pictures import depth_step, render_pictures
-from stylesplat.figures.private_server import PrivateServer
 from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device
@@ -18,7 +16,6 @@ from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 
 Which = Literal["test", "train", "all", "orbit"]
@@ -143,23 +140,3 @@ def orbit(
     path = orbit_cameras(scene.cameras, count, content and content.extent.centre)
     path = path if size is None else path.resize(*size)
     return path if content is None else zoom_to_content(path, content)
-
-
-@check_arguments
-def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> PrivateServer:
-    """Show a scene in a browser: in mean colours, and as it is as soon as the camera rests.
-
-    Args:
-        what: A scene, or splats alone, of which nobody knows what is up.
-        port: Port on 127.0.0.1, or the next free one.
-        block: Serve until Ctrl-C; otherwise return at once.
-
-    Returns:
-        The running server; its `url` opens it, `stop()` ends it.
-
-    Raises:
-        StyleSplatError: If viser is not installed or there is nothing to show.
-    """
-    if isinstance(what, Splats):
-        return serve_viewer(what, port=port, block=block)
-    return serve_viewer(what.splats, cameras=what.cameras, port=port, block=block)

@@ -4,13 +4,13 @@ const STEEPEST = 1.54; // radians above or below: a little less than from right 
 const NEAREST = 0.02; // of the distance at the start, and
 const FARTHEST = 20;
 
-const plus = (a, b, times = 1) => a.map((value, axis) => value + times * b[axis]);
-const dot = (a, b) => a.reduce((sum, value, axis) => sum + value * b[axis], 0);
-const scaled = (a, times) => a.map((value) => times * value);
-const unit = (a) => scaled(a, 1 / Math.hypot(...a));
-const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
+export const plus = (a, b, times = 1) => a.map((value, axis) => value + times * b[axis]);
+export const dot = (a, b) => a.reduce((sum, value, axis) => sum + value * b[axis], 0);
+export const scaled = (a, times) => a.map((value) => times * value);
+export const unit = (a) => scaled(a, 1 / Math.hypot(...a));
+export const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
 
-class Orbit {
+export class Orbit {
   constructor(start) {
     this.start = start;
     this.up = unit(start.up);
@@ -48,6 +48,14 @@ class Orbit {
     const whole = Math.hypot(...plus(this.start.position, this.start.target, -1));
     const wanted = Math.max(NEAREST * whole, this.distance * times);
     this.distance = Math.min(FARTHEST * whole, wanted);
+  }
+
+  // Along its own axes, by shares of the distance to what it turns around
+  fly(right, down, forward) {
+    const { viewmat } = this.view([1, 1]);
+    [right, down, forward].forEach((share, axis) => {
+      this.target = plus(this.target, viewmat.slice(4 * axis, 4 * axis + 3), share * this.distance);
+    });
   }
 
   // By shares of the picture's height, to the right and down

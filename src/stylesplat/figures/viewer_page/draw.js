@@ -1,10 +1,13 @@
 // Gaussians on a canvas, by WebGL 2
 
+import { sorter } from "./sort.js";
+import { WORDS } from "./unpack.js";
+
 const WIDE = 1024; // Gaussians in a line of a texture, and those that are drawn as one instance
 
 const REMEDY = "Turn on hardware acceleration in the browser's settings, or open this page in another.";
 
-function drawer(canvas, splats, about, sources) {
+export function drawer(canvas, splats, about, sources, background = [0, 0, 0]) {
   const gl = canvas.getContext("webgl2", { alpha: false, antialias: false });
   if (!gl) throw new Error(`WebGL 2 is missing or turned off. ${REMEDY}`);
   const program = linked(gl, sources.vertex, sources.fragment);
@@ -13,8 +16,10 @@ function drawer(canvas, splats, about, sources) {
     ["axes", "eye", "focal", "centre", "size", "cut", "count"].map((name) => [name, at(name)])
   );
   gl.useProgram(program);
-  splatTexture(gl, splats, gl.TEXTURE0);
-  paletteTexture(gl, splats.palettes, about.bands, gl.TEXTURE1);
+  const textures = [
+    splatTexture(gl, splats, gl.TEXTURE0),
+    paletteTexture(gl, splats.palettes, about.bands, gl.TEXTURE1),
+  ];
   gl.uniform1i(at("splats"), 0);
   gl.uniform1i(at("palettes"), 1);
   gl.uniform1i(at("bands"), about.bands);
@@ -25,10 +30,11 @@ function drawer(canvas, splats, about, sources) {
   gl.enable(gl.BLEND);
   gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA); // the farthest first, colours times coverage
   const sorted = sorter(splats.centres, WIDE);
-  const lines = orderTexture(gl, splats.count, gl.TEXTURE2);
+  const lines = Math.ceil(splats.count / WIDE);
+  textures.push(orderTexture(gl, lines, gl.TEXTURE2));
 
   // A world-to-camera matrix of 16 numbers, line by line, and lengths in pixels; `cut` is a share
-  return ({ viewmat, focal, centre }, cut) => {
+  const draw = ({ viewmat, focal, centre }, cut) => {
     const { width, height } = canvas;
     const axes = [0, 1, 2].map((line) => viewmat.slice(4 * line, 4 * line + 3));
     const eye = [0, 1, 2].map((axis) =>
@@ -37,7 +43,7 @@ function drawer(canvas, splats, about, sources) {
     const { order, rows } = sorted(viewmat);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, WIDE, lines, gl.RED_INTEGER, gl.UNSIGNED_INT, order);
     gl.viewport(0, 0, width, height);
-    gl.clearColor(0, 0, 0, 1);
+    gl.clearColor(...background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.uniformMatrix3fv(places.axes, true, axes.flat());
     gl.uniform3fv(places.eye, eye);
@@ -48,6 +54,11 @@ function drawer(canvas, splats, about, sources) {
     gl.uniform1ui(places.count, rows);
     gl.drawElementsInstanced(gl.TRIANGLES, 6 * WIDE, gl.UNSIGNED_SHORT, 0, Math.ceil(rows / WIDE));
   };
+  draw.remove = () => {
+    textures.forEach((each) => gl.deleteTexture(each));
+    gl.deleteProgram(program);
+  };
+  return draw;
 }
 
 function splatTexture(gl, { count, words }, unit) {
@@ -57,27 +68,28 @@ function splatTexture(gl, { count, words }, unit) {
   }
   const padded = new Uint32Array(WORDS * WIDE * lines);
   padded.set(words);
-  texture(gl, unit);
+  const found = texture(gl, unit);
   const form = [gl.RGBA_INTEGER, gl.UNSIGNED_INT, padded];
   gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, (WORDS / 4) * WIDE, lines, 0, ...form);
+  return found;
 }
 
 // A line of 256 for each band, first what is there and then what is added
 function paletteTexture(gl, palettes, bands, unit) {
-  texture(gl, unit);
+  const found = texture(gl, unit);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
   const lines = Math.max(1, 2 * bands);
   const texels = new Uint8Array(3 * 256 * lines);
   palettes.forEach((palette, n) => texels.set(palette, n * palette.length));
   gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 256, lines, 0, gl.RGB, gl.UNSIGNED_BYTE, texels);
+  return found;
 }
 
 // Which Gaussian comes when; it stays bound, to be filled for each picture
-function orderTexture(gl, count, unit) {
-  const lines = Math.ceil(count / WIDE);
-  texture(gl, unit);
+function orderTexture(gl, lines, unit) {
+  const found = texture(gl, unit);
   gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, WIDE, lines);
-  return lines;
+  return found;
 }
 
 // Two triangles a Gaussian: instances of a Gaussian each take several times as long
@@ -91,10 +103,12 @@ function corners(gl) {
 }
 
 function texture(gl, unit) {
+  const found = gl.createTexture();
   gl.activeTexture(unit);
-  gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+  gl.bindTexture(gl.TEXTURE_2D, found);
   gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
   gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  return found;
 }
 
 function linked(gl, vertex, fragment) {

@@ -1,6 +1,11 @@
 // What mouse, fingers and keys do to the camera; `changed` is called after that
 
-function listen(canvas, camera, changed) {
+import { plus, scaled } from "./camera.js";
+
+const STEP = 0.04; // of the distance, by a key
+
+// A gesture that is `taken` does something else
+export function listen(canvas, camera, changed, taken = () => false) {
   const fingers = new Map();
   const size = () => [canvas.clientWidth, canvas.clientHeight];
   const middle = () => {
@@ -9,6 +14,7 @@ function listen(canvas, camera, changed) {
     return [mean, all.length > 1 ? Math.hypot(...plus(all[0], all[1], -1)) : 0];
   };
   canvas.addEventListener("pointerdown", (event) => {
+    if (taken(event)) return;
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, [event.clientX, event.clientY]);
     canvas.focus();
@@ -44,6 +50,12 @@ function listen(canvas, camera, changed) {
       arrowdown: () => camera.turn(0, -0.1),
       "+": () => camera.zoom(0.9),
       "-": () => camera.zoom(1 / 0.9),
+      a: () => camera.fly(-STEP, 0, 0),
+      d: () => camera.fly(STEP, 0, 0),
+      e: () => camera.fly(0, -STEP, 0),
+      q: () => camera.fly(0, STEP, 0),
+      w: () => camera.fly(0, 0, STEP),
+      s: () => camera.fly(0, 0, -STEP),
       home: () => camera.reset(),
       r: () => camera.reset(),
     }[event.key.toLowerCase()];
@@ -54,21 +66,21 @@ function listen(canvas, camera, changed) {
   });
 }
 
-// A handle that is dragged from left to right, or moved by arrow keys: a share of the width
-function slide(handle, canvas, share, changed) {
+// A line whose knob is dragged from left to right, or moved by arrow keys: a share of the width
+export function slide(line, knob, canvas, share, changed) {
   const move = (value) => {
     share = Math.max(0, Math.min(1, value));
-    handle.style.left = `${100 * share}%`;
-    handle.setAttribute("aria-valuenow", Math.round(100 * share));
+    line.style.left = `${100 * share}%`;
+    knob.setAttribute("aria-valuenow", Math.round(100 * share));
     changed(share);
   };
-  handle.addEventListener("pointerdown", (event) => handle.setPointerCapture(event.pointerId));
-  handle.addEventListener("pointermove", (event) => {
-    if (!handle.hasPointerCapture(event.pointerId)) return;
+  knob.addEventListener("pointerdown", (event) => knob.setPointerCapture(event.pointerId));
+  knob.addEventListener("pointermove", (event) => {
+    if (!knob.hasPointerCapture(event.pointerId)) return;
     const box = canvas.getBoundingClientRect();
     move((event.clientX - box.left) / box.width);
   });
-  handle.addEventListener("keydown", (event) => {
+  knob.addEventListener("keydown", (event) => {
     const steps = { ArrowLeft: -0.02, ArrowRight: 0.02, Home: -1, End: 1 };
     if (event.key in steps) move(share + steps[event.key]);
   });

@@ -1,5 +1,10 @@
 // The page: what is in it comes from elements that Python has filled
 
+import { Orbit } from "./camera.js";
+import { drawer } from "./draw.js";
+import { listen, slide } from "./hands.js";
+import { inflated, unpack } from "./unpack.js";
+
 const element = (name) => document.getElementById(name);
 const text = (name) => element(name).textContent.trim();
 
@@ -26,7 +31,8 @@ async function start() {
   const canvas = element("canvas");
   if (!window.DecompressionStream) throw new Error("This browser is too old for this page. Open it in one from 2023 or later.");
   const about = JSON.parse(text("about"));
-  const bytes = await inflated(text("splats"));
+  const packed = Uint8Array.from(atob(text("splats")), (letter) => letter.charCodeAt(0));
+  const bytes = await inflated(packed);
   const sources = { vertex: text("vertex"), fragment: text("fragment") };
   const draw = drawer(canvas, unpack(bytes, about), about, sources);
   const camera = new Orbit(about.start);
@@ -51,7 +57,7 @@ async function start() {
   canvas.addEventListener("webglcontextlost", () => say("The graphics driver has stopped. Load this page again."));
   listen(canvas, camera, changed);
   legend(about.objects, camera, changed);
-  if (about.painted) slide(element("cut"), canvas, cut, (share) => ((cut = share), changed()));
+  if (about.painted) slide(element("cut"), element("knob"), canvas, cut, (share) => ((cut = share), changed()));
   document.body.classList.toggle("compared", about.painted > 0);
   fit();
   say("");

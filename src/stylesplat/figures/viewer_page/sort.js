@@ -1,10 +1,10 @@
 // Which Gaussians are before the camera, the farthest first
 
-const NEAR = 0.01; // nothing nearer is drawn
+export const NEAR = 0.01; // nothing nearer is drawn
 const DIGIT = 12; // bits that are sorted by at once; two digits tell depths apart to a millionth
 
 // The rows come in an array whose length is a multiple of `wide`
-function sorter(centres, wide) {
+export function sorter(centres, wide) {
   const count = centres.length / 3;
   const depths = new Float32Array(count);
   const bits = new Uint32Array(depths.buffer); // of positive numbers have the same order

@@ -1,16 +1,15 @@
-// The Gaussians as they were packed: see drawing/packed.py. Every column is for all of them, sorted
+// The Gaussians as they were packed: see figures/packed.py. Every column is for all of them, sorted
 // by place; positions have two bytes, high ones first.
 
-const WORDS = 12; // of a Gaussian: centre 3, covariance 6, colour and opacity after and before, bands
+export const WORDS = 12; // of a Gaussian: centre 3, covariance 6, colour and opacity after and before, bands
 
-async function inflated(base64) {
-  const packed = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+export async function inflated(packed) {
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
 // What the graphics card reads: 12 words a Gaussian, and the centres once more for sorting
-function unpack(bytes, about) {
+export function unpack(bytes, about) {
   let start = 0;
   const take = (count) => bytes.subarray(start, (start += count));
   const times = (number, count) => Array.from({ length: number }, () => take(count));

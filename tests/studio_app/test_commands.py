@@ -7,11 +7,11 @@ from browser import QUICK, stripes
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.scene_folder import open
 from stylesplat.studio_app.autosave import SceneStore
-from stylesplat.studio_app.compare_panel import remove_paint
+from stylesplat.studio_app.commands import command_lines, commands_text
 from stylesplat.studio_app.history import StudioState
+from stylesplat.studio_app.layers import remove_paint
 from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.picking import pick_names, rename_picked
-from stylesplat.studio_app.save_panel import command_lines, commands_text
 from stylesplat.studio_app.session import Session
 from stylesplat.stylization.style import Style
 

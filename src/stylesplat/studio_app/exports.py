@@ -1,0 +1,139 @@
+"""Files to take away: exports, pictures and turntables."""
+
+import io
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from PIL import Image
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.web_page import SUFFIX
+from stylesplat.io.splats.splat_files import COMPRESSED
+from stylesplat.io.video import write_video
+from stylesplat.progress import Observer, Silence, Task, observed
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.scene import Scene
+from stylesplat.studio_app.messages import Look
+from stylesplat.studio_app.pictures import Color, camera_of, render_display
+from stylesplat.studio_app.session import Progress, Session, Stopped
+from stylesplat.verbs.export import export
+
+FORMATS = (".ply", COMPRESSED, ".spz", ".splat", ".sog", ".glb", SUFFIX)
+MOST_PIXELS = 8192  # along a side of a still picture
+
+Deliver = Callable[[str, bytes], None]
+
+
+class Exporter:
+    """Writes one export at a time in a thread of its own, so that the page goes on."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._cancelled = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, scene: Scene, ending: str, deliver: Deliver) -> None:
+        """Begin to export a scene; `deliver` gets the file's ending and content."""
+        if ending not in FORMATS:
+            raise StyleSplatError(f"There is no format {ending}. Use {', '.join(FORMATS)}.")
+        if self._thread is not None and self._thread.is_alive():
+            raise StyleSplatError("An export is under way. Wait until it is done, or cancel it.")
+        self._cancelled.clear()
+        self._thread = threading.Thread(
+            target=self._run, args=(scene, ending, deliver), daemon=True, name="export"
+        )
+        self._thread.start()
+
+    def cancel(self) -> None:
+        self._cancelled.set()
+
+    def wait(self, seconds: float = 60.0) -> None:
+        if self._thread is not None:
+            self._thread.join(seconds)
+
+    def _run(self, scene: Scene, ending: str, deliver: Deliver) -> None:
+        session, before = self._session, self._session.export
+        session.export = Progress(f"Exporting {ending}", 0.0, export=True)
+        session.on_progress.call()
+        try:
+            with observed(_ExportObserver(session, self._cancelled)):
+                content = export_bytes(scene, ending)
+            if not self._cancelled.is_set():
+                deliver(ending, content)
+        except Stopped:
+            session.tell("The export was cancelled.")
+        except Exception as error:
+            session.report(error)
+        finally:
+            session.export = before
+            session.on_progress.call()
+
+
+class _ExportObserver(Silence, Observer):
+    """Passes the progress of an export on, and ends it when it is cancelled."""
+
+    def __init__(self, session: Session, cancelled: threading.Event) -> None:
+        self._session, self._cancelled = session, cancelled
+        self._done, self._total = 0.0, 1.0
+
+    @contextmanager
+    def task(
+        self, what: str, total: int | float | None, unit: str, done: int | float
+    ) -> Iterator[Task]:
+        self._done, self._total = float(done), float(total or 1)
+        yield self
+
+    def advance(self, amount: int | float = 1) -> None:
+        if self._cancelled.is_set():
+            raise Stopped
+        self._done += amount
+        if self._session.export is not None:
+            share = min(1.0, self._done / self._total)
+            self._session.export = replace(self._session.export, share=share)
+            self._session.on_progress.call()
+
+
+def export_bytes(scene: Scene, ending: str) -> bytes:
+    """The content of a file with the scene in another format, or as a web page."""
+    with tempfile.TemporaryDirectory(prefix="stylesplat-studio-") as folder:
+        path = Path(folder) / f"scene{ending}"
+        export(scene, path)
+        return path.read_bytes()
+
+
+def render_png(session: Session, look: Look, width: int, background: Color) -> bytes:
+    """A PNG of a view."""
+    if not 1 <= width <= MOST_PIXELS:
+        raise StyleSplatError(f"A picture has 1 to {MOST_PIXELS} pixels a side, not {width}.")
+    camera = camera_of(look, pixels=10**9)
+    if width * camera.size[1] > MOST_PIXELS * camera.size[0]:
+        raise StyleSplatError(f"The picture would be higher than {MOST_PIXELS} pixels.")
+    camera = camera.downscale(float(camera.sizes[0, 0]) / width)
+    file = io.BytesIO()
+    Image.fromarray(render_display(session.display, camera, background)).save(file, "PNG")
+    return file.getvalue()
+
+
+def render_turntable(
+    session: Session, path: Cameras, width: int, fps: int, background: Color, deliver: Deliver
+) -> Iterator[None]:
+    """Make a video along a path, frame by frame."""
+    display, count = session.display, len(path)
+    across, down = path.size
+    even = [2 * max(1, round(side / 2)) for side in (width, width * down / across)]
+    cameras, frames = path.resize(even[0], even[1]), list[torch.Tensor]()
+    for row in range(count):
+        frames.append(torch.from_numpy(render_display(display, cameras[row], background)))
+        share = (row + 1) / count
+        session.progress = Progress(f"Turntable: frame {row + 1} of {count}", share)
+        session.on_progress.call()
+        yield
+    with tempfile.TemporaryDirectory(prefix="stylesplat-studio-") as folder:
+        file = Path(folder) / "turntable.mp4"
+        write_video(frames, file, fps=fps)
+        deliver(".mp4", file.read_bytes())

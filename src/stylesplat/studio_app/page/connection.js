@@ -1,0 +1,83 @@
+// What the page knows: everything comes over one WebSocket, see messages.py
+
+import { batch, signal } from "./libraries/signals.js";
+
+export const hello = signal(null);
+export const state = signal(null);
+export const progress = signal({ what: "" });
+export const notes = signal([]);
+export const online = signal(true);
+
+const SECONDS = 6; // that a note stays; a failure stays three times as long
+const handlers = {}; // of binary messages, by kind
+let socket = null, number = 0;
+
+export function on(kind, handler) {
+  handlers[kind] = handler;
+}
+
+export function act(what, fields = {}) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ do: what, ...fields }));
+}
+
+export function note(text, failure = false) {
+  const entry = { number: ++number, text, failure };
+  notes.value = [...notes.value.slice(-3), entry];
+  setTimeout(() => dismiss(entry.number), 1000 * SECONDS * (failure ? 3 : 1));
+}
+
+export function dismiss(which) {
+  notes.value = notes.value.filter((each) => each.number !== which);
+}
+
+const texts = {
+  hello: (message) => (hello.value = message),
+  state: (message) => (state.value = message),
+  progress: (message) => (progress.value = message),
+  note: (message) => note(message.text, message.failure),
+  download({ url, name }) {
+    const link = Object.assign(document.createElement("a"), { href: url, download: name });
+    document.body.append(link);
+    link.click();
+    link.remove();
+  },
+};
+
+function receive({ data }) {
+  if (typeof data === "string") {
+    const message = JSON.parse(data);
+    batch(() => texts[message.kind]?.(message));
+    return;
+  }
+  const length = new DataView(data).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  handlers[header.kind]?.(header, new Uint8Array(data, 4 + length));
+}
+
+export function connect(opened) {
+  socket = new WebSocket(`ws://${location.host}/socket`);
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = receive;
+  socket.onopen = () => {
+    online.value = true;
+    opened();
+  };
+  socket.onclose = () => {
+    online.value = false;
+    setTimeout(() => connect(opened), 1000);
+  };
+}
+
+export async function upload(file) {
+  const most = hello.value.max_bytes;
+  if (file.size > most) {
+    note(`${file.name} has ${Math.round(file.size / 2 ** 20)} MB. Send ${most / 2 ** 20} MB at most.`, true);
+    return;
+  }
+  try {
+    const answer = await fetch(`/style?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
+    if (!answer.ok) note(await answer.text(), true);
+  } catch {
+    note(`${file.name} could not be sent.`, true);
+  }
+}

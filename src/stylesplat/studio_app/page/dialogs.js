@@ -1,0 +1,135 @@
+// Dialogs: files to take away, settings of paintings, a part of a picture, photos and keys
+
+import { useRef } from "./libraries/hooks.js";
+import { useSignal } from "./libraries/signals.js";
+import { background, dialog, part, regions, settings, showPhotos } from "./choices.js";
+import { act, hello, note, state } from "./connection.js";
+import { Button, Dialog, Entry, html, Select, Slider } from "./widgets.js";
+
+export function Dialogs({ viewport }) {
+  const close = () => (dialog.value = part.value = null);
+  if (part.value) return html`<${Part} style=${part.value} onClose=${close} />`;
+  if (dialog.value === "keep") return html`<${Keep} onClose=${close} />`;
+  if (dialog.value === "settings") return html`<${Settings} onClose=${close} />`;
+  if (dialog.value === "view") return html`<${View} viewport=${viewport()} onClose=${close} />`;
+  return null;
+}
+
+function Settings({ onClose }) {
+  const set = (control, value) => {
+    const { [control.name]: _, ...rest } = settings.value;
+    settings.value = value === control.value ? rest : { ...rest, [control.name]: value };
+  };
+  return html`<${Dialog} title="Settings of the painting" onClose=${onClose}>
+    ${hello.value.settings.map((each) => {
+      const value = settings.value[each.name] ?? each.value;
+      return each.choices.length
+        ? html`<${Select} label=${each.label} value=${value} choices=${each.choices} onChange=${(chosen) => set(each, chosen)} />`
+        : html`<${Slider} label=${each.label} value=${value} low=${each.low} high=${each.high} step=${each.step} onInput=${(chosen) => set(each, chosen)} />`;
+    })}
+    <p class="hint">They count for the next painting. Draft is quick, for trying things.</p>
+    <div class="row"><${Button} text="Defaults" label="Use the defaults" onClick=${() => (settings.value = {})} />
+      <span class="grow"></span><${Button} primary text="Done" label="Close" onClick=${onClose} /></div>
+  </${Dialog}>`;
+}
+
+// The part of a style picture to use: a rectangle that is dragged on it
+function Part({ style, onClose }) {
+  const frame = useRef(null), drawn = useSignal(regions.value[style.number] ?? null), start = useRef(null);
+  const at = (event) => {
+    const box = frame.current.getBoundingClientRect();
+    const shares = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
+    return shares.map((share, axis) => Math.round(Math.min(1, Math.max(0, share)) * style.size[axis]));
+  };
+  const press = (event) => {
+    event.preventDefault();
+    frame.current.setPointerCapture(event.pointerId);
+    start.current = at(event);
+  };
+  const move = (event) => {
+    if (!start.current) return;
+    const [[a, b], [x, y]] = [start.current, at(event)];
+    drawn.value = [Math.min(a, x), Math.min(b, y), Math.max(a, x), Math.max(b, y)];
+  };
+  const use = (region) => {
+    const { [style.number]: _, ...rest } = regions.value;
+    regions.value = region ? { ...rest, [style.number]: region } : rest;
+    onClose();
+  };
+  const share = (value, axis) => `${(100 * value) / style.size[axis]}%`;
+  const [x0, y0, x1, y1] = drawn.value ?? [0, 0, ...style.size];
+  return html`<${Dialog} title=${`Part of ${style.title}`} onClose=${onClose} wide>
+    <p class="hint">Drag a rectangle over the part to paint with.</p>
+    <div class="part" ref=${frame} onPointerDown=${press} onPointerMove=${move} onPointerUp=${() => (start.current = null)}>
+      <img src=${`/picture/large/${style.number}?${encodeURIComponent(style.title)}`} alt=${style.title} draggable="false" />
+      <i style=${`left:${share(x0, 0)};top:${share(y0, 1)};width:${share(x1 - x0, 0)};height:${share(y1 - y0, 1)}`}></i></div>
+    <div class="row"><${Button} text="Whole picture" label="Use the whole picture" onClick=${() => use(null)} /><span class="grow"></span>
+      <${Button} primary text="Use this part" label="Use this part" disabled=${x1 - x0 < 2 || y1 - y0 < 2} onClick=${() => use(drawn.value)} /></div>
+  </${Dialog}>`;
+}
+
+function Keep({ onClose }) {
+  const now = state.value, name = now.folder.split("/").at(-1);
+  const format = useSignal(".ply"), width = useSignal(1920);
+  const turn = useSignal({ seconds: 4, fps: 30, width: 960, around: "" });
+  const set = (key) => (event) => (turn.value = { ...turn.value, [key]: key === "around" ? event : Number(event.target.value) });
+  const begin = (what, fields) => {
+    act(what, fields);
+    onClose();
+  };
+  const number = (label, value, low, high, onInput) => html`<label class="field"><span>${label}</span>
+    <input type="number" value=${value} min=${low} max=${high} onInput=${onInput} /></label>`;
+  return html`<${Dialog} title="Export" onClose=${onClose} wide>
+    <section><h3>File for other programs</h3><div class="row"><${Select} label="Format" value=${format.value} choices=${hello.value.formats.map((each) => [each, FORMATS[each] ?? each])} onChange=${(each) => (format.value = each)} />
+      <${Button} primary icon="download" text="Download" label="Download the scene" onClick=${() => begin("export", { ending: format.value })} /></div></section>
+    <section><h3>Picture of this view</h3><div class="row">${number("Width in pixels", width.value, 64, 8192, (event) => (width.value = Number(event.target.value)))}
+      <${Button} icon="download" text="PNG" label="Download this view as PNG" onClick=${() => begin("picture", { width: Math.round(width.value) })} /></div></section>
+    <section><h3>Turntable</h3><div class="row">${number("Seconds", turn.value.seconds, 1, 60, set("seconds"))}${number("Frames a second", turn.value.fps, 1, 60, set("fps"))}${number("Width in pixels", turn.value.width, 64, 3840, set("width"))}
+      <${Select} label="Around" value=${turn.value.around} choices=${[["", "the scene"], ...now.objects.map((each) => each.name)]} onChange=${set("around")} />
+      <${Button} icon="download" text="MP4" label="Make a turntable video" disabled=${now.painting} onClick=${() => begin("turntable", turn.value)} /></div></section>
+    <section><h3>Another folder</h3><${Entry} label="Name of a new folder beside this one" button="Save as" value=${`${name}-painted`} onEnter=${(words) => begin("save_as", { name: words })} /></section>
+    <section><h3>The same on the command line</h3><pre tabindex="0">${now.commands}</pre>
+      <div class="row"><${Button} icon="copy" text="Copy" label="Copy the commands" onClick=${() => copy(now.commands)} /></div></section>
+  </${Dialog}>`;
+}
+
+const FORMATS = {
+  ".ply": "PLY, every bit", ".compressed.ply": "Compressed PLY", ".spz": "SPZ", ".splat": "SPLAT, one colour each",
+  ".sog": "SOG, smallest", ".glb": "glTF (GLB)", ".html": "Web page with before and after",
+};
+
+async function copy(text) {
+  try {
+    await navigator.clipboard.writeText(text);
+    note("Copied.");
+  } catch {
+    note("The browser does not allow copying. Select the text instead.", true);
+  }
+}
+
+const KEYS = [
+  ["Drag", "turn"], ["Right drag", "move"], ["Wheel", "come closer"], ["Double click", "go to an object"],
+  ["W A S D Q E", "fly"], ["Arrows", "turn"], ["H", "home"], ["B", "hold: before painting"],
+  ["Ctrl+Z, Ctrl+Y", "undo, redo"], ["Ctrl+S", "save"], ["Esc", "pick nothing"],
+];
+
+function View({ viewport, onClose }) {
+  const { photos, readonly, gaussians } = hello.value;
+  const row = useSignal(0);
+  const fly = (value) => {
+    row.value = value;
+    viewport.fly(photos[value].position, photos[value].target);
+  };
+  const color = (event) => {
+    background.value = [1, 3, 5].map((start) => parseInt(event.target.value.slice(start, start + 2), 16) / 255);
+    act("background", { color: background.value });
+  };
+  const code = `#${background.value.map((each) => Math.round(255 * each).toString(16).padStart(2, "0")).join("")}`;
+  return html`<${Dialog} title="View" onClose=${onClose}>
+    ${photos.length > 1 && html`<${Slider} label="Fly to photo" value=${row.value} high=${photos.length - 1} step="1" show=${(value) => photos[value].name} onInput=${fly} />
+      <label class="check"><input type="checkbox" checked=${showPhotos.value} onChange=${(event) => (showPhotos.value = event.target.checked)} /><span>Show the cameras of photos; click one to fly there</span></label>`}
+    ${!readonly && html`<label class="check"><input type="color" value=${code} onInput=${color} /><span>Background</span></label>`}
+    <dl>${KEYS.filter(([key]) => !readonly || !/Ctrl|Esc/.test(key)).map(([key, words]) => html`<dt>${key}</dt><dd>${words}</dd>`)}</dl>
+    <p class="hint">${gaussians.toLocaleString()} Gaussians</p>
+  </${Dialog}>`;
+}

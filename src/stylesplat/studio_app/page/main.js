@@ -1,0 +1,134 @@
+// The page of the studio: the picture in the middle, panels around it
+
+import { render } from "./libraries/preact.js";
+import { useEffect, useRef } from "./libraries/hooks.js";
+import "./libraries/signals.js";
+import { mode, tab } from "./choices.js";
+import { act, connect, dismiss, hello, notes, online, progress, state, upload } from "./connection.js";
+import { Dialogs } from "./dialogs.js";
+import { Layers, Objects, paint, Styles, Toolbar } from "./panels.js";
+import { isTyping, Viewport } from "./viewport.js";
+import { Button, html } from "./widgets.js";
+import { dialog } from "./choices.js";
+
+let viewport = null;
+
+function Picture() {
+  const root = useRef(null);
+  useEffect(() => {
+    viewport = window.studio = new Viewport(root.current);
+  }, []);
+  const over = (event) => {
+    event.preventDefault();
+    if (event.dataTransfer.types.includes("style")) viewport.overlay.setPointed(objectBelow(event) ?? null);
+  };
+  const drop = (event) => {
+    if (!event.dataTransfer.types.includes("style")) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const name = objectBelow(event);
+    viewport.overlay.setPointed(null);
+    if (name) paint(Number(event.dataTransfer.getData("style")), [name]);
+  };
+  return html`<div class="view" ref=${root} onDragOver=${over} onDrop=${drop}></div>`;
+}
+
+function objectBelow(event) {
+  return viewport.overlay.objectAt(...viewport.tools.place(event));
+}
+
+function Header() {
+  const { title, readonly } = hello.value, now = state.value;
+  if (readonly) return html`<header class="bar"><h1>${title}</h1><span class="grow"></span>${now.layers.length > 0 && html`<${Compare} />`}<${Views} /></header>`;
+  const name = now.folder.split("/").at(-1);
+  return html`<header class="bar">
+    <h1 title=${now.folder}>${name}</h1>
+    <span class="saved" role="status">${now.unsaved ? "Not saved" : "Saved"}</span>
+    <${Button} icon="undo" label=${now.undo ? `Undo: ${now.undo} (Ctrl+Z)` : "Nothing to undo"} disabled=${!now.undo} onClick=${() => act("undo")} />
+    <${Button} icon="redo" label=${now.redo ? `Redo: ${now.redo} (Ctrl+Y)` : "Nothing to redo"} disabled=${!now.redo} onClick=${() => act("redo")} />
+    <span class="note">${now.note}</span>
+    <${Compare} />
+    <${Views} />
+    <${Button} icon="download" text="Export" label="Export, pictures, turntable, commands" onClick=${() => (dialog.value = "keep")} />
+    <${Button} primary text="Save" label="Save into the scene's folder (Ctrl+S)" disabled=${!now.unsaved} onClick=${() => act("save")} />
+  </header>`;
+}
+
+function Compare() {
+  const painted = state.value.layers.length > 0;
+  return html`<div class="segments" role="group" aria-label="Compare">
+    ${[["after", "After"], ["split", "Split"], ["before", "Before"]].map(([key, words]) =>
+      html`<button type="button" aria-pressed=${(painted ? mode.value : "after") === key} disabled=${!painted && key !== "after"}
+        title=${key === "before" ? "Before painting (hold B)" : words} onClick=${() => (mode.value = key)}>${words}</button>`)}</div>`;
+}
+
+const Views = () => html`<${Button} icon="home" label="Home: what is picked, or the first view (H)" onClick=${() => viewport.home()} />
+  <${Button} icon="camera" label="Photos, background and keys" onClick=${() => (dialog.value = "view")} />`;
+
+function Progress() {
+  const { what, share, left, doing, export: exporting } = progress.value, now = state.value;
+  if (!what && !now.can_continue && !now.waiting.length) return null;
+  const percent = Math.round(100 * share);
+  const time = left == null ? "" : left < 90 ? `${Math.round(left)} s left` : `${Math.round(left / 60)} min left`;
+  return html`<section class="progress" aria-label="Progress">
+    ${what && html`<div class="line"><span>${what}${doing && !share ? `: ${doing}` : ""}</span><span>${time}</span>
+      <${Button} small icon="stop" text=${exporting ? "Cancel" : "Stop"} label=${exporting ? "Cancel the export" : "Stop and keep what is painted so far"}
+        onClick=${() => act(exporting ? "cancel" : "stop")} /></div>
+      <div class="meter" role="progressbar" aria-label=${what} aria-valuenow=${percent} aria-valuemin="0" aria-valuemax="100"><i style=${`width:${percent}%`}></i></div>`}
+    ${now.waiting.map((job) => html`<div class="line waiting" key=${job.number}><span>Next: ${job.object} like ${job.title}</span>
+      <${Button} small icon="close" label=${`Do not paint ${job.object}`} onClick=${() => act("unqueue", { number: job.number })} /></div>`)}
+    ${!what && now.can_continue && html`<div class="line"><span>${now.note}</span>
+      <${Button} small icon="play" text="Continue" label="Go on with this painting" onClick=${() => act("resume")} /></div>`}
+  </section>`;
+}
+
+const Notes = () => html`<div class="notes" role="status" aria-live="polite">
+  ${!online.value && html`<p class="failure">The studio does not answer. Trying again. If it was started anew, open the address that it printed.</p>`}
+  ${notes.value.map((each) => html`<p key=${each.number} class=${each.failure ? "failure" : ""}><span>${each.text}</span>
+    <${Button} small icon="close" label="Dismiss" onClick=${() => dismiss(each.number)} /></p>`)}</div>`;
+
+const TABS = [["objects", "Objects"], ["styles", "Styles"], ["layers", "Layers"]];
+
+function App() {
+  const now = state.value;
+  if (!hello.value || !now) return html`<p class="empty">Opening the scene…</p><${Notes} />`;
+  if (hello.value.readonly) return html`<div class="app readonly"><${Header} /><main class="stage"><${Picture} /></main><${Notes} /><${Dialogs} viewport=${() => viewport} /></div>`;
+  return html`<div class="app" data-tab=${tab.value}>
+    <${Header} />
+    <${Objects} viewport=${() => viewport} />
+    <main class="stage"><${Picture} /><${Toolbar} /><${Progress} /></main>
+    <${Layers} viewport=${() => viewport} />
+    <nav class="tabs">${TABS.map(([key, words]) => html`<button type="button" aria-pressed=${tab.value === key} onClick=${() => (tab.value = key)}>${words}</button>`)}</nav>
+    <${Styles} />
+    <${Notes} /><${Dialogs} viewport=${() => viewport} />
+  </div>`;
+}
+
+window.addEventListener("keydown", (event) => {
+  if (isTyping(event) || !state.value || document.querySelector("dialog")) return;
+  const key = event.key.toLowerCase();
+  const does = event.ctrlKey || event.metaKey
+    ? { z: () => act(event.shiftKey ? "redo" : "undo"), y: () => act("redo"), s: () => act("save") }[key]
+    : { h: () => viewport.home(), escape: () => act("pick", { names: [] }) }[key];
+  if (!does || (hello.value.readonly && key !== "h")) return;
+  event.preventDefault();
+  does();
+});
+window.addEventListener("dragover", (event) => event.preventDefault());
+window.addEventListener("drop", async (event) => {
+  event.preventDefault();
+  const entries = [...event.dataTransfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
+  for (const file of (await Promise.all(entries.map(filesIn))).flat()) await upload(file);
+});
+
+// The files of an entry that was dropped, a folder's too
+async function filesIn(entry) {
+  if (entry.isFile) return [await new Promise((done, failed) => entry.file(done, failed))];
+  const reader = entry.createReader();
+  const inside = await new Promise((done, failed) => reader.readEntries(done, failed));
+  const files = (await Promise.all(inside.map(filesIn))).flat();
+  return files.filter((file) => /\.(jpe?g|png|webp|avif|bmp|gif|tiff?)$/i.test(file.name));
+}
+
+connect(() => viewport?.again());
+render(html`<${App} />`, document.getElementById("app"));

@@ -1,0 +1,233 @@
+// What lies over the picture: the glow and outline of objects, cameras, a box, lines that are drawn
+
+import { plus, scaled } from "/viewer/camera.js";
+import { inflated } from "/viewer/unpack.js";
+import { settings, showPhotos, tool } from "./choices.js";
+import { hello, state } from "./connection.js";
+
+const PICKED = [255, 168, 48], POINTED = [110, 180, 255];
+const TINT = 64, EDGE = 240; // of 255, inside an object and along its outline
+export const KNOB_NEAR = 20, KNOB_STEP = 22; // pixels: the circle at stroke size 0, and more for each 1
+const MOST_PHOTOS = 60;
+// Pairs of corners of a box that differ in one axis, where bits of a corner are its axes
+const EDGES = [0, 1, 2, 3, 4, 5, 6, 7].flatMap((a) => [1, 2, 4].filter((bit) => !(a & bit)).map((bit) => [a, a | bit]));
+
+export class Overlay {
+  constructor(viewport) {
+    this.viewport = viewport;
+    this.map = this.picked = this.pointed = null;
+    this.glow = document.createElement("canvas");
+    this.light = document.createElement("canvas");
+    this.box = null; // its lower and upper corners
+    this.line = []; // that is being drawn, in pixels
+    this.ball = null; // its middle and radius in pixels
+  }
+
+  async setMap({ look, size, names }, bytes) {
+    const content = await inflated(bytes);
+    const count = size[0] * size[1];
+    this.map = { look, size, names, ids: content.subarray(0, count), depths: new DataView(content.buffer, content.byteOffset + count) };
+    this.viewport.root.dataset.map = look;
+    this.setPointed(this.pointed, true);
+    this.draw();
+  }
+
+  async setPicked({ look, size, names }, bytes) {
+    this.picked = { look, names };
+    if (bytes.length) {
+      const shares = await inflated(bytes);
+      outlined(this.glow, size, (row) => shares[row] > 100, PICKED, glowing(names));
+    } else this.glow.width = 0;
+    this.viewport.root.dataset.picked = `${look} ${names.join(",")}`;
+    this.draw();
+  }
+
+  // Of objects that are picked at this moment, before the server has told
+  guessPicked(names) {
+    if (!this.isCurrent(this.map)) return;
+    const numbers = new Set(names.map((name) => this.map.names.indexOf(name) + 1).filter(Boolean));
+    outlined(this.glow, this.map.size, (row) => numbers.has(this.map.ids[row]), PICKED, glowing(names));
+    this.picked = { look: this.map.look, names };
+    this.draw();
+  }
+
+  setPointed(name, again = false) {
+    if (name === this.pointed && !again) return;
+    this.pointed = name;
+    const number = this.map ? this.map.names.indexOf(name) + 1 : 0;
+    if (number) outlined(this.light, this.map.size, (row) => this.map.ids[row] === number, POINTED);
+    else this.light.width = 0;
+    this.draw();
+  }
+
+  isCurrent(each) {
+    return Boolean(each) && each.look === this.viewport.number;
+  }
+
+  // The object at a place in pixels of the page; undefined if it is not known yet
+  objectAt(x, y) {
+    if (!this.isCurrent(this.map)) return undefined;
+    const number = this.map.ids[this.row(x, y)];
+    return number ? this.map.names[number - 1] : null;
+  }
+
+  // How far away the surface is; 0 where there is none
+  depthAt(x, y) {
+    return this.isCurrent(this.map) ? half(this.map.depths.getUint16(2 * this.row(x, y), true)) : 0;
+  }
+
+  row(x, y) {
+    const [width, height] = this.map.size, [wide, high] = this.viewport.size;
+    const column = Math.min(width - 1, Math.max(0, Math.floor((x / wide) * width)));
+    return Math.min(height - 1, Math.max(0, Math.floor((y / high) * height))) * width + column;
+  }
+
+  draw() {
+    if (!this.frame) this.frame = requestAnimationFrame(() => this.now());
+  }
+
+  now() {
+    this.frame = null;
+    const { canvas, size: [width, height] } = this.viewport;
+    const scale = Math.min(2, window.devicePixelRatio || 1);
+    canvas.width = Math.round(scale * width);
+    canvas.height = Math.round(scale * height);
+    const context = canvas.getContext("2d");
+    context.scale(scale, scale);
+    const lit = this.pointed !== null && this.isCurrent(this.map) && this.light.width > 0;
+    if (this.isCurrent(this.picked) && this.glow.width) context.drawImage(this.glow, 0, 0, width, height);
+    if (lit) context.drawImage(this.light, 0, 0, width, height);
+    if (showPhotos.value) this.photos(context);
+    if (this.box) this.drawBox(context);
+    const knob = this.knob();
+    if (knob) {
+      context.lineWidth = 2.5;
+      context.strokeStyle = "#fff";
+      circle(context, knob.middle, knob.radius);
+      context.stroke();
+      context.stroke(path([knob.middle, knob.at]));
+      context.fillStyle = "#ffa830";
+      circle(context, knob.at, 9);
+      context.fill();
+    }
+    if (this.ball) {
+      context.lineWidth = 2;
+      context.strokeStyle = "#fff";
+      context.fillStyle = "#6eb4ff33";
+      circle(context, ...this.ball);
+      context.fill();
+      context.stroke();
+    }
+    if (this.line.length) {
+      context.lineWidth = this.width ?? 1.5;
+      context.lineCap = context.lineJoin = "round";
+      context.strokeStyle = this.width ? "#ffa83088" : "#ffc566";
+      context.stroke(path(this.line));
+    }
+  }
+
+  photos(context) {
+    const { photos } = hello.value, step = Math.ceil(photos.length / MOST_PHOTOS);
+    context.lineWidth = 1.2;
+    context.strokeStyle = "#ffc566";
+    this.frusta = [];
+    for (let row = 0; row < photos.length; row += step) {
+      const photo = photos[row], size = 0.035 * hello.value.extent;
+      const middle = plus(photo.position, plus(photo.target, photo.position, -1), size / Math.hypot(...plus(photo.target, photo.position, -1)));
+      const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([x, y]) =>
+        plus(plus(middle, scaled(photo.right, (x * size * photo.slopes[0]) / 2)), scaled(photo.down, (y * size * photo.slopes[1]) / 2))
+      );
+      const [eye, ...ends] = [photo.position, ...corners].map((place) => this.viewport.project(place));
+      if ([eye, ...ends].some((place) => place[2] <= 0.01)) continue;
+      context.stroke(path([...ends, ends[0]]));
+      for (const end of ends) context.stroke(path([eye, end]));
+      this.frusta.push({ photo, at: eye });
+    }
+  }
+
+  photoAt(x, y) {
+    if (!showPhotos.value) return null;
+    const near = this.frusta?.filter(({ at }) => Math.hypot(at[0] - x, at[1] - y) < 14) ?? [];
+    return near.sort((a, b) => a.at[2] - b.at[2])[0]?.photo ?? null;
+  }
+
+  drawBox(context) {
+    const corners = boxCorners(this.box).map((place) => this.viewport.project(place));
+    if (corners.some((place) => place[2] <= 0.01)) return;
+    context.lineWidth = 1.5;
+    context.strokeStyle = "#ffc566";
+    for (const [a, b] of EDGES) context.stroke(path([corners[a], corners[b]]));
+    context.fillStyle = "#ffa830";
+    for (const { at } of this.handles()) {
+      context.beginPath();
+      circle(context, at, 7);
+      context.fill();
+    }
+  }
+
+  // The circle that stands for the strokes of the picked object, and its knob
+  knob() {
+    const [one, ...others] = tool.value === "strokes" ? state.value.objects.filter((each) => each.picked) : [];
+    if (!one || others.length) return null;
+    const [x, y, depth] = this.viewport.project(one.centre);
+    if (depth <= 0.01) return null;
+    const [scale, rotate] = ["scale", "rotate"].map((name) => settings.value[name] ?? hello.value.settings.find((each) => each.name === name).value);
+    const radius = KNOB_NEAR + KNOB_STEP * scale, angle = (rotate * Math.PI) / 180;
+    return { name: one.name, middle: [x, y], radius, at: [x + radius * Math.cos(angle), y - radius * Math.sin(angle)] };
+  }
+
+  // The middles of a box's faces, which are dragged
+  handles() {
+    const middle = scaled(plus(...this.box), 0.5);
+    return [0, 1].flatMap((end) =>
+      [0, 1, 2].map((axis) => {
+        const place = middle.map((value, n) => (n === axis ? this.box[end][axis] : value));
+        return { end, axis, place, at: this.viewport.project(place) };
+      })
+    );
+  }
+}
+
+function boxCorners([low, high]) {
+  return [0, 1, 2, 3, 4, 5, 6, 7].map((bits) => [0, 1, 2].map((axis) => ((bits >> axis) & 1 ? high[axis] : low[axis])));
+}
+
+function path(points) {
+  const found = new Path2D();
+  points.forEach(([x, y], n) => (n ? found.lineTo(x, y) : found.moveTo(x, y)));
+  if (points.length === 1) found.lineTo(points[0][0] + 0.01, points[0][1]);
+  return found;
+}
+
+function circle(context, [x, y], radius) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+}
+
+// The outline alone is seen around paint, whose colours a tint would change
+function glowing(names) {
+  const { objects, painting } = state.value;
+  return painting || objects.some((each) => each.painted && names.includes(each.name)) ? 0 : TINT;
+}
+
+// A tint with an outline, on a canvas of the map's size
+function outlined(canvas, [width, height], inside, color, tint = TINT) {
+  canvas.width = width;
+  canvas.height = height;
+  const context = canvas.getContext("2d");
+  const image = context.createImageData(width, height);
+  for (let row = 0, y = 0; y < height; y++) {
+    for (let x = 0; x < width; x++, row++) {
+      if (!inside(row)) continue;
+      const whole = x > 0 && y > 0 && x < width - 1 && y < height - 1 &&
+        inside(row - 1) && inside(row + 1) && inside(row - width) && inside(row + width);
+      image.data.set([...color, whole ? tint : EDGE], 4 * row);
+    }
+  }
+  context.putImageData(image, 0, 0);
+}
+
+function half(bits) {
+  const exponent = (bits >> 10) & 31, fraction = bits & 1023;
+  return exponent ? 2 ** (exponent - 15) * (1 + fraction / 1024) : 2 ** -14 * (fraction / 1024);
+}

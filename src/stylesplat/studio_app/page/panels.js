@@ -1,0 +1,171 @@
+// The panels: tools, objects, layers with their variants, and style pictures
+
+import { brush, dialog, mode, part, radius, regions, settings, tool } from "./choices.js";
+import { act, hello, note, state, upload } from "./connection.js";
+import { Button, Entry, html, Icon, percent, Slider } from "./widgets.js";
+
+const TOOLS = [
+  ["object", "Pick objects: click. Shift adds, Ctrl removes; both with a drag, too"],
+  ["ball", "Pick a ball around a place"],
+  ["brush", "Brush over what is meant. Ctrl removes; hold Alt to turn"],
+  ["lasso", "Draw a line around what is meant. Shift adds, Ctrl removes; hold Alt to turn"],
+  ["rectangle", "Draw a rectangle around what is meant. Shift adds, Ctrl removes; hold Alt to turn"],
+  ["box", "Pick what lies inside a box"],
+  ["strokes", "Size and direction of the strokes of the picked object: drag the knob"],
+];
+
+const STEP = 0.05; // of its extent, by which an object grows or shrinks
+
+const picked = () => state.value.objects.filter((each) => each.picked);
+
+// Paint an object anew with other strokes, quickly, if it has a style already
+export function repaint(name) {
+  const layer = state.value.layers.find((each) => each.object === name);
+  const style = state.value.styles.find((each) => each.title === layer?.title);
+  if (style) act("paint", { style: style.number, names: [name], settings: { ...settings.value, quality: "draft" } });
+}
+
+// Paint objects, by default what is picked, like a style picture
+export function paint(style, names = null) {
+  if (!names && !picked().length) {
+    note("Pick an object first, or drag the picture onto one.", true);
+    return;
+  }
+  const region = regions.value[style];
+  act("paint", { style, names, settings: { ...settings.value, ...(region ? { region } : {}) } });
+}
+
+export function Toolbar() {
+  const chosen = tool.value, { extent } = hello.value;
+  return html`<div class="toolbar" role="toolbar" aria-label="Picking tools">
+    ${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}
+    ${chosen === "ball" && html`<div class="options"><${Slider} label="Radius" value=${radius.value} low=${extent / 200} high=${extent / 2} step=${extent / 400}
+      show=${(value) => value.toPrecision(2)} onInput=${(value) => (radius.value = value)} /></div>`}
+    ${chosen === "brush" && html`<div class="options"><${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005}
+      show=${percent} onInput=${(value) => (brush.value = value)} /></div>`}
+    ${chosen === "strokes" && html`<div class="options"><p>${strokesHint()}</p></div>`}
+    ${chosen === "box" && html`<div class="options"><p>Drag the dots.</p>${[["new", "Pick"], ["add", "Add"], ["away", "Remove"]].map(([how, words]) =>
+      html`<button type="button" onClick=${() => pickBox(how)}>${words}</button>`)}</div>`}
+  </div>`;
+}
+
+function strokesHint() {
+  const [one, ...others] = picked();
+  if (!one || others.length) return "Pick one object.";
+  return one.painted ? "Drag the knob: the object is painted anew as a draft." : "Drag the knob, then click a style.";
+}
+
+function pickBox(how) {
+  const [low, high] = window.studio.overlay.box;
+  act("pick_box", { low, high, how });
+}
+
+const thumbnail = (kind, key, version) => `/picture/${kind}/${encodeURIComponent(key)}?${version}`;
+
+export function Objects({ viewport }) {
+  const now = state.value, chosen = picked();
+  const choose = (event, each) => {
+    const how = event.ctrlKey || event.metaKey ? "away" : event.shiftKey ? "add" : "new";
+    viewport().tools.pick([each.name], how);
+  };
+  return html`<aside class="panel objects" aria-label="Objects">
+    <h2>Objects</h2>
+    ${!now.objects.length && html`<p class="hint">This scene has no labels. Click with the ball or draw around what is meant.</p>`}
+    <ul class="cards">${now.objects.map((each) => html`<li key=${each.name} class=${each.hidden ? "off" : ""}>
+      <button type="button" class="card" aria-pressed=${each.picked} title=${`${each.name}: ${each.count.toLocaleString()} Gaussians`}
+        onClick=${(event) => choose(event, each)} onDblClick=${() => viewport().approach(each.centre, each.radius)}
+        onMouseEnter=${() => viewport()?.overlay.setPointed(each.name)} onMouseLeave=${() => viewport()?.overlay.setPointed(null)}>
+        ${each.thumbnail ? html`<img src=${thumbnail("object", each.name, each.thumbnail)} alt="" />` : html`<span class="blank"></span>`}
+        <span class="name">${each.name}</span></button>
+      <${Button} small icon=${each.hidden ? "hidden" : "eye"} label=${`${each.hidden ? "Show" : "Hide"} ${each.name}`}
+        onClick=${() => act("hide", { names: [each.name], hide: !each.hidden })} /></li>`)}</ul>
+    <section aria-label="The pick"><h3>${chosen.length ? chosen.map((each) => each.name).join(", ") : "Nothing is picked"}</h3>
+      ${chosen.length > 0 && html`<p class="hint">${chosen.reduce((sum, each) => sum + each.count, 0).toLocaleString()} Gaussians</p>
+        <div class="row">
+          <${Button} text="Grow" label="Grow by 5 % of its extent" onClick=${() => act("resize", { share: STEP })} />
+          <${Button} text="Shrink" label="Shrink by 5 % of its extent" onClick=${() => act("resize", { share: -STEP })} />
+          <${Button} text="Alone" label="Show only what is picked" active=${now.alone} onClick=${() => act("alone", { only: !now.alone })} />
+          ${chosen.length > 1 && html`<${Button} text="Unite" label="Make one object of these" onClick=${() => act("unite")} />
+            <${Button} text="Subtract" label="Subtract the others from the first" onClick=${() => act("subtract")} />`}
+          ${chosen.some((each) => each.named) && html`<${Button} text="Delete name" label="Delete the name; the Gaussians stay" onClick=${() => act("forget")} />`}
+        </div>
+        ${chosen.length === 1 && html`<${Entry} key=${chosen[0].name} label="Name" button="Rename" value=${chosen[0].named ? chosen[0].name : ""} onEnter=${(name) => act("rename", { name })} />`}`}
+    </section>
+    <${Entry} label="Find by words" button="Find" onEnter=${(text) => act("pick_words", { text })} />
+  </aside>`;
+}
+
+export function Layers() {
+  const now = state.value, chosen = picked().map((each) => each.name);
+  const layers = [...now.layers].reverse();
+  const variants = now.variants.filter((each) => !chosen.length || chosen.includes(each.object));
+  return html`<aside class="panel layers" aria-label="Layers">
+    <h2>Layers</h2>
+    ${!layers.length && html`<p class="hint">Nothing is painted. Pick an object, then click a style.</p>`}
+    <ul>${layers.map((layer, row) => html`<${Layer} key=${layer.object} layer=${layer} first=${row === 0} last=${row === layers.length - 1} picked=${chosen.includes(layer.object)} />`)}</ul>
+    ${variants.length > 0 && html`<section aria-label="Variants"><h3>Variants${chosen.length ? ` of ${chosen.join(", ")}` : ""}</h3>
+      <ul class="cards">${variants.map((each) => html`<li key=${each.number}>
+        <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { number: each.number })}>
+          <img src=${thumbnail("variant", each.number, 0)} alt="" /><span class="name">${each.object}: ${each.title}</span></button>
+        <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></li>`)}</ul></section>`}
+    <section aria-label="Snapshots"><h3>Snapshots</h3>
+      ${now.snapshots.map(([number, name]) => html`<div class="line" key=${number}><span>${name}</span>
+        <${Button} small text="Restore" label=${`Restore ${name}`} onClick=${() => act("restore", { number })} /></div>`)}
+      <${Entry} key=${now.snapshots.length} label="Keep the whole scene as" button="Keep" value=${`Snapshot ${now.snapshots.length + 1}`} onEnter=${(name) => act("snapshot", { name })} />
+    </section>
+  </aside>`;
+}
+
+function compare(number) {
+  const other = state.value.compared === number ? null : number;
+  act("compare_with", { number: other });
+  mode.value = other === null ? "after" : "split";
+}
+
+function Layer({ layer, first, last, picked }) {
+  const { object } = layer, now = state.value;
+  const found = now.objects.find((each) => each.name === object);
+  const fixed = layer.locked || now.painting;
+  return html`<li class=${`layer ${layer.visible ? "" : "off"}`}>
+    <div class="line"><button type="button" class="card flat" aria-pressed=${picked} title=${layer.settings} onClick=${() => act("pick", { names: [object] })}>
+        ${found?.thumbnail ? html`<img src=${thumbnail("object", object, found.thumbnail)} alt="" />` : html`<span class="blank"></span>`}
+        <span><b>${object}</b><br />${layer.title}</span></button>
+      <${Button} small icon=${layer.visible ? "eye" : "hidden"} label=${`${layer.visible ? "Hide" : "Show"} the paint of ${object}`} onClick=${() => act("visible", { name: object, visible: !layer.visible })} /></div>
+    <${Slider} label="Strength" value=${layer.strength} high=${1.5} show=${percent} disabled=${fixed} onInput=${(value) => act("strength", { name: object, strength: value })} />
+    ${picked && html`<${Slider} label="Form" value=${layer.form} high=${1.5} show=${percent} disabled=${fixed} onInput=${(value) => act("form", { name: object, form: value })} />
+      <div class="row">
+        <${Button} icon=${layer.locked ? "lock" : "unlock"} label=${`${layer.locked ? "Unlock" : "Lock"} ${object}`} active=${layer.locked} onClick=${() => act("lock", { name: object, locked: !layer.locked })} />
+        <${Button} icon="up" label=${`Move ${object} up`} disabled=${first} onClick=${() => act("order", { name: object, by: 1 })} />
+        <${Button} icon="down" label=${`Move ${object} down`} disabled=${last} onClick=${() => act("order", { name: object, by: -1 })} />
+        <span class="grow"></span>
+        <${Button} icon="trash" danger label=${`Remove the paint of ${object}`} disabled=${fixed} onClick=${() => act("remove_paint", { name: object })} />
+      </div>`}</li>`;
+}
+
+export function Styles() {
+  const now = state.value, chosen = picked();
+  const tried = now.styles.some((each) => each.preview);
+  const unusual = Object.keys(settings.value).length;
+  return html`<section class="panel styles" aria-label="Styles">
+    <div class="head"><h2>Styles</h2>
+      <p class="hint">${chosen.length ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ")}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
+      <span class="grow"></span>
+      <${Button} icon="try" text="Try all" label="Show the colours of all styles on what is picked" disabled=${!chosen.length || !now.styles.length} active=${tried} onClick=${() => act("try_all")} />
+      <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting" onClick=${() => (dialog.value = "settings")} />
+      <label class="button"><${Icon} name="plus" /><span>Add pictures</span><input type="file" accept="image/*" multiple onChange=${add} /></label></div>
+    <ul class="strip">${now.styles.map((each) => html`<li key=${each.title}>
+      <button type="button" class="card" draggable="true" title=${`Paint like ${each.title}`} onClick=${() => paint(each.number)}
+        onDragStart=${(event) => event.dataTransfer.setData("style", String(each.number))}>
+        <img src=${each.preview ? thumbnail("preview", each.number, each.preview) : thumbnail("style", each.number, each.title)} alt="" draggable="false" />
+        ${each.preview > 0 && html`<img class="corner" src=${thumbnail("style", each.number, each.title)} alt="" />`}
+        <span class="name">${each.title}</span></button>
+      <${Button} small icon="crop" label=${`Choose a part of ${each.title}`} active=${Boolean(regions.value[each.number])} onClick=${() => (part.value = each)} /></li>`)}
+      ${!now.styles.length && html`<li class="hint">Drop pictures or a folder here, or add them.</li>`}</ul>
+  </section>`;
+}
+
+async function add(event) {
+  const files = [...event.target.files];
+  event.target.value = "";
+  for (const file of files) await upload(file);
+}

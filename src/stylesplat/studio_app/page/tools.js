@@ -1,0 +1,197 @@
+// What the pointer does to objects: clicks, rectangles, lassos, brushes, balls and a box
+
+import { effect } from "./libraries/signals.js";
+import { brush, radius, settings, tool } from "./choices.js";
+import { act, hello, state } from "./connection.js";
+import { KNOB_NEAR, KNOB_STEP } from "./overlay.js";
+import { repaint } from "./panels.js";
+
+const STILL = 5; // pixels: less is a click
+const DRAWING = ["brush", "lasso", "rectangle"];
+const GRIP = 16; // pixels around a handle
+
+const howOf = (event) => (event.ctrlKey || event.metaKey ? "away" : event.shiftKey ? "add" : "new");
+
+export class Tools {
+  constructor(viewport, label) {
+    this.viewport = viewport;
+    this.overlay = viewport.overlay;
+    this.label = label;
+    this.start = null;
+    const { canvas } = viewport;
+    if (!radius.value) radius.value = hello.value.extent / 12;
+    if (!state.value.objects.length) tool.value = "ball"; // there is nothing else to click
+    canvas.addEventListener("pointermove", (event) => this.move(event));
+    canvas.addEventListener("pointerup", (event) => this.release(event));
+    canvas.addEventListener("pointercancel", () => this.reset());
+    canvas.addEventListener("pointerleave", () => this.point(null));
+    canvas.addEventListener("dblclick", (event) => this.focus(event));
+    effect(() => {
+      if (tool.value !== "box") this.overlay.box = null;
+      else if (!this.dragged && state.value) this.overlay.box = state.value.box.map((each) => [...each]);
+      this.point(null);
+    });
+  }
+
+  place(event) {
+    const box = this.viewport.canvas.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  }
+
+  share([x, y]) {
+    const [width, height] = this.viewport.size;
+    return [Math.min(1, Math.max(0, x / width)), Math.min(1, Math.max(0, y / height))];
+  }
+
+  // Whether a gesture belongs to a tool and not to the camera
+  press(event) {
+    this.viewport.flight = null;
+    if (!event.isPrimary) {
+      this.reset(); // two fingers move the camera
+      return false;
+    }
+    if (event.button !== 0 || hello.value.readonly) return false;
+    const at = this.place(event);
+    this.start = { at, how: howOf(event), handle: this.handleAt(at) };
+    const draws = DRAWING.includes(tool.value) && !event.altKey;
+    const frames = tool.value === "object" && this.start.how !== "new";
+    this.start.draws = draws || frames;
+    if (!this.start.draws && !this.start.handle) return false;
+    this.viewport.canvas.setPointerCapture(event.pointerId);
+    this.viewport.canvas.focus();
+    this.overlay.width = tool.value === "brush" && draws ? 2 * brush.value * this.viewport.size[1] : null;
+    this.overlay.line = this.start.draws ? [at] : [];
+    this.overlay.draw();
+    return true;
+  }
+
+  move(event) {
+    const at = this.place(event), { start, overlay } = this;
+    if (!start) {
+      if (!event.buttons) this.point(at);
+      return;
+    }
+    if (start.handle?.name) this.turnStrokes(start.handle, at);
+    else if (start.handle) this.drag(start.handle, at);
+    else if (start.draws && this.start.draws) {
+      const boxed = tool.value === "rectangle" || tool.value === "object";
+      const [a, b] = [start.at, at];
+      overlay.line = boxed ? [a, [b[0], a[1]], b, [a[0], b[1]], a] : [...overlay.line, at];
+      this.end = at;
+      overlay.draw();
+    }
+    if (this.label) this.label.hidden = true;
+  }
+
+  release(event) {
+    const { start, overlay } = this;
+    if (!start) return;
+    const at = this.place(event);
+    const still = Math.max(...[at, ...overlay.line].map(([x, y]) => Math.hypot(x - start.at[0], y - start.at[1]))) < STILL;
+    const line = overlay.line;
+    this.reset();
+    if (start.handle?.name) repaint(start.handle.name);
+    if (start.handle) return;
+    if (start.draws && !(still && tool.value !== "brush")) this.finish(start, line, at);
+    else if (still) this.click(start, at);
+  }
+
+  reset() {
+    this.start = this.dragged = null;
+    this.overlay.line = [];
+    this.overlay.draw();
+  }
+
+  finish({ at: begin, how }, line, at) {
+    const shape = tool.value === "object" ? "rectangle" : tool.value;
+    const points = shape === "rectangle" ? [begin, at] : thinned(line);
+    const wanted = shape === "brush" && how === "new" && state.value.objects.some((each) => each.picked) ? "add" : how;
+    act("pick_drawn", {
+      shape, points: points.map((each) => this.share(each)), how: wanted, radius: brush.value, whole: tool.value === "object",
+    });
+  }
+
+  click({ how }, at) {
+    const photo = this.overlay.photoAt(...at);
+    if (photo) {
+      this.viewport.fly(photo.position, photo.target);
+      return;
+    }
+    if (tool.value === "ball") act("pick_at", { place: this.share(at), how, radius: radius.value });
+    if (tool.value !== "object") return;
+    const name = this.overlay.objectAt(...at);
+    if (name === undefined) act("pick_at", { place: this.share(at), how });
+    else if (name !== null || how === "new") this.pick(name === null ? [] : [name], how);
+  }
+
+  pick(names, how) {
+    const before = state.value.objects.filter((each) => each.picked).map((each) => each.name);
+    const after = { new: names, add: [...before, ...names], away: before.filter((each) => !names.includes(each)) }[how];
+    if (how === "new" && String(before) === String(names)) return;
+    this.overlay.guessPicked(after);
+    act("pick", { names, how });
+  }
+
+  focus(event) {
+    const name = this.overlay.objectAt(...this.place(event));
+    const found = state.value?.objects.find((each) => each.name === name);
+    if (found && tool.value === "object") this.viewport.approach(found.centre, found.radius);
+  }
+
+  // Light what a click would take, and name it
+  point(at) {
+    const { overlay, label } = this;
+    const photo = at && overlay.photoAt(...at);
+    const name = at && !photo && tool.value === "object" && !hello.value.readonly ? overlay.objectAt(...at) : null;
+    overlay.setPointed(name ?? null);
+    const depth = at && tool.value === "ball" ? overlay.depthAt(...at) : 0;
+    overlay.ball = depth ? [at, (radius.value * this.viewport.view.focal[0]) / depth] : null;
+    if (tool.value === "brush" && at) overlay.ball = [at, brush.value * this.viewport.size[1]];
+    overlay.draw();
+    const words = photo ? photo.name : name;
+    label.hidden = !words;
+    this.viewport.canvas.style.cursor = words || (at && this.handleAt(at)) ? "pointer" : DRAWING.includes(tool.value) ? "crosshair" : "";
+    if (!words) return;
+    label.textContent = words;
+    const [width] = this.viewport.size;
+    label.style.left = `${Math.min(at[0] + 14, width - label.offsetWidth - 6)}px`;
+    label.style.top = `${at[1] + 16}px`;
+  }
+
+  handleAt([x, y]) {
+    const knob = this.overlay.knob();
+    if (knob) return Math.hypot(knob.at[0] - x, knob.at[1] - y) < GRIP ? knob : null;
+    if (!this.overlay.box) return null;
+    return this.overlay.handles().find(({ at }) => Math.hypot(at[0] - x, at[1] - y) < GRIP) ?? null;
+  }
+
+  turnStrokes({ middle }, at) {
+    const [x, y] = [at[0] - middle[0], middle[1] - at[1]];
+    const [scale, rotate] = ["scale", "rotate"].map((name) => hello.value.settings.find((each) => each.name === name));
+    const size = Math.min(scale.high, Math.max(scale.low, (Math.hypot(x, y) - KNOB_NEAR) / KNOB_STEP));
+    const angle = Math.round(((Math.atan2(y, x) * 180) / Math.PI + 360) / rotate.step) * rotate.step;
+    settings.value = { ...settings.value, scale: Math.round(10 * size) / 10, rotate: angle % 360 };
+    this.overlay.draw();
+  }
+
+  // Move a face of the box along its axis, as far as the pointer moves along the axis in the picture
+  drag(handle, at) {
+    this.dragged = handle;
+    const { box } = this.overlay, extent = hello.value.extent;
+    const here = this.viewport.project(handle.place);
+    const step = handle.place.map((value, axis) => value + (axis === handle.axis ? extent / 100 : 0));
+    const there = this.viewport.project(step);
+    const along = [there[0] - here[0], there[1] - here[1]], length = along[0] ** 2 + along[1] ** 2;
+    if (length < 1e-6) return;
+    const pixels = (at[0] - here[0]) * along[0] + (at[1] - here[1]) * along[1];
+    const value = handle.place[handle.axis] + ((pixels / length) * extent) / 100;
+    const other = box[1 - handle.end][handle.axis];
+    box[handle.end][handle.axis] = handle.end ? Math.max(value, other) : Math.min(value, other);
+    this.overlay.draw();
+  }
+}
+
+function thinned(line, most = 1500) {
+  const step = Math.ceil(line.length / most);
+  return line.filter((_, n) => n % step === 0);
+}

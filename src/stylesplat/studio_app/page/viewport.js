@@ -1,0 +1,226 @@
+// The picture: exact pictures of the server at rest and, where no graphics card draws, in motion
+
+import { effect } from "./libraries/signals.js";
+import { Orbit } from "/viewer/camera.js";
+import { drawer } from "/viewer/draw.js";
+import { listen, slide } from "/viewer/hands.js";
+import { inflated, unpack } from "/viewer/unpack.js";
+import { background, mode, showPhotos } from "./choices.js";
+import { act, hello, on, state } from "./connection.js";
+import { Overlay } from "./overlay.js";
+import { Tools } from "./tools.js";
+
+const REST = 120; // milliseconds without motion
+const FLIGHT = 450; // milliseconds
+const SLOW = 400; // milliseconds after which the next picture is asked for without an answer
+const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
+const PARTS = `<canvas class="drawn" hidden></canvas><canvas class="exact"></canvas><canvas class="exact before"></canvas>
+<canvas class="overlay" tabindex="0" role="img" aria-label="The scene. Drag to turn it, click an object to pick it."></canvas>
+<div class="cut" hidden><span>before</span><span>after</span><div class="knob" role="slider" tabindex="0" aria-label="Border between before and after" aria-valuemin="0" aria-valuemax="100"><i></i></div></div>
+<div class="pointed" hidden></div>`;
+
+export class Viewport {
+  constructor(root) {
+    root.innerHTML = PARTS;
+    this.root = root;
+    const find = (name) => root.querySelector(name);
+    [this.drawn, this.after, this.before] = root.querySelectorAll("canvas");
+    this.canvas = find(".overlay");
+    this.camera = new Orbit(hello.value.start);
+    this.number = 0; // of the camera's place
+    this.shown = { after: -1, before: -1 };
+    this.moving = this.waiting = this.holding = false;
+    this.cut = 0.5;
+    this.draws = hasGraphicsCard();
+    this.overlay = new Overlay(this);
+    this.tools = new Tools(this, find(".pointed"));
+    on("picture", (header, bytes) => this.picture(header, bytes));
+    on("map", (header, bytes) => this.overlay.setMap(header, bytes));
+    on("picked", (header, bytes) => this.overlay.setPicked(header, bytes));
+    on("splats", (header, bytes) => this.splats(header, bytes));
+    listen(this.canvas, this.camera, () => this.moved(), (event) => this.tools.press(event));
+    slide(find(".cut"), find(".knob"), this.canvas, this.cut, (share) => {
+      this.cut = share;
+      this.arrange();
+    });
+    new ResizeObserver(() => this.moved()).observe(root);
+    effect(() => this.compare(mode.value, Boolean(state.value?.layers.length)));
+    effect(() => showPhotos.value || this.overlay.draw());
+    window.addEventListener("keydown", (event) => event.key === "b" && !isTyping(event) && this.hold(true));
+    window.addEventListener("keyup", (event) => event.key === "b" && this.hold(false));
+  }
+
+  get size() {
+    return [this.root.clientWidth, this.root.clientHeight];
+  }
+
+  get view() {
+    return this.camera.view(this.size);
+  }
+
+  // Where a place of the world is in the picture, in pixels of the page, and how deep
+  project(place) {
+    const { viewmat, focal, centre } = this.view;
+    const [x, y, z] = [0, 1, 2].map(
+      (row) => place.reduce((sum, value, axis) => sum + value * viewmat[4 * row + axis], viewmat[4 * row + 3])
+    );
+    return [(focal[0] * x) / z + centre[0], (focal[1] * y) / z + centre[1], z];
+  }
+
+  moved() {
+    this.number += 1;
+    this.moving = true;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.rest(), REST);
+    this.overlay.draw();
+    if (this.draws && this.draw) {
+      this.root.classList.add("moving");
+      if (!this.frame) this.frame = requestAnimationFrame(() => this.redraw());
+    } else this.ask(true);
+  }
+
+  rest() {
+    this.moving = false;
+    this.ask(false);
+    this.overlay.draw();
+  }
+
+  // One picture of a moving camera at a time: the next is asked for when one has come
+  ask(moving) {
+    if (moving && this.waiting) return;
+    const [width, height] = this.size;
+    if (!width || !height) return;
+    this.waiting = moving;
+    clearTimeout(this.late);
+    if (moving) this.late = setTimeout(() => this.went(), SLOW);
+    const scale = Math.min(2, window.devicePixelRatio || 1);
+    const { viewmat, focal } = this.view;
+    const size = [Math.round(scale * width), Math.round(scale * height)];
+    const before = Boolean(state.value?.layers.length) && (mode.value !== "after" || this.holding);
+    act("look", { number: this.number, viewmat, focal: scale * focal[0], size, moving, before, draws: this.draws });
+  }
+
+  went() {
+    this.waiting = false;
+    if (this.moving && !(this.draws && this.draw)) this.ask(true);
+  }
+
+  async picture({ which, look, moving }, bytes) {
+    const image = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
+    if (moving && which === "after") this.went();
+    if (look < this.shown[which] || (moving && !this.moving)) return;
+    const canvas = this[which];
+    canvas.width = image.width;
+    canvas.height = image.height;
+    canvas.getContext("2d").drawImage(image, 0, 0);
+    image.close();
+    this.shown[which] = look;
+    if (!moving && look === this.number) this.root.classList.remove("moving");
+    this.root.dataset[which] = `${look}${moving ? " moving" : ""}`;
+    this.arrange();
+  }
+
+  async splats(about, bytes) {
+    const shaders = await Promise.all(["vert", "frag"].map(async (end) => (await fetch(`/viewer/splats.${end}`)).text()));
+    const unpacked = unpack(await inflated(bytes), about);
+    try {
+      this.draw?.remove();
+      const sources = { vertex: shaders[0].trim(), fragment: shaders[1].trim() };
+      this.draw = drawer(this.drawn, unpacked, about, sources, background.value);
+    } catch (error) {
+      console.warn(error.message); // the server's pictures do
+      this.draws = false;
+    }
+    this.redraw();
+  }
+
+  redraw() {
+    this.frame = null;
+    if (!this.draw) return;
+    const scale = Math.min(2, window.devicePixelRatio || 1);
+    [this.drawn.width, this.drawn.height] = this.size.map((side) => Math.max(1, Math.round(scale * side)));
+    const view = this.camera.view([this.drawn.width, this.drawn.height]);
+    const share = { after: 0, before: 1, split: this.cut }[this.holding ? "before" : mode.value];
+    this.draw(view, share);
+  }
+
+  compare(wanted, painted) {
+    const now = painted ? wanted : "after";
+    this.root.querySelector(".cut").hidden = now !== "split";
+    if (now !== "after" || this.compared !== now) this.ask(false);
+    this.compared = now;
+    this.arrange();
+  }
+
+  hold(holding) {
+    if (holding === this.holding || !state.value?.layers.length) return;
+    this.holding = holding;
+    if (holding) this.ask(false);
+    this.arrange();
+  }
+
+  // Which part of the picture before painting lies above the one after
+  arrange() {
+    const share = this.holding || this.compared === "before" ? 1 : this.compared === "split" ? this.cut : 0;
+    const stale = this.shown.before !== this.shown.after;
+    this.before.style.clipPath = `inset(0 ${100 - 100 * share}% 0 0)`;
+    this.before.style.visibility = share && !(stale && this.holding && this.shown.before < 0) ? "visible" : "hidden";
+  }
+
+  // Fly so that the camera stands at a position and looks at a target
+  fly(position, target) {
+    const goal = new Orbit(hello.value.start);
+    goal.stand(position, target);
+    this.animate(goal);
+  }
+
+  approach(centre, radius) {
+    const goal = Object.assign(new Orbit(hello.value.start), this.camera);
+    goal.approach(centre, radius);
+    this.animate(goal);
+  }
+
+  home() {
+    const picked = state.value.objects.filter((each) => each.picked);
+    if (picked.length === 1) this.approach(picked[0].centre, picked[0].radius);
+    else this.animate(new Orbit(hello.value.start));
+  }
+
+  animate(goal) {
+    const { camera } = this;
+    const from = { ...camera }, began = performance.now();
+    const turn = ((goal.turned - from.turned + Math.PI) % (2 * Math.PI) + 2 * Math.PI) % (2 * Math.PI) - Math.PI;
+    const flight = (this.flight = {});
+    const step = () => {
+      if (this.flight !== flight) return;
+      const share = Math.min(1, (performance.now() - began) / FLIGHT);
+      const eased = share * share * (3 - 2 * share);
+      const mix = (a, b) => a + eased * (b - a);
+      camera.target = from.target.map((value, axis) => mix(value, goal.target[axis]));
+      camera.distance = mix(from.distance, goal.distance);
+      camera.turned = from.turned + eased * turn;
+      camera.raised = mix(from.raised, goal.raised);
+      this.moved();
+      if (share < 1) requestAnimationFrame(step);
+    };
+    step();
+  }
+
+  // After the connection came back
+  again() {
+    this.shown = { after: -1, before: -1 };
+    this.moved();
+  }
+}
+
+export function isTyping({ target }) {
+  return target.matches?.("input:not([type=range]), textarea, select");
+}
+
+function hasGraphicsCard() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const names = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = gl ? String(gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER)) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return Boolean(gl) && !SOFTWARE.test(name);
+}

@@ -1,0 +1,396 @@
+"""The server of the studio's page: who may ask, the socket, files in and out.
+
+Other accounts of this machine reach its ports as well, and any site can make a browser send
+requests to it: under a name of its own that it lets point here (DNS rebinding), and over
+websockets. Browsers send neither the cookie with the token.
+"""
+
+import asyncio
+import errno
+import hmac
+import secrets
+import socket
+import threading
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
+from contextlib import suppress
+from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, quote
+
+import msgspec
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.web_page import PARTS as VIEWER
+from stylesplat.progress import write_lines
+from stylesplat.studio_app import messages as m
+from stylesplat.studio_app.actions import DECODER, Actions
+from stylesplat.studio_app.gallery import MOST_BYTES, too_large
+from stylesplat.studio_app.session import Session
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.websockets import WebSocket
+
+ADDRESS = "127.0.0.1"  # a splat may show somebody's home: never offer it to the network
+LOOPBACK = (ADDRESS, "localhost", "[::1]")
+REFUSAL = b"This server needs a token. Open the address that its terminal shows.\n"
+COOKIE = "stylesplat-token"
+LARGEST = 2**20  # bytes of a message from a page
+PAGE = Path(__file__).with_name("page")
+KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self'"
+    "; connect-src 'self' ws://{}; form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
+)
+PORTS = 100  # that are tried, one after the other
+STOP_SECONDS = 10.0
+
+Headers = Mapping[str, list[str]]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+
+
+class Guard:
+    """Refuses everything without the token, and what other sites ask for."""
+
+    def __init__(self, app: Any, token: str, *, local: bool) -> None:
+        self._app, self._token, self._local = app, token, local
+
+    async def __call__(self, scope: MutableMapping[str, Any], receive: Receive, send: Send) -> None:
+        headers = dict[str, list[str]]()
+        for name, value in scope.get("headers", ()):
+            headers.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+        hosts = headers.get("host", [])
+        # One cookie for each port: browsers send a machine's cookies to all its servers
+        cookie = f"{COOKIE}-{hosts[0].rpartition(':')[2].strip(']')}" if hosts else COOKIE
+        if not self._is_ours(headers) or not self._has_token(scope, headers, cookie):
+            await _refuse(scope, send)
+            return
+
+        async def with_cookie(message: MutableMapping[str, Any]) -> None:
+            if message["type"] == "http.response.start":
+                value = f"{cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
+                more = {"set-cookie": value, "content-security-policy": POLICY.format(hosts[0])}
+                more |= {"x-content-type-options": "nosniff", "referrer-policy": "no-referrer"}
+                given = [(name.encode(), value.encode()) for name, value in more.items()]
+                message["headers"] = [*message.get("headers", ()), *given]
+            await send(message)
+
+        await self._app(scope, receive, with_cookie)
+
+    def _is_ours(self, headers: Headers) -> bool:
+        hosts, origins = headers.get("host", []), headers.get("origin", [])
+        if len(hosts) != 1 or origins not in ([], [f"http://{hosts[0]}"]):
+            return False
+        name = hosts[0].rpartition(":")[0] or hosts[0]
+        return not self._local or name in LOOPBACK
+
+    def _has_token(self, scope: Mapping[str, Any], headers: Headers, cookie: str) -> bool:
+        """Whether a request has the token: in its address, or in a cookie of an earlier one."""
+        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
+        for text in headers.get("cookie", []):
+            with suppress(CookieError):
+                found = SimpleCookie(text).items()
+                given += [morsel.value for name, morsel in found if name == cookie]
+        return any(hmac.compare_digest(each.encode(), self._token.encode()) for each in given)
+
+
+async def _refuse(scope: Mapping[str, Any], send: Send) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    headers = [(b"content-type", b"text/plain"), (b"content-length", b"%d" % len(REFUSAL))]
+    await send({"type": "http.response.start", "status": 403, "headers": headers})
+    await send({"type": "http.response.body", "body": REFUSAL})
+
+
+class _Client:
+    """A page, and what waits to be sent to it: of each kind only the latest."""
+
+    def __init__(self) -> None:
+        self._waiting = dict[object, str | bytes]()
+        self._added = asyncio.Event()
+
+    def put(self, kind: object, message: str | bytes) -> None:
+        self._waiting.pop(kind, None)
+        self._waiting[kind] = message
+        self._added.set()
+
+    async def take(self) -> str | bytes:
+        while not self._waiting:
+            self._added.clear()
+            await self._added.wait()
+        return self._waiting.pop(next(iter(self._waiting)))
+
+
+class PageServer:
+    """Serves the page of a session."""
+
+    def __init__(self, title: str, session: Session, *, readonly: bool = False) -> None:
+        self.title, self.session, self.readonly = title, session, readonly
+        self.actions: Actions
+        """Set before it serves."""
+        self.on_first_client: Callable[[], None] = lambda: None
+        self.stopping = threading.Event()
+        """Set as soon as it is to end."""
+        self.token = secrets.token_urlsafe(24)
+        self.url = ""
+        """The address that opens it, with the token."""
+        self.port = 0
+        self._clients = dict[int, _Client]()
+        self._numbers, self._notes = 0, 0
+        self._downloads = dict[str, tuple[str, bytes]]()
+        self._uploading = 0  # bytes
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._server: Any = None
+        self._thread: threading.Thread | None = None
+        session.on_change.append(self.send_state)
+        session.on_progress.append(self.send_progress)
+        session.on_message.append(self.send_note)
+
+    def start(self, host: str, port: int) -> None:
+        """Begin to serve, and print the address with the token on stderr.
+
+        Raises:
+            StyleSplatError: If the libraries are not installed, or the address cannot be used.
+        """
+        try:
+            import uvicorn
+        except ImportError as error:
+            raise StyleSplatError(
+                "The studio and the viewer need Starlette and uvicorn, which are not installed. "
+                "Run `pip install stylesplat[view]`."
+            ) from error
+        listening = _listening_socket(host, port)
+        self.port = listening.getsockname()[1]
+        local = host in LOOPBACK
+        config = uvicorn.Config(
+            Guard(self._app(), self.token, local=local),
+            lifespan="off",
+            ws="websockets-sansio",
+            ws_max_size=LARGEST,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+        )
+        self._server = uvicorn.Server(config)
+        started = threading.Event()
+
+        def serve() -> None:
+            loop = self._loop = asyncio.new_event_loop()
+            loop.call_soon(started.set)
+            try:
+                loop.run_until_complete(self._server.serve(sockets=[listening]))
+            finally:
+                loop.close()
+
+        self._thread = threading.Thread(target=serve, name="studio server", daemon=True)
+        self._thread.start()
+        started.wait(STOP_SECONDS)
+        self.url = f"http://{host}:{self.port}/?token={self.token}"
+        write_lines(f"{self.title}: {self.url}")
+
+    def stop(self) -> None:
+        """End it."""
+        if self._server is not None:
+            self._server.should_exit = True
+        if self._thread is not None:
+            self._thread.join(STOP_SECONDS)
+
+    def send(self, client: int, kind: object, message: str | bytes) -> None:
+        """Send a message to a page, from any thread."""
+
+        def put() -> None:
+            if client in self._clients:
+                self._clients[client].put(kind, message)
+
+        if self._loop is not None:
+            with suppress(RuntimeError):  # it is closed
+                self._loop.call_soon_threadsafe(put)
+
+    def broadcast(self, kind: object, message: m.Told) -> None:
+        text = msgspec.json.encode(message).decode()
+        for client in [*self._clients]:
+            self.send(client, kind, text)
+
+    def send_state(self) -> None:
+        """Tell all pages the state, in the worker's thread."""
+        if self._clients:
+            self.broadcast("state", self.actions.state_message())
+        self.send_progress()
+
+    def send_progress(self) -> None:
+        self.broadcast("progress", self.actions.progress_message())
+
+    def send_note(self, line: str, failure: bool) -> None:
+        self._notes += 1
+        self.broadcast(("note", self._notes), m.Note(line, failure))
+
+    def deliver(self, client: int, name: str, content: bytes) -> None:
+        """Let a page download a file."""
+        key = secrets.token_urlsafe(9)
+        self._downloads[key] = name, content
+        while len(self._downloads) > 2:
+            self._downloads.pop(next(iter(self._downloads)))
+        message = m.Download(f"/download/{key}/{quote(name)}", name)
+        self.send(client, ("download", key), msgspec.json.encode(message).decode())
+
+    def _app(self) -> Any:
+        from starlette.applications import Starlette
+        from starlette.routing import Route, WebSocketRoute
+
+        routes = [
+            Route("/", self._page),
+            Route("/page/{path:path}", self._page),
+            Route("/viewer/{path}", self._viewer),
+            Route("/picture/{kind}/{key:path}", self._picture),
+            Route("/style", self._upload, methods=["POST"]),
+            Route("/download/{key}/{name}", self._download),
+            WebSocketRoute("/socket", self._socket),
+        ]
+        return Starlette(routes=routes)
+
+    async def _page(self, request: "Request") -> "Response":
+        return _file(PAGE, request.path_params.get("path", "index.html"))
+
+    async def _viewer(self, request: "Request") -> "Response":
+        return _file(VIEWER, request.path_params["path"])
+
+    async def _picture(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        content = self._picture_of(request.path_params["kind"], request.path_params["key"])
+        if not content:
+            return Response(status_code=404)
+        return Response(content, media_type="image/jpeg", headers={"cache-control": "no-cache"})
+
+    def _picture_of(self, kind: str, key: str) -> bytes | None:
+        actions = self.actions
+        if kind == "object":
+            return actions.thumbnails.picture(key)
+        try:
+            number = int(key)
+            if kind == "variant":
+                return actions.variants[number].thumbnail if number >= 0 else None
+            if kind == "preview":
+                return actions.preview(number)
+            pictures = [*actions.gallery.pictures.values()]
+            picture = pictures[number]
+            return picture.large if kind == "large" else picture.thumbnail
+        except (ValueError, IndexError, StyleSplatError):
+            return None
+
+    async def _upload(self, request: "Request") -> "Response":
+        from starlette.responses import PlainTextResponse
+
+        content, name = bytearray(), request.query_params.get("name", "picture")
+        if self.readonly:
+            return PlainTextResponse("Nothing can be changed here.", status_code=403)
+        try:
+            async for part in request.stream():
+                self._uploading += len(part)
+                content += part
+                if self._uploading > MOST_BYTES:
+                    size = int(request.headers.get("content-length") or self._uploading)
+                    return PlainTextResponse(too_large(size), status_code=413)
+        finally:
+            self._uploading -= len(content)
+        self.session.ask(lambda: self._add(name, bytes(content)))
+        return PlainTextResponse("")
+
+    def _add(self, name: str, content: bytes) -> None:
+        picture = self.actions.gallery.upload(name, content)
+        self.session.tell(f"Added {picture.title}.")
+        self.send_state()
+
+    async def _download(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        name, content = self._downloads.get(request.path_params["key"], ("", b""))
+        if not name:
+            return Response("This file is no longer there. Export it again.", status_code=404)
+        headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(name)}"}
+        return Response(content, media_type="application/octet-stream", headers=headers)
+
+    async def _socket(self, socket: "WebSocket") -> None:
+        from starlette.websockets import WebSocketDisconnect
+
+        await socket.accept()
+        self._numbers += 1
+        number, client = self._numbers, _Client()
+        self._clients[number] = client
+        hello = self.actions.hello(self.title, readonly=self.readonly)
+        client.put("hello", msgspec.json.encode(hello).decode())
+        self.session.ask(self.send_state, kind="greeting")
+        sending = asyncio.create_task(_sending(socket, client))
+        if number == 1:
+            self.on_first_client()
+        try:
+            while True:
+                self._receive(number, await socket.receive_text())
+        except (WebSocketDisconnect, RuntimeError):
+            pass
+        finally:
+            sending.cancel()
+            del self._clients[number]
+            self.session.ask(lambda: self.actions.pictures.leave(number))
+
+    def _receive(self, client: int, text: str) -> None:
+        try:
+            action = DECODER.decode(text)
+        except (msgspec.ValidationError, msgspec.DecodeError) as error:
+            self.session.tell(f"The page sent something that is not understood: {error}")
+            return
+        if not self.readonly or isinstance(action, m.Look):
+            self.actions.act(client, action)
+
+
+async def _sending(socket: "WebSocket", client: _Client) -> None:
+    with suppress(Exception):  # the page is gone
+        while True:
+            message = await client.take()
+            if isinstance(message, bytes):
+                await socket.send_bytes(message)
+            else:
+                await socket.send_text(message)
+
+
+def _file(folder: Path, path: str) -> "Response":
+    from starlette.responses import Response
+
+    file = (folder / path).resolve()
+    if not file.is_relative_to(folder.resolve()) or not file.is_file():
+        return Response(status_code=404)
+    kind = KINDS.get(file.suffix, "text/html" if file.suffix == ".html" else "text/plain")
+    return Response(file.read_bytes(), media_type=kind, headers={"cache-control": "no-cache"})
+
+
+def _listening_socket(host: str, port: int) -> socket.socket:
+    """A socket at a port, or at the next free one."""
+    for number in range(port, port + (PORTS if port else 1)):
+        try:
+            family, *_ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+            listening = socket.socket(family)
+        except OSError as error:
+            raise _cannot_serve(host, port, str(error.strerror)) from error
+        try:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind((host, number))
+            listening.listen()
+        except (OSError, OverflowError) as error:
+            listening.close()
+            if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+                continue
+            reason = error.strerror if isinstance(error, OSError) else "ports are from 0 to 65535"
+            raise _cannot_serve(host, port, str(reason)) from error
+        return listening
+    raise _cannot_serve(host, port, "all ports are in use")
+
+
+def _cannot_serve(host: str, port: int, reason: str) -> StyleSplatError:
+    return StyleSplatError(
+        f"Cannot serve at {host}:{port}: {reason}. Choose another address or port."
+    )

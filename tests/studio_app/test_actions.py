@@ -1,0 +1,326 @@
+"""What the page asks for, what comes of it, and what the page is told: without a browser."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from zlib import decompress
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from balls import CAMERAS, SPLATS, enlarged
+from browser import QUICK, stripes
+from stylesplat.figures.pictures import to_uint8
+from stylesplat.io.scene_folder import open, save
+from stylesplat.scene.projection import project
+from stylesplat.scene.scene import Scene
+from stylesplat.studio_app import messages as m
+from stylesplat.studio_app.actions import DECODER, Actions
+from stylesplat.studio_app.paint_queue import warm_up_painting
+from stylesplat.studio_app.pictures import camera_of, weightiest
+from stylesplat.studio_app.studio import StudioServer, studio
+from stylesplat.stylization.style import Style
+
+CAMERA = enlarged(CAMERAS, 4)[0]
+WIDTH, HEIGHT = CAMERA.size
+
+
+class Page:
+    """A page without a browser."""
+
+    def __init__(self, opened: StudioServer) -> None:
+        self.opened, self.session = opened, opened.session
+        self.actions: Actions = opened.server.actions
+        self.said, self.files = list[str](), dict[str, bytes]()
+        self.pictures = dict[str, tuple[dict[str, Any], bytes]]()
+        self.session.on_message.append(lambda line, failure: self.said.append(line))
+        self.actions._deliver = lambda client, name, content: self.files.update({name: content})
+        self.actions.pictures._send = lambda client, kind, content: self._receive(content)
+
+    def _receive(self, content: bytes) -> None:
+        length = int.from_bytes(content[:4], "little")
+        header = json.loads(content[4 : 4 + length])
+        self.pictures[header.get("which", header["kind"])] = header, content[4 + length :]
+
+    def act(self, what: str, **fields: Any) -> m.StateMessage:
+        """Ask as the page does, and wait until it is done."""
+        text = msgspec.json.encode({"do": what, **fields})
+        self.actions.act(1, DECODER.decode(text))
+        assert self.session.worker.settle()
+        return self.actions.state_message()
+
+    def look(self, number: int = 1, **options: Any) -> None:
+        viewmat = CAMERA.viewmats[0].flatten().tolist()
+        focal = float(CAMERA.Ks[0, 0, 0])
+        size = [WIDTH, HEIGHT]
+        self.act("look", number=number, viewmat=viewmat, focal=focal, size=size, **options)
+
+    def names(self) -> list[str]:
+        return [each.name for each in self.actions.state_message().objects if each.picked]
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Page]:
+    save(Scene(SPLATS, CAMERAS), tmp_path / "balls")
+    (tmp_path / "styles").mkdir()
+    for name, picture in (("stripes", stripes()), ("turned", stripes().transpose(0, 1).flip(2))):
+        Image.fromarray(to_uint8(picture).numpy()).save(tmp_path / "styles" / f"{name}.png")
+    styles = tmp_path / "styles"
+    opened = studio(tmp_path / "balls", styles=styles, port=0, block=False, device="cpu")
+    found = Page(opened)
+    found.look()
+    yield found
+    opened.close()
+
+
+def place(name: str) -> tuple[float, float]:
+    centre = {"3": (-0.7, 0.0, 0.3), "7": (0.7, 0.0, 0.3)}[name]
+    x, y = project(torch.tensor([centre]), CAMERA)[0][0].tolist()
+    return x / WIDTH, y / HEIGHT
+
+
+def test_the_pages_camera_is_ours(page: Page):
+    look = page.actions.pictures.look_of(1)
+    assert look is not None
+    assert torch.allclose(camera_of(look).viewmats, CAMERA.viewmats)
+    large = camera_of(msgspec.structs.replace(look, size=(3840, 2160)))
+    assert large.size == (960, 540)
+    hello = page.actions.hello("balls", readonly=False)
+    assert np.allclose(hello.start["position"], CAMERAS.positions[0]) and len(hello.photos) == 8
+    photo = hello.photos[2]
+    ahead = np.subtract(photo["target"], photo["position"])
+    assert np.allclose(ahead / np.linalg.norm(ahead), CAMERAS.viewmats[2, 2, :3], atol=1e-5)
+
+
+def test_a_map_tells_what_a_click_takes_and_how_far_away_it_is(page: Page):
+    header, content = page.pictures["map"]
+    wide, high = header["size"]
+    content = decompress(content)
+    ids = np.frombuffer(content[: wide * high], np.uint8).reshape(high, wide)
+    depths = np.frombuffer(content[wide * high :], np.float16).reshape(high, wide)
+    for name in ("3", "7"):
+        x, y = place(name)
+        row, column = int(y * high), int(x * wide)
+        assert header["names"][ids[row, column] - 1] == name
+        assert 2.5 < depths[row, column] < 3.5
+    assert ids[0, 0] == 0 and depths[0, 0] == 0
+    page.act("pick", names=["3"])
+    header, content = page.pictures["picked"]
+    shares = np.frombuffer(decompress(content), np.uint8).reshape(high, wide)
+    number = page.pictures["map"][0]["names"].index("3") + 1
+    assert ((shares > 128) == (ids == number)).mean() > 0.97
+
+
+def test_picks(page: Page):
+    page.act("pick_at", place=place("3"))
+    assert page.names() == ["3"]
+    page.act("pick_at", place=place("7"), how="add")
+    assert page.names() == ["3", "7"]
+    page.act("pick", names=["3"], how="away")
+    assert page.names() == ["7"]
+    (x, y), shape = place("3"), {"shape": "rectangle", "whole": True}
+    page.act("pick_drawn", points=[(x - 0.1, y - 0.1), (x + 0.1, y + 0.1)], **shape)
+    assert page.names() == ["3"]
+    page.act("pick_drawn", points=[place("7")], shape="brush", radius=0.05)
+    assert page.names() == ["object 1"]
+    page.act("pick_at", place=place("3"), how="add", radius=0.3)
+    state = page.act("rename", name="both")
+    assert page.names() == ["both"] and "drawn in the studio" in state.commands
+    page.act("pick", names=[])
+    page.act("pick_box", low=(-1.2, -0.5, 0.05), high=(-0.2, 0.5, 0.8))
+    assert page.names() == ["object 1"]
+    for share in (0.05, -0.05):
+        page.act("resize", share=share)
+    page.act("forget")
+    assert page.names() == [] and not page.said
+    page.act("unite")
+    assert "Nothing is picked" in page.said[-1]
+
+
+def painted(page: Page, *names: str, style: int = 0) -> m.StateMessage:
+    """Paint in fewer steps than the page may ask for."""
+    picture = [*page.actions.gallery.pictures.values()][style]
+    page.actions.queue.paint(names, Style(picture.path, config=QUICK), picture.title)
+    assert page.session.worker.settle()
+    return page.actions.state_message()
+
+
+def test_layers_have_strength_form_order_and_locks(page: Page):
+    before = page.session.state.scene
+    state = painted(page, "3", "7")
+    assert [each.object for each in state.layers] == ["3", "7"] and state.unsaved
+    assert state.layers[0].title == "stripes"
+    assert state.layers[0].settings.startswith("quality draft, steps 4")
+    first = page.session.state.scene.splats
+    state = page.act("order", name="3", by=1)
+    assert [each.object for each in state.layers] == ["7", "3"] and "up" in state.undo
+    assert page.act("order", name="3", by=1).undo == state.undo, "it is on top"
+    page.act("undo")
+    assert torch.equal(page.session.state.scene.splats.sh0, first.sh0)
+    assert not page.act("visible", name="3", visible=False).layers[0].visible
+    seven = page.session.masks.of(page.session.state.scene, "7")
+    assert torch.equal(page.session.state.scene.splats.sh0[~seven], before.splats.sh0[~seven])
+    page.act("visible", name="3", visible=True)
+    assert page.act("strength", name="3", strength=0.5).layers[0].strength == 0.5
+    assert page.act("form", name="7", form=0.2).layers[1].form == 0.2
+    page.act("lock", name="3", locked=True)
+    for what, fields in (
+        ("strength", {"strength": 1.0}),
+        ("remove_paint", {}),
+    ):
+        page.act(what, name="3", **fields)
+        assert "locked" in page.said.pop()
+    painted(page, "3")
+    assert "locked" in page.said.pop()
+    page.act("lock", name="3", locked=False)
+    page.act("remove_paint", name="3")
+    state = page.act("remove_paint", name="7")
+    assert not state.layers and torch.equal(page.session.state.scene.splats.sh0, before.splats.sh0)
+    page.act("strength", name="3", strength=0.3)
+    assert "not painted" in page.said[-1]
+
+
+def test_a_variant_changes_its_object_alone(page: Page):
+    painted(page, "3")
+    painted(page, "7")
+    of_seven = page.session.state.scene.layers[1]
+    state = painted(page, "3", style=1)
+    titles = [(each.object, each.title, each.current) for each in state.variants]
+    assert titles == [("3", "stripes", False), ("7", "stripes", True), ("3", "turned", True)]
+    state = page.act("use_variant", number=0)
+    assert [each.title for each in state.layers] == ["stripes", "stripes"]
+    assert [each.current for each in state.variants] == [True, True, False]
+    assert page.session.state.scene.layers[1] is of_seven
+    page.act("compare_with", number=2)
+    page.look(2, before=True)
+    assert page.pictures["before"][1] != page.pictures["after"][1]
+    page.act("use_variant", number=2)
+    page.look(3, before=True)
+    assert page.pictures["before"][1] == page.pictures["after"][1]
+    page.act("use_variant", number=9)
+    assert "no such variant" in page.said[-1]
+
+
+def test_a_snapshot_brings_the_whole_scene_back(page: Page):
+    painted(page, "3")
+    full = page.session.state.scene.splats
+    assert page.act("snapshot", name="first").snapshots == [(0, "first")]
+    page.act("remove_paint", name="3")
+    state = page.act("restore", number=0)
+    assert torch.equal(page.session.state.scene.splats.sh0, full.sh0)
+    assert state.undo == "Restored first"
+    page.act("undo")
+    assert not page.session.state.scene.layers
+
+
+def test_the_picture_before_painting_is_there_to_compare(page: Page):
+    page.look(2, before=True)
+    assert page.pictures["before"][1] == page.pictures["after"][1]
+    painted(page, "3")
+    page.look(3, before=True)
+    assert page.pictures["before"][0]["look"] == 3
+    assert page.pictures["before"][1] != page.pictures["after"][1]
+
+
+def test_every_style_can_be_tried(page: Page):
+    page.act("pick", names=["3"])
+    state = page.act("try_all")
+    assert all(each.preview for each in state.styles)
+    first, second = page.actions.preview(0), page.actions.preview(1)
+    assert first and second and first != second
+    state = page.act("pick", names=["7"])
+    assert not any(each.preview for each in state.styles), "they were of another object"
+    assert not page.session.state.scene.layers
+
+
+def test_the_queue_is_a_list(page: Page):
+    removed = list[int]()
+
+    def remove_last() -> None:
+        waiting = page.actions.state_message().waiting
+        if len(waiting) == 2 and not removed:
+            removed.append(waiting[-1].number)
+            page.actions.queue.remove(waiting[-1].number)
+
+    page.session.on_change.append(remove_last)
+    state = painted(page, "3", "7", "300")
+    assert removed and [each.object for each in state.layers] == ["3", "7"]
+
+
+def test_what_cannot_be_painted_is_told(page: Page):
+    for fields, words in (
+        ({"style": 7}, "not there"),
+        ({"style": 0, "names": []}, "Nothing is picked"),
+        ({"style": 0, "names": ["3"], "settings": {"speed": 1}}, "no setting speed"),
+        ({"style": 0, "names": ["3"], "settings": {"scale": -1}}, "scale"),
+        ({"style": 0, "names": ["3"], "settings": {"region": [0, 0, 2, 2]}}, "32|little"),
+    ):
+        page.act("paint", **fields)
+        assert any(word in page.said[-1] for word in words.split("|")), page.said[-1]
+    assert not page.session.state.scene.layers
+
+
+def test_files_are_delivered(page: Page):
+    page.act("export", ending=".splat")
+    page.actions.exporter.wait()
+    page.act("picture", width=96)
+    page.act("turntable", seconds=0.2, fps=10, width=64, around="3")
+    assert [*page.files] == ["balls.splat", "balls-view.png", "balls-turntable.mp4"], page.said
+    assert len(page.files["balls.splat"]) == 32 * len(SPLATS)
+    assert b"ftyp" in page.files["balls-turntable.mp4"][:16]
+    page.act("export", ending=".exe")
+    assert "no format" in page.said[-1]
+    page.act("picture", width=10**6)
+    assert "8192" in page.said[-1]
+
+
+def test_saving(page: Page, tmp_path: Path):
+    painted(page, "3")
+    state = page.act("save")
+    assert not state.unsaved and open(tmp_path / "balls").painted_objects == ("3",)
+    state = page.act("save_as", name="other")
+    assert state.folder == str((tmp_path / "other").resolve())
+    page.act("save_as", name="../up")
+    assert len(page.said) == 3
+
+
+def test_browsers_with_a_graphics_card_get_the_gaussians(page: Page):
+    page.look(2, draws=True)
+    header, _ = page.pictures["splats"]
+    assert header["count"] == len(SPLATS) and header["bands"] == 0
+    opacities = torch.linspace(-3, 3, len(SPLATS))
+    rows = weightiest(replace(SPLATS, opacities=opacities), 100)
+    assert rows is not None and rows.tolist() == [*range(len(SPLATS) - 100, len(SPLATS))]
+    assert weightiest(SPLATS, len(SPLATS)) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"do": "pick_at", "place": [2, 0]}',
+        '{"do": "pick_drawn", "shape": "star", "points": [[0, 0]]}',
+        '{"do": "look", "number": 1, "viewmat": [1], "focal": 1, "size": [9, 9]}',
+        '{"do": "turntable", "seconds": 1e9}',
+        '{"do": "undo", "more": 1}',
+    ],
+)
+def test_only_what_the_page_may_say_is_understood(text: str):
+    with pytest.raises(msgspec.ValidationError):
+        DECODER.decode(text)
+
+
+def test_warming_up_lets_what_is_asked_for_in(page: Page):
+    session, done = page.session, list[str]()
+
+    def warm() -> None:
+        session.worker.ask(lambda: done.append("click"))
+        warm_up_painting(session.worker, device="cpu")
+        done.append("warm")
+
+    session.ask(warm, patient=True)
+    assert session.worker.settle() and done == ["click", "warm"]

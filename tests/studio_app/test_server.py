@@ -1,0 +1,178 @@
+"""Who may ask the studio's server for what."""
+
+import http.client
+import socket
+import sys
+from collections.abc import Iterator
+from email.message import Message
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import torch
+from websockets.sync.client import connect
+
+from balls import CAMERAS, SPLATS
+from stylesplat.errors import StyleSplatError
+from stylesplat.scene.scene import Scene
+from stylesplat.signals import Terminated
+from stylesplat.studio_app.gallery import MOST_BYTES
+from stylesplat.studio_app.studio import Viewer, view
+
+WEBSOCKET = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+}
+
+
+@pytest.fixture
+def viewer() -> Iterator[Viewer]:
+    found = view(Scene(SPLATS, CAMERAS), port=0, block=False)
+    yield found
+    found.stop()
+
+
+def answer(viewer: Viewer, path: str, method: str = "GET", **headers: str) -> tuple[int, Message]:
+    """The status and the headers of a response; an empty `Host` sends none."""
+    port = viewer.server.port
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.putrequest(method, path, skip_host=True)
+    for name, value in ({"Host": f"127.0.0.1:{port}"} | headers).items():
+        if value:
+            connection.putheader(name, value)
+    connection.endheaders()
+    try:
+        response = connection.getresponse()
+        return response.status, response.headers
+    finally:
+        connection.close()
+
+
+def test_without_the_token_nobody_gets_a_page_or_a_scene(viewer: Viewer):
+    port, token = viewer.server.port, viewer.server.token
+    assert viewer.url == f"http://127.0.0.1:{port}/?token={token}" and len(token) >= 32
+    for path in ("/", "/?token=", "/?token=wrong", f"/?token={token[:-1]}", "/page/main.js"):
+        assert answer(viewer, path)[0] == 403, path
+    for cookie in ("", "stylesplat-token=wrong", f"stylesplat-token-{port}=wrong"):
+        assert answer(viewer, "/socket", Cookie=cookie, **WEBSOCKET)[0] == 403
+    status, headers = answer(viewer, f"/?token={token}")
+    assert status == 200 and "default-src 'none'" in headers["Content-Security-Policy"]
+    own = headers["Set-Cookie"].partition(";")[0]
+    assert "HttpOnly" in headers["Set-Cookie"] and "SameSite=Strict" in headers["Set-Cookie"]
+    assert answer(viewer, "/page/main.js", Cookie=own)[0] == 200
+    assert answer(viewer, "/socket", Cookie=own, **WEBSOCKET)[0] == 101
+    other = own.replace(f"{port}=", "8080=")
+    assert answer(viewer, "/", Cookie=other)[0] == 403, "of a server at another port"
+    assert answer(viewer, "/", Cookie=f"{other}x; {own}")[0] == 200
+
+
+def test_other_sites_are_refused_even_with_the_token(viewer: Viewer):
+    path = f"/socket?token={viewer.server.token}"
+    for host in (f"127.0.0.1:{viewer.server.port}", "localhost:9000"):  # the near end of a tunnel
+        own = {"Host": host, "Origin": f"http://{host}", **WEBSOCKET}
+        assert answer(viewer, path, **own)[0] == 101
+        for origin in ("http://evil.example", "http://localhost:9001", "null"):
+            assert answer(viewer, path, **own | {"Origin": origin})[0] == 403
+    rebound = {"Host": "evil.example", "Origin": "http://evil.example", **WEBSOCKET}
+    assert answer(viewer, path, **rebound)[0] == 403
+    assert answer(viewer, path, Host="")[0] in (400, 403)
+
+
+@pytest.mark.parametrize("path", ["/page/../server.py", "/page/%2e%2e/server.py", "/page/none.js"])
+def test_nothing_but_the_page_is_served(viewer: Viewer, path: str):
+    assert answer(viewer, f"{path}?token={viewer.server.token}")[0] == 404
+
+
+@pytest.mark.parametrize(
+    "message", ["{", "[]", '{"do": "look"}', '{"do": "fly"}', '{"do": "undo"}']
+)
+def test_a_viewer_changes_nothing_and_survives_what_it_does_not_understand(
+    viewer: Viewer, message: str
+):
+    url = f"ws://127.0.0.1:{viewer.server.port}/socket?token={viewer.server.token}"
+    with connect(url) as client:
+        hello = msgspec.json.decode(client.recv(10))
+        assert hello["kind"] == "hello" and hello["readonly"]
+        client.send(message)
+        look = {"do": "look", "number": 3, "focal": 50.0, "size": [48, 36]}
+        look["viewmat"] = CAMERAS.viewmats[0].flatten().tolist()
+        client.send(msgspec.json.encode(look).decode())
+        header = next(h for h in map(header_of, client) if h.get("kind") == "picture")
+        assert header["look"] == 3 and header["which"] == "after"
+    assert viewer.server.session.worker.settle()
+    assert len(viewer.server.session.state.note) > 0
+
+
+def header_of(message: str | bytes) -> dict[str, Any]:
+    if isinstance(message, str):
+        return msgspec.json.decode(message)
+    length = int.from_bytes(message[:4], "little")
+    return msgspec.json.decode(message[4 : 4 + length])
+
+
+def test_a_viewer_takes_no_pictures_and_uploads_are_bounded(viewer: Viewer):
+    path = f"/style?name=a.png&token={viewer.server.token}"
+    assert answer(viewer, path, "POST", **{"Content-Length": "0"})[0] == 403
+    viewer.server.readonly = False
+    connection = http.client.HTTPConnection("127.0.0.1", viewer.server.port, timeout=30)
+    connection.request("POST", path, body=bytes(MOST_BYTES + 1))
+    response = connection.getresponse()
+    assert response.status == 413 and b"40 MB at most" in response.read()
+    connection.close()
+    assert not viewer.server.actions.gallery.pictures
+
+
+@pytest.mark.parametrize(("host", "port"), [("127.0.0.1", 70_000), ("203.0.113.7", 0)])
+def test_where_nothing_can_be_served_it_is_told_at_once(viewer: Viewer, host: str, port: int):
+    with pytest.raises(StyleSplatError, match=rf"Cannot serve at {host}:{port}: .*Choose another"):
+        viewer.server.start(host, port)
+
+
+def test_a_port_that_is_taken_leads_to_the_next(viewer: Viewer):
+    other = view(SPLATS, port=viewer.server.port, block=False)
+    try:
+        assert other.server.port > viewer.server.port
+    finally:
+        other.stop()
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, Terminated])
+def test_it_serves_until_it_is_interrupted(error: type[BaseException], monkeypatch):
+    ports = list[int]()
+
+    def interrupt(seconds: float) -> None:
+        raise error
+
+    start = Viewer.__init__
+
+    def started(self: Viewer, server: Any) -> None:
+        start(self, server)
+        ports.append(server.port)
+
+    monkeypatch.setattr(Viewer, "__init__", started)
+    monkeypatch.setattr("stylesplat.studio_app.studio.time.sleep", interrupt)
+    if error is Terminated:
+        with pytest.raises(Terminated):
+            view(SPLATS, port=0)
+    else:
+        view(SPLATS, port=0)
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", ports[0])) != 0
+
+
+def test_what_cannot_be_viewed_is_told(monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(StyleSplatError, match="nothing to view"):
+        view(SPLATS[torch.zeros(len(SPLATS), dtype=torch.bool)])
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(StyleSplatError, match=r"pip install stylesplat\[view\]"):
+        view(SPLATS)
+
+
+def test_the_page_names_no_other_server():
+    page = Path(__file__).parents[2] / "src/stylesplat/studio_app/page"
+    for file in page.iterdir():
+        if file.is_file() and file.suffix != ".svg":
+            assert "://" not in file.read_text().replace("ws://${location.host}", ""), file.name
