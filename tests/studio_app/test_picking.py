@@ -86,20 +86,23 @@ def test_what_is_drawn_picks_what_shows_inside_and_corrects_a_pick():
     masks, (x, y), (width, height) = ObjectMasks(), pixel("3"), CAMERA.size
 
     def drawn(state: StudioState, left: float, right: float, how: How = "new") -> StudioState:
-        points = [((x + left) / width, (y - 60) / height), ((x + right) / width, (y + 60) / height)]
-        return pick_drawn(state, CAMERA, region_of("rectangle", points, CAMERA.size, 0), how)
+        points = [((x + left) / width, (y - 24) / height), ((x + right) / width, (y + 24) / height)]
+        return pick_drawn(state, CAMERA, region_of("rectangle", points, CAMERA.size, 0.0), how)
 
     ball = masks.of(STATE.scene, "3")
-    first = drawn(PLAIN, -60, 60)
+    first = drawn(PLAIN, -24, 24)
     whole = masks.of(first.scene, "object 1")
-    assert first.picked == ("object 1",) and 30 < int(whole.sum()) and (ball | ~whole).all()
-    less = drawn(first, 0, 60, "away")
+    assert first.picked == ("object 1",)
+    assert int((whole & ball).sum()) > 0.7 * int(ball.sum()), (
+        "what shows, and what is close beneath"
+    )
+    less = drawn(first, 0, 24, "away")
     left = masks.of(less.scene, "object 1")
     assert less.picked == ("object 1",) and 0 < int(left.sum()) < int(whole.sum())
-    again = drawn(less, 0, 60, "add")
-    assert torch.equal(masks.of(again.scene, "object 1"), whole)
+    again = drawn(less, 0, 24, "add")
+    assert int((masks.of(again.scene, "object 1") & whole).sum()) > 0.9 * int(whole.sum())
     with pytest.raises(StyleSplatError, match="Nothing is left"):
-        drawn(first, -90, 90, "away")
+        drawn(first, -40, 40, "away")
     with pytest.raises(StyleSplatError, match="Nothing shows inside"):
         pick_drawn(PLAIN, CAMERA, torch.zeros(height, width, dtype=torch.bool))
 

@@ -16,11 +16,11 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.models.hub import is_at_hand
 from stylesplat.rendering.shares import AT_ONCE, contributed, render_shares
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import crop
+from stylesplat.scene.projection import crop, project
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.selection.shapes import surface_point
+from stylesplat.selection.shapes import grow, surface_point
 from stylesplat.selection.text import CHECKPOINT
 from stylesplat.studio_app.history import (
     ObjectMasks,
@@ -37,9 +37,10 @@ Pixel = tuple[float, float]
 
 AROUND = 1  # pixels around a click that count, too
 MADE = "object {}"  # names of picks that are made by shapes
+BENEATH = 0.1  # of what shows: how deep what is beneath belongs to it
 LEAST_SHOWN = 0.05  # of a pixel, by which a Gaussian shows
 DRAWN = "#"  # instead of a command, for what none makes
-TAKEN = "taken away"  # the name of a shape while it is subtracted
+NEW, TAKEN = "new object", "taken away"  # the name of a shape while it is subtracted
 
 
 def pick_names(state: StudioState, names: Sequence[str], how: How = "new") -> StudioState:
@@ -115,13 +116,19 @@ def _ball(state: StudioState, centre: Float[Tensor, " 3"], radius: float, how: H
 def pick_drawn(
     state: StudioState, camera: Cameras, inside: Bool[Tensor, "H W"], how: How = "new"
 ) -> StudioState:
-    """Pick the Gaussians that show mostly inside a region of a picture, or change the pick."""
+    """Pick what shows mostly inside a region of a picture, and lies close beneath that."""
     pixels = torch.stack([inside, ~inside], dim=-1).to(state.scene.splats.means)
     weights = contributed(state.scene.splats, camera, pad(pixels, (0, AT_ONCE - 2)))
     within, beside = weights[:, 0], weights[:, 1]
     rows = (within > beside) & (within > LEAST_SHOWN)
     if not rows.any():
         raise StyleSplatError("Nothing shows inside the line. Draw it around an object.")
+    places, depths = project(state.scene.splats.means, camera)
+    column, row = places.floor().long().unbind(1)
+    height, width = inside.shape
+    seen = (depths > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    below = inside[row.clamp(0, height - 1), column.clamp(0, width - 1)] & seen
+    rows |= grow(state.scene.splats, rows, BENEATH) & below
     own = [find_object(state.scene, name) for name in state.picked]
     before = torch.stack(own).any(dim=0) if own else torch.zeros_like(rows)
     name = _free_name(state.scene) if how == "new" or not own else _own_name(state)
@@ -256,7 +263,9 @@ def _shaped(state: StudioState, shape: dict[str, Any], how: How) -> StudioState:
 
 def _selected(state: StudioState, name: str, choice: dict[str, Any]) -> StudioState:
     """Make a picked object, and note the command that makes it."""
-    scene = select(state.scene, name, **choice)
+    # Under a name of its own: `select` would tell of every stroke what the name meant before
+    found = select(state.scene, NEW, **choice).objects[NEW]
+    scene = state.scene.with_object(name, found)
     words = ["select", "SCENE", "--name", name]
     if "rows" in choice:
         words, choice = [DRAWN, f"{name!r} was drawn in the studio; saving the scene keeps it."], {}
