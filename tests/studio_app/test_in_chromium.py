@@ -159,7 +159,7 @@ def saves_and_exports(opened: StudioServer, tab: Tab, file: Path) -> None:
     saved = open(opened.session.folder)
     assert saved.painted_objects == ("3",)
     tab.press_button("Export")
-    assert "stripes.png" in tab.text()
+    until(lambda: "stripes.png" in tab.text(), "the command")
     tab.press_button("Download the scene")
     until(file.exists, "a download")
     until(lambda: len(file.read_bytes()) > 1000, "its content")

@@ -217,7 +217,10 @@ class Pictures:
 
     def _pack(self) -> bytes:
         display, scene = self._display, self.session.state.scene
-        splats, before = display.splats.detach().to("cpu"), splats_without_paint(scene).detach().to("cpu")
+        splats, before = (
+            display.splats.detach().to("cpu"),
+            splats_without_paint(scene).detach().to("cpu"),
+        )
         if display.hidden is not None:
             splats, before = splats[~display.hidden], before[~display.hidden]
         rows = weightiest(splats, MOST)
