@@ -17,7 +17,7 @@ from stylesplat.io.json_files import read_json, write_json
 from stylesplat.stylization.features import weights
 
 PER_RUN = ("seconds", "seconds_by_object", "steps", "precision", "train")
-NEEDS_STYLE = {"nnfm_before", "nnfm_after", "statistics_before", "statistics_after"}
+NEEDS_STYLE = {"nnfm_before", "nnfm_after"}
 NEEDS_NONE = {"content_ssim", "short_range_rmse", "outside_psnr", "changed_gaussians"}
 
 

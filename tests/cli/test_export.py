@@ -55,7 +55,7 @@ def test_objects_go_out_and_come_back(scene: Path, tmp_path: Path, capsys):
     assert picked["rows"] == [str(tmp_path / "picks.json")] and picked["gaussians"] > 70
     idle = ("export", scene, tmp_path / "c.json", "--sidecar")
     assert "takes --object alone" in complaint(capsys, *idle)
-    assert "Leave --object" in complaint(capsys, "export", scene, "--each", tmp_path, "--columns")
+    assert "Leave --object" in complaint(capsys, "export", scene, "--each", tmp_path, "--sidecar")
 
 
 def test_what_another_program_made_of_a_scene(scene: Path, tmp_path: Path, capsys):

@@ -93,7 +93,7 @@ def test_nothing_changed(everything: bool):
     picked = torch.full((len(SPLATS),), everything)
     camera = crop(CAMERAS[0], [22, 15], [24, 17])
     found = measure_changes(SPLATS, SPLATS, camera, picked)
-    assert (found["changed_gaussians"], found["outside_psnr"], found["edge_psnr"]) == (0, 120, 120)
+    assert (found["changed_gaussians"], found["outside_psnr"]) == (0, 120)
 
 
 def test_what_changed_outside_is_found():
@@ -106,7 +106,7 @@ def test_what_changed_outside_is_found():
     assert found["outside_psnr"] < 30
 
 
-def test_more_gaussians_count_as_changed_and_a_rim_is_seen():
+def test_more_gaussians_count_as_changed():
     picked = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)
     more = SPLATS[torch.cat([torch.arange(len(SPLATS)), torch.tensor([205, 206])])]
     assert measure_changes(SPLATS, more, CAMERAS[:1], picked)["changed_gaussians"] == 2
@@ -114,7 +114,6 @@ def test_more_gaussians_count_as_changed_and_a_rim_is_seen():
     found = measure_changes(SPLATS, repainted, CAMERAS[:1], picked)
     assert found["changed_gaussians"] == 80
     assert found["outside_max_difference"] == 0
-    assert 0 < found["rim_error"] < 0.2  # the object's soft contour, no more
 
 
 def test_farther_than_a_reach():

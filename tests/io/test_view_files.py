@@ -1,6 +1,5 @@
 """Rendered views on disk: under the photos' names, whatever these are."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -113,15 +112,9 @@ def test_depths_are_numbers_in_their_files(tmp_path: Path):
     assert found.dtype == np.float32 and torch.equal(torch.from_numpy(found), depths)
     write_views(["a.jpg"], [depths], tmp_path / "a.tiff")
     assert (numbers(tmp_path / "a.tiff") == found).all()
-    steps = torch.tensor([[0, 3, 65535]]).to(torch.uint16)
-    write_views(["a.jpg"], [steps], tmp_path / "steps", scale=0.25)
-    found = numbers(tmp_path / "steps" / "a.png")
-    assert found.dtype == np.uint16 and found.tolist() == [[0, 3, 65535]]
-    written = json.loads((tmp_path / "steps" / "depth.json").read_text())
-    assert written == {"world_units_per_step": 0.25, "nothing": 0}
 
 
-DEPTHS, STEPS = torch.rand(4, 6), torch.zeros(4, 6, dtype=torch.uint16)
+DEPTHS = torch.rand(4, 6)
 IDS = torch.zeros(4, 6, dtype=torch.int64)
 
 
@@ -130,7 +123,6 @@ IDS = torch.zeros(4, 6, dtype=torch.int64)
     [
         (CLEAR, ".jpg", r"\.jpg has no transparency here\. Choose a --background"),
         (CLEAR, ".gif", r"\.gif has no transparency"),
-        (STEPS, ".png", r"go into a folder, beside the size of a step \(depth\.json\)"),
         (DEPTHS, ".png", r"Depths in world units go into \.tif files, not into \.png"),
         (IDS, ".jpg", r"Label ids go into \.png files, not into \.jpg"),
         (pictures(1)[0], ".tif", r"\.tif is for depth-float\. Write colours into a \.png"),

@@ -9,7 +9,7 @@ from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cache import Lazy
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture, at_most, differences, fingerprint
+from stylesplat.scene.capture import Capture, at_most, fingerprint
 
 NOISE = torch.Generator().manual_seed(0)
 PHOTOS = [torch.randint(256, (36, 48, 3), generator=NOISE).to(torch.uint8) for _ in range(8)]
@@ -48,32 +48,22 @@ def changed(tensor: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize(
-    ("changes", "named"),
+    "changes",
     [
-        ({"cameras": replace(CAMERAS, names=("x.jpg", *CAMERAS.names[1:]))}, "other photos"),
-        ({"cameras": replace(CAMERAS, sizes=changed(CAMERAS.sizes))}, "photos of another size"),
-        ({"cameras": replace(CAMERAS, viewmats=changed(CAMERAS.viewmats))}, "other poses"),
-        ({"points": changed(SPLATS.means)}, "other points"),
-        ({"points": None, "point_colors": None}, "other points"),
-        ({"label_maps": [*MAPS[:2], changed(MAPS[2]), *MAPS[3:]]}, "other label maps"),
-        ({"label_maps": [*MAPS[:7], None]}, "other label maps"),
-        ({"object_names": {3: "pot"}}, "other names of objects"),
-        ({"photos": [*map(changed, PHOTOS)]}, "photos with other content"),
-        ({"alphas": None}, "photos with other content"),
-        # Photos, label maps and intrinsics differ too, but nobody needs to hear it
-        (
-            {
-                "cameras": CAMERAS.downscale(2),
-                "photos": [photo[::2, ::2].contiguous() for photo in PHOTOS],
-                "label_maps": [labels[::2, ::2].contiguous() for labels in MAPS],
-            },
-            "photos of another size",
-        ),
+        {"cameras": replace(CAMERAS, names=("x.jpg", *CAMERAS.names[1:]))},
+        {"cameras": replace(CAMERAS, viewmats=changed(CAMERAS.viewmats))},
+        {"points": changed(SPLATS.means)},
+        {"label_maps": [*MAPS[:2], changed(MAPS[2]), *MAPS[3:]]},
+        {"label_maps": [*MAPS[:7], None]},
+        {"object_names": {3: "pot"}},
+        {"photos": [*map(changed, PHOTOS)]},
+        {"alphas": None},
     ],
+    ids=lambda changes: next(iter(changes)),
 )
-def test_each_ingredient_counts_and_is_named(changes: dict[str, Any], named: str):
-    other = replace(CAPTURE, **changes)
-    assert differences(fingerprint(CAPTURE), fingerprint(other)) == [named]
+def test_each_part_changes_the_fingerprint(changes: dict[str, Any]):
+    assert fingerprint(CAPTURE) == fingerprint(replace(CAPTURE))
+    assert fingerprint(CAPTURE) != fingerprint(replace(CAPTURE, **changes))
 
 
 SIZES = ((40, 20), (20, 40))  # width and height

@@ -165,7 +165,7 @@ def test_an_interrupted_run_can_be_finished_or_continued(
     for settings in ({"steps": 11}, {"max_seconds": 1e6}):  # the steps taken do not suffice
         with pytest.raises(StyleSplatError, match=f"another {next(iter(settings))}"):
             fit(capture, replace(config, **settings), checkpoint=path)
-    with pytest.raises(StyleSplatError, match="other label maps"):
+    with pytest.raises(StyleSplatError, match="another capture"):
         fit(replace(capture, label_maps=None), config, checkpoint=path)
     moved = replace(capture, path=tmp_path)
     continued = fit(moved, replace(config, max_memory=0.0), checkpoint=path)

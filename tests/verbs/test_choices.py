@@ -29,19 +29,6 @@ def photographed() -> Capture:
     return Capture(CAMERAS, photos)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"sh_degree": 4}, "sh_degree 4: use 0 to 3"),
-        ({"stepz": 3}, "no setting 'stepz'"),
-        ({"preset": "best"}, r"no preset 'best'\. Use default, paper"),
-    ],
-)
-def test_training_cannot_be_told_this(settings: dict, message: str):
-    with pytest.raises(StyleSplatError, match=message):
-        ss.train(photographed(), **settings)
-
-
 @pytest.mark.parametrize("preset", PRESETS)
 def test_lifting_refuses_settings_of_identities(preset: str):
     other = not PRESETS[preset].identity_geometry
@@ -58,6 +45,8 @@ def test_lifting_refuses_settings_of_identities(preset: str):
 
 CALLS = {
     "ss.train(capture, steps=1.5)": "steps 1.5: give a whole number",
+    "ss.train(capture, stepz=3)": "no setting 'stepz'",
+    "ss.train(capture, preset='best')": "no preset 'best'. Use default, paper",
     "ss.train(capture, segment='lifted')": "no way to segment 'lifted'. Use joint, lift",
     "ss.render(scene, 'tests')": "no set of views 'tests'. Use test, train, all",
     "ss.mask(capture, method='sam9')": "no method 'sam9'. Use files, grabcut, sam",

@@ -20,8 +20,8 @@ from stylesplat.verbs.load import load
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
 PHOTOS = {"psnr", "ssim", "iou", "miou", "boundary_iou", "boundary_miou"}
-CHANGES = {"changed_gaussians", "outside_psnr", "outside_max_difference", "edge_psnr", "rim_error"}
-STYLE = {"nnfm_before", "nnfm_after", "statistics_before", "statistics_after"}
+CHANGES = {"changed_gaussians", "outside_psnr", "outside_max_difference"}
+STYLE = {"nnfm_before", "nnfm_after"}
 
 
 @pytest.fixture(scope="module")

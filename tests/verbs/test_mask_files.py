@@ -1,4 +1,3 @@
-import json
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +13,13 @@ from stylesplat.scene.capture import Capture
 from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
 
-WIDTH, HEIGHT = 12, 8
+WIDTH, HEIGHT = 64, 48
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Three photos with poses and nothing else."""
-    frames = []
-    for i in range(3):
-        name = f"images/{i}.png"
-        (tmp_path / "images").mkdir(exist_ok=True)
-        Image.fromarray(np.full((HEIGHT, WIDTH, 3), 80 * i, np.uint8)).save(tmp_path / name)
-        pose = np.eye(4)
-        pose[0, 3] = i
-        frames.append({"file_path": name, "transform_matrix": pose.tolist()})
-    lens = {"fl_x": 10.0, "fl_y": 10.0, "cx": 6.0, "cy": 4.0, "w": WIDTH, "h": HEIGHT}
-    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
-    return tmp_path
+    return write_capture(tmp_path / "capture")
 
 
 def labels(id: int) -> torch.Tensor:
@@ -54,8 +43,8 @@ def write_maps(folder: Path, ids: dict[str, int]) -> None:
 
 
 def test_attaches_label_maps_by_name(folder: Path, tmp_path: Path):
-    write_maps(folder / "object_mask", {"0": 5})
-    write_maps(tmp_path / "mine", {"0": 1, "2": 70000})
+    write_maps(folder / "object_mask", {"001": 5})
+    write_maps(tmp_path / "mine", {"001": 1, "003": 70000})
     capture = load(folder)
     masked = mask(capture, source=tmp_path / "mine")
     assert torch.equal(attached(masked, 0), labels(1).int()), "in place of those that it has"
@@ -74,7 +63,7 @@ def test_nothing_to_go_by(folder: Path):
     with pytest.raises(StyleSplatError, match="Say with --from where the masks are"):
         mask(load(folder), method="files")
     with pytest.raises(StyleSplatError, match="`model` means nothing with the method `grabcut`"):
-        mask(load(folder), boxes={"a": ("0.png", (1, 1, 5, 5))}, model="sam")
+        mask(load(folder), boxes={"a": ("001.png", (1, 1, 5, 5))}, model="sam")
 
 
 def save_binary(mask: torch.Tensor, path: Path) -> None:
@@ -82,8 +71,8 @@ def save_binary(mask: torch.Tensor, path: Path) -> None:
     Image.fromarray(255 * mask.numpy().astype(np.uint8)).save(path)
 
 
-def test_a_capture_gets_its_label_maps(tmp_path: Path):
-    capture = write_capture(tmp_path / "capture")
+def test_a_capture_gets_its_label_maps(folder: Path, tmp_path: Path):
+    capture = folder
     mask = torch.zeros(48, 64, dtype=torch.bool)
     mask[5:20, 9:30] = True
     save_binary(mask, tmp_path / "masks" / "cup" / "001.png")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from balls import BLUE, GREEN, RED, TRAINED, opened, write_painted
+from balls import GREEN, RED, TRAINED, opened, write_painted
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.ply import read_ply_table
@@ -48,23 +48,22 @@ def test_a_sidecar_keeps_objects(suffix: str, tmp_path: Path):
     assert int(part.objects["red"].picked.sum()) == 80 and "green" not in part.objects
 
 
-def test_columns_for_tools_that_read_them(tmp_path: Path):
+def test_a_ply_marks_objects_as_selected(tmp_path: Path):
     export(TRAINED, tmp_path / "plain.ply")
-    export(TRAINED, tmp_path / "a.ply", columns=True, selected=["red", "3"], without=["green"])
+    export(TRAINED, tmp_path / "a.ply", selected=["red", "3"], without=["green"])
     table, plain = read_ply_table(tmp_path / "a.ply"), read_ply_table(tmp_path / "plain.ply")
     kept = ~GREEN.numpy()
     for name in plain.dtype.names or ():
         assert np.array_equal(table[name], plain[name][kept])
-    assert table.dtype.names == (*(plain.dtype.names or ()), "label", "share", "state")
-    assert ((table["label"] == 300) == BLUE.numpy()[kept]).mean() > 0.98
+    assert table.dtype.names == (*(plain.dtype.names or ()), "state")
     assert (table["state"].astype(bool) >= RED.numpy()[kept]).all() and table["state"].max() == 1
-    assert 0 <= table["share"].min() and table["share"].max() <= 1 < table["share"].sum()
     back = select(import_(tmp_path / "a.ply", up="z"), "red", rows=tmp_path / "a.ply")
     assert torch.equal(back.objects["red"].picked, torch.from_numpy(table["state"] == 1))
-    labelled = import_(tmp_path / "a.ply", labels=tmp_path / "a.ply", up="z")
-    assert {each["id"] for each in objects(labelled)} <= {3, 7, 300}
     with pytest.raises(StyleSplatError, match=r"no more columns .* Choose a \.ply"):
-        export(TRAINED, tmp_path / "b.spz", columns=True)
+        export(TRAINED, tmp_path / "b.spz", selected=["red"])
+
+
+def test_a_list_of_objects_that_has_no_place(tmp_path: Path):
     with pytest.raises(StyleSplatError, match="A page has no rows"):
         export(TRAINED, tmp_path / "a.html", sidecar=True)
     (tmp_path / "c.ply.objects.npz").write_text("mine")

@@ -105,20 +105,10 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
     ("text", "message"),
     [
         (OBJECTS + "stepps: 3", "there is no key 'stepps'. Did you mean 'steps'?"),
-        (OBJECTS + "zzz: 3", "there is no key 'zzz'. Use one of quality, "),
         (OBJECTS + "steps: many", 'steps cannot be "many": Expected `int | null`, got `str`.'),
         (OBJECTS + "scale: .nan", "Cannot stylise with scale nan: use 0.001 to 10,000."),
-        (OBJECTS + "layers: [a]", 'layers cannot be ["a"]: Expected `int`, got `str`'),
-        (OBJECTS + "region: [1, 2, 3]", "region cannot be [1, 2, 3]: Expected `array` of length 4"),
-        (OBJECTS + "color: kepe", 'color cannot be "kepe": Invalid enum value'),
         (OBJECTS + "features: vgg", ". Use compact or vgg16 or vgg19."),
-        (OBJECTS + "settings: [1]", "settings cannot be [1]: Expected `object`, got `array`."),
-        (OBJECTS + "steps: 0", "Cannot stylise with steps 0: use 1 to 1,000,000."),
         ("objects: {vase: {style: wave.jpg, steps: 0}}", "vase: Cannot stylise with steps 0"),
-        (
-            "objects: {vase: {style: 3}}",
-            "vase: style cannot be 3: Expected `str | array`, got `int`.",
-        ),
         ("objects: {vase: {steps: 3}}", "vase: it has no picture. Add `style: IMAGE`."),
         (
             "objects: {vase: {style: [wave.jpg, null], sha256: [abc, abd]}}",
@@ -126,22 +116,15 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         ),
         ("objects: {vase: wave.jpg}", "vase must be KEY: VALUE. Write vase: {style: IMAGE}."),
         ("objects: {vase: {style: lost.jpg}}", "lost.jpg. Paths are relative to the recipe's"),
-        ("objects: {vase: {style: .}}", "vase: there is no picture "),
         ("objects: {}", "it names no objects. Add `objects:`"),
-        ("objects: vase", 'objects cannot be "vase": Expected `object | array | null`'),
         ("objects: [{style: wave.jpg}]", "each of the list `objects` must have a name"),
         ("- vase", "it must hold `objects:` and settings, as KEY: VALUE."),
         ("steps: 3\nobjects:\n  vase: [", "line 3 is no valid YAML: "),
-        ("steps: 3\nobjects: {\n? [a]: 2}", "line 3 is no valid YAML: a key is a list or a map."),
         ("steps: \0", "it is no YAML text: "),
         (
             "objects:\n  vase: {style: wave.jpg}\n  pear: {style: wave.jpg}\n"
             "  vase: {style: night.jpg}",
             "line 4 is no valid YAML: vase is listed twice.",
-        ),
-        (
-            "objects: [{name: a, style: wave.jpg}, {name: a, style: night.jpg}]",
-            "a is listed twice. Keep one of them.",
         ),
         (
             "objects: {vase: {style: wave.jpg, sha256: abc}}",

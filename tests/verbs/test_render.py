@@ -24,13 +24,6 @@ def test_views_are_chosen_by_set_by_name_or_as_cameras():
         render(TRAINED, ["lost"])
 
 
-def test_depths_in_whole_steps_say_how_large_they_are():
-    views = render(TRAINED, "test", what="depth-16bit", device="cpu")
-    (exact,) = render(TRAINED, "test", what="depth-float", device="cpu").pictures
-    assert views.scale is not None
-    torch.testing.assert_close(next(views.pictures) * views.scale, exact, atol=views.scale, rtol=0)
-
-
 def test_round_trips_with_photos_and_without():
     path = orbit(TRAINED, around="red", frames=6, size=(64, 32))
     assert path.size == (64, 32) and len(path) == len({*path.names}) == 6

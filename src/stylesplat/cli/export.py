@@ -37,9 +37,6 @@ class Export(MakingCommand):
     """Folder to make instead of a file: each object in a .ply of its name, the rest in rest.ply."""
     selected: UseAppendAction[tuple[str, ...]] = ()
     """Select this object for SuperSplat, in a .ply. May be repeated."""
-    columns: Flag = False
-    """Add the columns label and share to a .ply: the object of each Gaussian, and how much of the
-    Gaussian belongs to it."""
     sidecar: Flag = False
     """Write FILE.objects.npz beside it, for `import --labels`: the objects, by rows of the file."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
@@ -53,13 +50,13 @@ class Export(MakingCommand):
         if len(places) != 1:
             raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
         (file,) = places
-        others = (self.without, self.selected, self.columns, self.sidecar)
+        others = (self.without, self.selected, self.sidecar)
         options = {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
         if self.each is not None:
             if self.object or any(others):
                 raise StyleSplatError(
-                    "--each writes every object by itself. Leave --object, --without, --selected, "
-                    "--columns and --sidecar out."
+                    "--each writes every object by itself. Leave --object, --without, --selected "
+                    "and --sidecar out."
                 )
             return {"files": export_each(ss.open(self.scene), file, **options)}
         refuse_file(file, overwrite=self.overwrite)
@@ -77,7 +74,6 @@ class Export(MakingCommand):
             objects=self.object,
             without=self.without,
             selected=self.selected,
-            columns=self.columns,
             sidecar=self.sidecar,
             **options,
         )

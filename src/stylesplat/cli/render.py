@@ -37,8 +37,8 @@ class Render(MakingCommand):
     path: Path | None = None
     """A camera path: a JSON file of nerfstudio's, or of key frames."""
     what: str = "color"
-    """color, object:NAME, labels (id maps), label-colors, identities, depth (colours),
-    depth-float (TIFF in world units) or depth-16bit (PNG, its scale in depth.json)."""
+    """color, object:NAME, labels (id maps), label-colors, identities, depth (colours) or
+    depth-float (TIFF in world units)."""
     background: str | None = None
     """transparent, black, white or #rrggbb; by default black behind color, white behind others."""
     downscale: float = 1.0
@@ -66,10 +66,8 @@ class Render(MakingCommand):
             device=self.device,
         )
         del scene  # the colours before a style, for example, need not stay in memory
-        options = {"overwrite": self.overwrite, "scale": views.scale, "fps": fps}
-        write_views(views.names, views.pictures, self.output, **options)
-        scale = {} if views.scale is None else {"world_units_per_step": views.scale}
-        return {"output": self.output, "views": len(views), **scale}
+        write_views(views.names, views.pictures, self.output, overwrite=self.overwrite, fps=fps)
+        return {"output": self.output, "views": len(views)}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         from stylesplat.scene.one_line import counted

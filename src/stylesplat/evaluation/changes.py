@@ -6,14 +6,12 @@ from itertools import islice
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
-from torch.nn import functional as F
 
 from stylesplat.metrics.images import decibels
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import (
-    COVERED,
     colors_and_coverage,
     coverage,
     label_votes,
@@ -29,7 +27,6 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import whole_ids
 
 CHANGED = 0.05  # of a channel's range: a larger change of a pixel is visible
-RIM = 5  # pixels
 MEASURED_VIEWS = 4
 STAIN_VIEWS = 16  # with label maps that contain a painted object
 ERROR = 0.01  # of a view's longer side: error of an object's border in a label map
@@ -53,41 +50,26 @@ def measure_changes(
     Returns:
         `changed_gaussians`, new ones included; `painted_gaussians` and `changed_outside`, those of
         the picked and of all others that differ; `outside_psnr` (120 at most) and
-        `outside_max_difference` over pixels that none of them touches; `edge_psnr` over those that
-        they cover in part, but by less than half; `rim_error`, the mean absolute difference in a
-        band of 5 pixels around what they cover by half or more.
+        `outside_max_difference` over pixels that none of them touches.
     """
-    outside, edge, rim = [], [], []
+    outside = []
     for row in evenly(range(len(cameras)), MEASURED_VIEWS):
         camera = cameras[row]
         before, covered = colors_and_coverage(base, camera, picked)
         difference = render(styled, camera)[0].clamp(0, 1) - before.clamp(0, 1)
-        covered = covered[..., 0]
-        outside.append(difference[covered == 0].flatten())
-        edge.append(difference[(covered > 0) & (covered < COVERED)].flatten())
-        inside = covered >= COVERED
-        grown = F.max_pool2d(inside[None].float(), 2 * RIM + 1, stride=1, padding=RIM)[0] > 0
-        rim.append(difference[grown & ~inside].flatten())
+        outside.append(difference[covered[..., 0] == 0].flatten())
     changed = torch.zeros_like(picked)
     for name, old in base.tensors().items():
         new = styled.tensors()[name][: len(base)]
         changed |= (old != new)[:, None].flatten(1).any(dim=1)
-    largest = max((float(d.abs().max()) for d in outside if len(d)), default=0.0)
-    errors = torch.cat(rim).abs()
+    difference = torch.cat(outside)
     return {
         "changed_gaussians": int(changed.sum()) + len(styled) - len(base),
         "painted_gaussians": int((changed & picked).sum()),
         "changed_outside": int((changed & ~picked).sum()),
-        "outside_psnr": _psnr(torch.cat(outside)),
-        "outside_max_difference": largest,
-        "edge_psnr": _psnr(torch.cat(edge)),
-        "rim_error": float(errors.sum()) / max(1, len(errors)),
+        "outside_psnr": float(decibels(difference.square().sum() / max(1, len(difference)))),
+        "outside_max_difference": float(difference.abs().max()) if len(difference) else 0.0,
     }
-
-
-def _psnr(difference: Float[Tensor, " P"]) -> float:
-    """PSNR of differences; that of equal images if there are no pixels."""
-    return float(decibels(difference.square().sum() / max(1, len(difference))))
 
 
 @torch.no_grad()

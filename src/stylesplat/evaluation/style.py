@@ -1,4 +1,4 @@
-"""How close painted objects are to their styles: NNFM, statistics of features, colours."""
+"""How close painted objects are to their styles: NNFM, colours, content."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,18 +12,12 @@ from torch.nn import functional as F
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.changes import measure_changes
 from stylesplat.evaluation.consistency import view_consistency
-from stylesplat.evaluation.statistics import (
-    content_ssim,
-    object_statistics_distance,
-    off_palette,
-    palette_distance,
-)
+from stylesplat.evaluation.statistics import content_ssim, off_palette
 from stylesplat.progress import say
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.colors import object_colors
 from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
@@ -46,7 +40,6 @@ AT_ONCE = 256  # of them, as block 1 has a feature per pixel
 NOWHERE = -2.0  # below any cosine
 LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever `scale` is
 VIEWS = 4  # of the object, and of the scene
-STATISTICS = (1, 2, 3)  # blocks of the network whose mean and covariance are compared
 
 
 def measure_painted(
@@ -122,7 +115,9 @@ def measure_style(
     """
     blocks, network = target.config.layers, context.network
     boxes = boxes or require_boxes(context, target)
-    views, style_feats = _views_and_features(context, target, boxes, blocks)
+    zoom = LENGTH / typical_length(boxes)
+    views = evenly(object_views(context, target, boxes, zoom), VIEWS)
+    style_feats = target_features(context, target.config, target.styles, LENGTH)
     images = renders(styled, views)
     before, after = (
         object_nnfm(each, views, style_feats, network, blocks)
@@ -135,34 +130,9 @@ def measure_style(
         if before > own:
             numbers["share_of_way"] = min(1.0, max(0.0, (before - after) / (before - own)))
     if target.config.color == "style":
+        style_colors = torch.cat([picture.reshape(-1, 3) for picture in target.styles])
         colors = [image[view.pixels] for image, view in zip(images, views, strict=True)]
-        numbers["off_palette"] = off_palette(torch.cat(colors), _style_colors(target))
-    return numbers
-
-
-@torch.no_grad()
-def measure_statistics(
-    context: PaintContext, target: PaintTarget, styled: Splats, *, boxes: Sequence[Box]
-) -> dict[str, float]:
-    """Compare the statistics of an object with those of its style.
-
-    Returns:
-        `statistics_before` and `statistics_after` (see `style_statistics_distance`); if the object
-        is to have the colours of the style, `palette_distance`.
-
-    Raises:
-        StyleSplatError: As `measure_style` does.
-    """
-    blocks = STATISTICS[: context.network.depth]
-    views, style_feats = _views_and_features(context, target, boxes, blocks)
-    before, after = (
-        object_statistics_distance(splats, views, style_feats, context.network, blocks)
-        for splats in (context.splats, styled)
-    )
-    numbers = {"statistics_before": before, "statistics_after": after}
-    if target.config.color == "style":
-        colors = object_colors(styled, views)
-        numbers["palette_distance"] = palette_distance(colors, _style_colors(target))
+        numbers["off_palette"] = off_palette(torch.cat(colors), style_colors)
     return numbers
 
 
@@ -184,20 +154,6 @@ def measure_look(
     similarity = content_ssim(base, styled, few, picked)
     numbers = {} if similarity is None else {"content_ssim": similarity}
     return numbers | view_consistency(base, styled, cameras, picked, boxes=boxes)
-
-
-def _views_and_features(
-    context: PaintContext, target: PaintTarget, boxes: Sequence[Box], blocks: Sequence[int]
-) -> tuple[list[ObjectView], list[Tensor]]:
-    """Views of the object, and the features of its style."""
-    config = replace(target.config, layers=tuple(blocks))
-    zoom = LENGTH / typical_length(boxes)
-    views = object_views(context, replace(target, config=config), boxes, zoom)
-    return evenly(views, VIEWS), target_features(context, config, target.styles, LENGTH)
-
-
-def _style_colors(target: PaintTarget) -> Float[Tensor, "P 3"]:
-    return torch.cat([picture.reshape(-1, 3) for picture in target.styles])
 
 
 def renders(splats: Splats, views: Sequence[ObjectView]) -> list[Float[Tensor, "_ _ 3"]]:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import cv2
 import torch
-from jaxtyping import Bool, Float, Int, UInt8, UInt16
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
@@ -34,8 +34,6 @@ BEHIND: dict[str, Background] = {
 PERCENTILES = (0.02, 0.98)  # are the ends of the range of colours; values beyond are clamped
 MAX_SAMPLE = 100_000  # Gaussians that ranges are measured on; torch.quantile sorts them all
 TINY = 1e-6  # keeps 0 / 0 at 0: identities that are all the same
-FARTHEST = 0.999  # quantile of the Gaussians' depths that 16 bits reach to: the rest are floaters
-STEPS = 2**16 - 1
 HUE_STEP, VALUE_STEP = 0.6180339887, 0.7548776662  # irrational, so that ids near by differ
 
 
@@ -93,8 +91,8 @@ def render_pictures(
         cameras: The views; sizes may differ.
         what: `color`; `labels`, the label ids themselves; `label-colors`, a colour for each;
             `identities`, their first three principal components (the paper's Figure 3); `depth`,
-            near is bright; `depth-float`, along the view in world units, 0 where nothing is;
-            `depth-16bit`, the same in steps of `depth_step`; or `object`, some Gaussians alone.
+            near is bright; `depth-float`, along the view in world units, 0 where nothing is; or
+            `object`, some Gaussians alone.
         picked: Which these are.
         background: What is behind: `transparent`, `black`, `white` or `#rrggbb`. By default black
             behind `color` and white behind other pictures.
@@ -113,15 +111,6 @@ def render_pictures(
         behind = parse_background(background)
     draw = _renderer(splats.detach(), cameras, what, picked, behind)
     return at_once(lambda row: draw(cameras[row]).cpu(), range(len(cameras)), splats.device)
-
-
-def depth_step(splats: Splats, cameras: Cameras) -> float:
-    """World units that a depth of 16 bits counts in, so that these views reach all but floaters.
-
-    Raises:
-        StyleSplatError: If no Gaussian is in front of the cameras.
-    """
-    return _depths_in_front(splats, cameras).quantile(FARTHEST).item() / STEPS
 
 
 def label_colors(labels: Int[Tensor, "H W"]) -> UInt8[Tensor, "H W 3"]:
@@ -165,18 +154,9 @@ def _renderer(
         return lambda camera: _depth_picture(splats, camera, low.item(), high.item(), behind)
     if what == "depth-float":
         return lambda camera: _depth_map(splats, camera)
-    if what == "depth-16bit":
-        step = depth_step(splats, cameras)
-
-        def whole_steps(camera: Cameras) -> UInt16[Tensor, "H W"]:
-            depths = _depth_map(splats, camera)
-            steps = (depths / step).round().clamp(1, STEPS)  # 0 stays nothing
-            return torch.where(depths > 0, steps, 0).cpu().to(torch.uint16)
-
-        return whole_steps
     raise StyleSplatError(
         f"Cannot render {what!r}. Choose color, labels, label-colors, identities, depth, "
-        "depth-float, depth-16bit or object:NAME."
+        "depth-float or object:NAME."
     )
 
 

@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8, UInt16
+from jaxtyping import Float, Int, UInt8
 from PIL import ExifTags, Image, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
 from torch import Tensor
@@ -51,7 +51,7 @@ PNG_LEVEL = 4  # of 9: half the time of the usual 6, and files larger by a twent
 
 ColorPicture = UInt8[Tensor, "H W 3"] | UInt8[Tensor, "H W 4"]
 """Colours, and perhaps straight (not premultiplied) alpha."""
-ViewPicture = ColorPicture | Int[Tensor, "H W"] | UInt16[Tensor, "H W"] | Float[Tensor, "H W"]
+ViewPicture = ColorPicture | Int[Tensor, "H W"] | Float[Tensor, "H W"]
 """Colours; label ids; or depths, in steps or in world units."""
 
 
@@ -164,14 +164,11 @@ def write_image(image: ColorPicture, path: Path | str) -> None:
         picture.save(draft, quality=QUALITY, subsampling=0, compress_level=PNG_LEVEL)
 
 
-def write_numbers(numbers: UInt16[Tensor, "H W"] | Float[Tensor, "H W"], path: Path | str) -> None:
-    """Write one number a pixel: integers as a PNG of 16 bits, floats as a TIFF of 32."""
+def write_numbers(numbers: Float[Tensor, "H W"], path: Path | str) -> None:
+    """Write one number a pixel as a TIFF of 32-bit floats."""
     with atomic_path(path) as draft:
-        if numbers.is_floating_point():
-            values = Image.fromarray(numbers.float().cpu().numpy())
-            values.save(draft, format="TIFF", compression="tiff_adobe_deflate")
-        else:
-            Image.fromarray(numbers.cpu().numpy()).save(draft, format="PNG")
+        values = Image.fromarray(numbers.float().cpu().numpy())
+        values.save(draft, format="TIFF", compression="tiff_adobe_deflate")
 
 
 def _open(file: BinaryIO, path: Path, *, reduced: bool) -> Image.Image:

@@ -5,13 +5,10 @@ from collections.abc import Iterable, Sequence
 from itertools import chain
 from pathlib import Path, PurePosixPath
 
-import torch
-
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_folder, changing, refuse_file, refuse_occupied
 from stylesplat.io.files import inside
 from stylesplat.io.images import ViewPicture, write_image, write_numbers
-from stylesplat.io.json_files import write_json
 from stylesplat.io.kinds import PHOTOS, SPLATS
 from stylesplat.io.kinds import VIDEOS as PHOTO_VIDEOS
 from stylesplat.io.label_maps import write_label_map
@@ -27,7 +24,6 @@ FOREIGN = (
     *(".7z", ".csv", ".gz", ".html", ".json", ".md", ".mpeg", ".pdf", ".psd", ".rar", ".svg"),
     *(".tar", ".txt", ".usd", ".usdz", ".yaml", ".yml", ".zip", *SPLATS, *PHOTOS, *PHOTO_VIDEOS),
 )
-SCALE = "depth.json"  # beside depths of 16 bits: the size of a step
 
 
 def png_names(names: Sequence[str], suffix: str = PNG) -> list[str]:
@@ -68,14 +64,12 @@ def write_views(
     output: Path,
     *,
     overwrite: bool = False,
-    scale: float | None = None,
     fps: float | int | None = None,
 ) -> None:
     """Write each view under the photo's name, sub-folders kept; or all as a video; or one picture.
 
     In a folder colours and ids become PNGs and depths in world units TIFFs. `pictures` are images,
-    label ids or depths and are taken one by one. `scale` is the step of depths of 16 bits in world
-    units, which is written beside them; `fps` is by default 30, and 14 of a GIF.
+    label ids or depths and are taken one by one. `fps` is by default 30, and 14 of a GIF.
     """
     moving = is_video(output, len(names))
     if fps is not None and not moving:
@@ -103,8 +97,6 @@ def write_views(
         suffix = TIFF[0] if first is not None and first.is_floating_point() else PNG
         for name, picture in zip(png_names(names, suffix), rest, strict=True):
             _write_picture(picture, inside(folder, name))
-        if scale is not None:
-            write_json({"world_units_per_step": scale, "nothing": 0}, folder / SCALE)
 
 
 def is_video(output: Path, count: int) -> bool:
@@ -130,11 +122,6 @@ def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
             f"{suffix} has no transparency here. Choose a --background, such as white, or write "
             "a folder, a .png or a .webp."
         )
-    if picture.dtype == torch.uint16 and _is_file(output):
-        raise StyleSplatError(
-            f"Depths of 16 bits go into a folder, beside the size of a step ({SCALE}). Name a "
-            "folder, or write depth-float into a .tif."
-        )
     wanted = TIFF if picture.is_floating_point() else (PNG,)
     if not colors and _is_file(output) and suffix not in wanted:
         what = "Depths in world units" if wanted == TIFF else "Label ids"
@@ -149,7 +136,7 @@ def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
 def _write_picture(picture: ViewPicture, path: Path) -> None:
     if picture.ndim == 3:
         write_image(picture, path)
-    elif picture.is_floating_point() or picture.dtype == torch.uint16:
+    elif picture.is_floating_point():
         write_numbers(picture, path)
     else:
         write_label_map(picture, path)

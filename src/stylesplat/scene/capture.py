@@ -1,9 +1,10 @@
 """The `Capture` noun: posed photos, with label maps if there are any; resized, fingerprinted."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import blake2b
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -96,64 +97,29 @@ class Capture:
 
 
 PHOTOS = 5  # read for a fingerprint; users exchange all photos at once, or rename them
-DIGEST = 8  # bytes of each part
 
 
 def fingerprint(capture: Capture, *, photos: int = PHOTOS) -> str:
-    """Digests of a capture's parts, `PART=DIGEST` separated by spaces; see `differences`.
+    """A digest of a capture.
 
     All label maps are read, once and one at a time, but only so many photos: about 0.6 s for 50
     captured at 1080x1920, and 3 s for 300 at 1600x1066.
     """
-    rows = evenly(range(len(capture)), photos)
     cameras = capture.cameras
+    names = [*cameras.names, *sorted(capture.object_names.items())]
+    tensors = (cameras.sizes.long(), cameras.viewmats.float(), cameras.Ks.float())
+    rows = evenly(range(len(capture)), photos)
     labels = (capture.labels(row) for row in range(len(capture)))
-    parts = {
-        "names": _digest([repr(cameras.names)]),
-        "size": _digest([cameras.sizes.long()]),
-        "poses": _digest([cameras.viewmats.float(), cameras.Ks.float()]),
-        "points": _digest([capture.points, capture.point_colors]),
-        "labels": _digest(None if one is None else one.int() for one in labels),
-        "objects": _digest([repr(sorted(capture.object_names.items()))]),
-        "photos": _digest(one for row in rows for one in (capture.photos[row], capture.alpha(row))),
-    }
-    return " ".join(f"{part}={digest}" for part, digest in parts.items())
-
-
-DIFFERENCES = {
-    "names": "other photos",
-    "size": "photos of another size",
-    "poses": "other poses",
-    "points": "other points",
-    "labels": "other label maps",
-    "objects": "other names of objects",
-    "photos": "photos with other content",
-}
-CAUSES = ("names", "size")  # if these differ, nearly all others do
-
-
-def differences(one: str, other: str) -> list[str]:
-    """How the captures of two fingerprints differ, in a few words each.
-
-    Example:
-        >>> differences("size=1 poses=2 labels=3", "size=1 poses=2 labels=4")
-        ['other label maps']
-    """
-    mine, theirs = (dict(part.split("=") for part in text.split()) for text in (one, other))
-    changed = [part for part in DIFFERENCES if mine.get(part) != theirs.get(part)]
-    cause = [part for part in changed if part in CAUSES]
-    return [DIFFERENCES[part] for part in cause[:1] or changed]
-
-
-def _digest(parts: Iterable[Tensor | str | None]) -> str:
-    digest = blake2b(digest_size=DIGEST)
+    parts = chain(
+        (*tensors, capture.points, capture.point_colors),
+        (None if one is None else one.int() for one in labels),
+        (one for row in rows for one in (capture.photos[row], capture.alpha(row))),
+    )
+    digest = blake2b(repr(names).encode(), digest_size=16)
     for part in parts:
-        if isinstance(part, Tensor):
-            content = part.cpu().contiguous()
-            digest.update(f"{part.dtype}{[*part.shape]}".encode())
-            digest.update(content.numpy().tobytes())
-        else:
-            digest.update(repr(part).encode())
+        digest.update(b"none" if part is None else f"{part.dtype}{[*part.shape]}".encode())
+        if part is not None:
+            digest.update(part.cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()
 
 

@@ -1,6 +1,5 @@
 """The `Scene` noun, and the objects of a scene, named or listed."""
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -187,32 +186,12 @@ class ListedObjects:
         labels = None if self.labels is None else self.labels[order]
         return ListedObjects(len(order), objects, labels)
 
-    def shares(self) -> Float[Tensor, " N"]:
-        """The largest share of each Gaussian in any object."""
-        shares = torch.zeros(self.count)
-        for each in self.objects.values():
-            if each.shares is not None:
-                shares[each.rows] = torch.maximum(shares[each.rows], each.shares)
-        return shares
-
-    def numbered(self) -> Int[Tensor, " N"]:
-        """The labels; without any, the objects have 1, 2 and so on."""
-        if self.labels is not None:
-            return self.labels
-        labels = torch.zeros(self.count, dtype=torch.int64)
-        for number, each in reversed([*enumerate(self.objects.values(), 1)]):
-            labels[each.rows] = number
-        return labels
-
-
-TURNED = 5.0  # degrees; refined poses of the same photos differ by less
-
 
 def shared_views(scenes: Mapping[str, Scene]) -> tuple[str, ...]:
     """The photos that all scenes have views of: those held out in all, or else any.
 
-    World frames may differ. Views of one name have to agree in size and in rotation relative to the
-    other views, or else they are of other photos.
+    World frames may differ. Views of one name have to agree in size, or else they are of other
+    photos.
     """
     (first, one), *others = scenes.items()
     every = [{*scene.cameras.names} for scene in scenes.values()]
@@ -232,19 +211,5 @@ def shared_views(scenes: Mapping[str, Scene]) -> tuple[str, ...]:
                 f"{shared[differ[0]]} is {here} pixels in {first} and {there} in {name}. "
                 "Compare scenes of the same photos."
             )
-        angle = _relative_turn(mine, theirs)
-        if angle > TURNED:
-            raise StyleSplatError(
-                f"The views of {first} and {name} have the same names, but look elsewhere (by "
-                f"{angle:.0f} degrees). Compare scenes of the same photos."
-            )
     unseen = [name for name in shared if all(name in each.held_out for each in scenes.values())]
     return tuple(unseen or shared)
-
-
-def _relative_turn(one: Cameras, other: Cameras) -> float:
-    """The median angle in degrees between relative rotations, to the first view, of two scenes."""
-    relative = [c.viewmats[:, :3, :3].cpu() @ c.viewmats[:1, :3, :3].cpu().mT for c in (one, other)]
-    traces = torch.einsum("cij,cij->c", *relative)
-    angles = ((traces - 1) / 2).clamp(-1, 1).acos()
-    return math.degrees(float(angles.median()))

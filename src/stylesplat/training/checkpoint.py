@@ -14,7 +14,6 @@ from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import reason
 from stylesplat.io.tensors import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
 from stylesplat.progress import say
-from stylesplat.scene.capture import differences
 from stylesplat.training.adam import Moments
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
@@ -102,7 +101,9 @@ def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool
     free = FREE | LENGTH if over else FREE
     settings = [n for n, value in wanted.items() if n not in free and saved[n] != value]
     changed = [f"a run with another {', '.join(settings)}"] if settings else []
-    return ", ".join(changed + differences(content["capture"], checkpoint.capture))
+    if content["capture"] != checkpoint.capture:
+        changed.append("another capture (photos, poses, points or label maps)")
+    return ", ".join(changed)
 
 
 def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:

@@ -12,7 +12,7 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.changes import largest_stain, measure_changes
 from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
-from stylesplat.evaluation.style import measure_look, measure_statistics, measure_style
+from stylesplat.evaluation.style import measure_look, measure_style
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
@@ -45,9 +45,9 @@ def evaluate(
 
     Returns:
         `schema`; with photos the result of `evaluate_views` for the held-out views; of a painted
-        scene those of `measure_style`, `measure_statistics`, `measure_look` by object, as far as
-        its styles and networks are at hand, and of `measure_changes`; with label maps also that
-        of `largest_stain`.
+        scene those of `measure_style` and `measure_look` by object, as far as its styles and
+        networks are at hand, and of `measure_changes`; with label maps also that of
+        `largest_stain`.
 
     Raises:
         StyleSplatError: If there is nothing to measure, or the photos are of another scene.
@@ -127,8 +127,7 @@ def _closeness(
         context = paint_context(
             base, views, network, precision=cast(Precision | None, layer.precision)
         )
-        close = measure_style(context, target, styled, boxes=boxes)
-        return close | measure_statistics(context, target, styled, boxes=boxes)
+        return measure_style(context, target, styled, boxes=boxes)
     except StyleSplatError as error:
         say(f"{layer.object} is not compared with its style: {error}")
         return {}

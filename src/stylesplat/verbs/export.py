@@ -18,8 +18,6 @@ from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import listed_objects
 from stylesplat.selection.scene_parts import cut_out, every_part, rows_of_part
 
-LABEL, SHARE = "label", "share"  # columns of a .ply; the first is one that `import` reads
-
 
 @check_arguments
 def export(
@@ -29,7 +27,6 @@ def export(
     objects: Sequence[str] = (),
     without: Sequence[str] = (),
     selected: Sequence[str] = (),
-    columns: bool = False,
     sidecar: bool = False,
     overwrite: bool = False,
     sh_degree: int | None = None,
@@ -48,7 +45,6 @@ def export(
             those in the scene, so that parts fit together again.
         without: Names or label ids of objects to leave out.
         selected: Names or label ids of objects that a `.ply` marks as selected in SuperSplat.
-        columns: Whether a `.ply` gets the columns `label` and `share`.
         sidecar: Whether a second file, `path` with `.objects.npz` added, lists the objects in the
             order of the file's rows.
         overwrite: Whether a file of that name may be replaced.
@@ -67,14 +63,12 @@ def export(
     path = Path(path)
     beside = path.with_name(path.name + SIDECAR)
     page = path.suffix.lower() == SUFFIX
-    if page and (selected or columns or sidecar):
+    if page and (selected or sidecar):
         raise StyleSplatError("A page has no rows to list or to mark. Export a .ply.")
     if sidecar:
         refuse_file(beside, overwrite=overwrite)
-    listed = listed_objects(_scene(what)) if columns or sidecar else None
+    listed = listed_objects(_scene(what)) if sidecar else None
     besides = dict[str, Tensor]()
-    if columns and listed is not None:
-        besides |= {LABEL: listed.numbered().to(torch.int32), SHARE: listed.shares()}
     if selected:
         picked = [find_object(_scene(what), name).cpu() for name in selected]
         besides[STATE] = torch.stack(picked).any(dim=0).byte()
@@ -89,7 +83,7 @@ def export(
             write_page(part, path, overwrite=overwrite, sh_degree=sh_degree)
         else:
             write_splats(splats, path, overwrite=overwrite, sh_degree=sh_degree, besides=besides)
-        if listed is not None and sidecar:
+        if listed is not None:
             write_objects(listed.ordered(row_order(splats, path)), beside)
     return len(splats)
 

@@ -7,7 +7,7 @@ from typing import Literal
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import some
 from stylesplat.figures.orbits import orbit_around, orbit_cameras, zoom_to_content
-from stylesplat.figures.pictures import depth_step, render_pictures
+from stylesplat.figures.pictures import render_pictures
 from stylesplat.io.images import ViewPicture
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device
@@ -32,8 +32,6 @@ class Views:
     """Of the cameras: the photos' file names."""
     pictures: Iterator[ViewPicture]
     """What each sees, on the CPU: an image, or the ids of labels, or depths."""
-    scale: float | None = None
-    """World units in a step of `depth-16bit`."""
 
     def __repr__(self) -> str:
         return one_line(self, counted(len(self), "picture"), some(self.names))
@@ -64,8 +62,8 @@ def render(
             any cameras, such as those of `orbit` and `read_camera_path`.
         what: `color`; `labels`, the ids of label maps; `label-colors`, a colour for each;
             `identities`, their principal components as colours; `depth` as colours, near is
-            bright; `depth-float`, along the view in world units, 0 where nothing is;
-            `depth-16bit`, whole steps of that; or `object:NAME`, one object alone.
+            bright; `depth-float`, along the view in world units, 0 where nothing is; or
+            `object:NAME`, one object alone.
         background: What is behind: `transparent`, which gives images an alpha channel, `black`,
             `white` or `#rrggbb`. By default black behind `color`, white behind other images.
         downscale: How many times smaller than the photos.
@@ -89,9 +87,7 @@ def render(
     if what.startswith("object:"):
         picked, what = find_object(scene, what.removeprefix("object:")), "object"
     pictures = render_pictures(splats, cameras, what, picked=picked, background=background)
-    counted = track(pictures, "rendering", total=len(cameras))
-    scale = depth_step(splats, cameras) if what == "depth-16bit" else None
-    return Views(cameras.names, counted, scale)
+    return Views(cameras.names, track(pictures, "rendering", total=len(cameras)))
 
 
 def cameras_of(scene: Scene, views: Which | Names | Cameras, frames: int | None = None) -> Cameras:
