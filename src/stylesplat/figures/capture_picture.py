@@ -23,7 +23,7 @@ GROUND = (238, 239, 240)
 ABOVE, SIDE = ((1.0, 0, 0), (0, 0, 1.0)), ((0, 0, 1.0), (0, -1.0, 0))
 FIRST, LAST = (96, 44, 168), (0, 158, 190)  # cameras by their order
 BLURRED, WEAK = (214, 40, 40), (240, 145, 20)
-COVERED, UNCOVERED, BEHIND_WALL = (20, 140, 70), (205, 85, 60), (150, 152, 158)
+COVERED, UNCOVERED = (20, 140, 70), (205, 85, 60)
 DASH = math.radians(3)  # length of a dash along a gap, and of the space between two
 MAX_POINTS = 60_000
 POINTS_SHOWN = (0.04, 0.96)  # quantiles of the points that fit in; others may lie outside
@@ -75,9 +75,7 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
     some = slice(None, None, max(1, len(points) // MAX_POINTS))
     placed = report.frame.place(points[some].double())
     covered, gaps = _arcs(report)
-    gap_color = BEHIND_WALL if report.coverage.facing else UNCOVERED
-    fitting = covered + ([] if report.coverage.facing else gaps)
-    centre, units = _extent(capture, report, placed, fitting)
+    centre, units = _extent(capture, report, placed, covered + gaps)
     side = PANEL * OVERSAMPLING
     images = []
     for axes in (ABOVE, SIDE):
@@ -89,7 +87,7 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
                 panel.draw_line(arc, COVERED, 3)
             for arc in gaps:
                 for start in range(0, len(arc) - 1, 2):
-                    panel.draw_line(arc[start : start + 2], gap_color, 2)
+                    panel.draw_line(arc[start : start + 2], UNCOVERED, 2)
         for axis in panel.axes:
             panel.draw_line(torch.stack([-axis, axis]) * CROSS * units, INK)
         for color, lines in _camera_lines(capture, report, FRUSTUM * units):
@@ -111,7 +109,7 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
     key += [(f"blurred ({len(report.blurred)})", BLURRED)] if report.blurred else []
     key += [(f"hardly connected ({len(report.weak)})", WEAK)] if report.weak else []
     key += [("covered sides", COVERED)]
-    key += [("not covered", gap_color)] if coverage.arc < 360 else []
+    key += [("not covered", UNCOVERED)] if coverage.arc < 360 else []
     return add_legend(draw_grid([Row([*zip(images, captions, strict=True)])]), key)
 
 
