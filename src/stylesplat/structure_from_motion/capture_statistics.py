@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.metrics.exposure import photo_gains
 from stylesplat.progress import track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, at_most
+from stylesplat.scene.exposure import photo_gains
 from stylesplat.scene.frames import Frame
 from stylesplat.structure_from_motion.image_measures import SIDE, relative_sharpness, sharpness
 

@@ -15,10 +15,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.metrics.exposure import photo_gains
 from stylesplat.progress import say, track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.exposure import photo_gains
 from stylesplat.training.adam import Moments, adam_step
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.state import PER_PHOTO, Run, State
