@@ -1,4 +1,4 @@
-"""The picture of a capture: cameras and points, from above and from the side."""
+"""The picture of a capture: cameras, points, covered sides, from above and from the side."""
 
 from dataclasses import replace
 
@@ -7,7 +7,14 @@ import torch
 from torch import Tensor
 
 from still_life.photos import dome_cameras
-from stylesplat.figures.capture_picture import BLURRED, PANEL, WEAK, capture_picture
+from stylesplat.figures.capture_picture import (
+    BLURRED,
+    COVERED,
+    PANEL,
+    UNCOVERED,
+    WEAK,
+    capture_picture,
+)
 from stylesplat.figures.grid import MARGIN
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -65,6 +72,13 @@ def test_up_is_up():
     block_rows = like(side, (232, 60, 60)).nonzero()[:, 0].float().median()
     camera_rows = (like(side, (96, 44, 168)) | like(side, (0, 158, 190))).nonzero()[:, 0]
     assert (camera_rows < block_rows).float().mean() > 0.95, "all look down at it"
+
+
+@pytest.mark.parametrize(("rows", "gap"), [(range(48), False), (range(8), True)])
+def test_sides_that_are_covered(rows: range, gap: bool):
+    above, _ = drawn(photos_of(DOME[[*rows]]))
+    assert like(above, COVERED).sum() > 300
+    assert (like(above, UNCOVERED, 30).sum() > 20) == gap
 
 
 def test_photos_at_fault_stand_out():

@@ -114,7 +114,7 @@ def test_photos_without_a_pose_have_a_reason(shared: int, reason: str, result, p
     reasons = result.unregistered
     assert set(reasons) == {BLANK, OTHER, BLURRED}
     assert reasons[BLANK] == "too little texture: 0 features"
-    assert reasons[OTHER] == "too far from the others: it matches none of them"
+    assert reasons[OTHER].startswith("too far from the others")
     assert reasons[BLURRED] == "blurred: 20% as sharp as its neighbours"
     posed = prepared.names[0]
     table = MatchTable(COUNT, {("new.jpg", posed): shared, (posed, "new.jpg"): shared}, 0)

@@ -96,14 +96,6 @@ def test_a_step_for_several_photos_is_longer_and_remembers_less():
     assert torch.allclose(param.detach().double(), expected, atol=1e-5)
 
 
-def test_without_a_gradient_nothing_moves():
-    param, other = leaf(), leaf()
-    param.grad = torch.ones(6, 2, 3)
-    params = {"x": param, "y": other}
-    adam_step(params, Moments.zeros(params), {"x": 0.1, "y": 0.1}, 1)
-    assert torch.equal(other, leaf()) and not torch.equal(param, leaf())
-
-
 def test_the_layout_in_memory_is_irrelevant(kernel: str):
     if kernel == "gsplat":
         pytest.skip("training keeps its tensors contiguous")
@@ -116,11 +108,3 @@ def test_the_layout_in_memory_is_irrelevant(kernel: str):
             adam_step({"x": param}, moments, {"x": 0.1}, step)
     assert not transposed.is_contiguous() and (transposed != 1).all()
     assert torch.equal(transposed, plain)
-
-
-def test_taken_rows_keep_their_state_and_fresh_ones_are_zero():
-    moments = Moments({"x": torch.arange(3.0), "y": torch.ones(1)}, {"x": torch.ones(3)})
-    taken = moments.take(torch.tensor([2, -1, 0]), ("x",))
-    assert taken.first["x"].tolist() == [2, 0, 0]
-    assert taken.second["x"].tolist() == [1, 0, 1]
-    assert taken.first["y"] is moments.first["y"]

@@ -16,18 +16,9 @@ from stylesplat.training.initialize import (
 )
 
 
-def begun(
-    capture: Capture,
-    *,
-    seed: int = 0,
-    cap: int = 1000,
-    sh_degree: int = 3,
-    ids: tuple[int, ...] = (),
-) -> Splats:
-    generator = torch.Generator().manual_seed(seed)
-    return first_splats(
-        capture, sh_degree=sh_degree, max_gaussians=cap, generator=generator, ids=ids
-    )
+def begun(capture: Capture, *, cap: int = 1000, sh_degree: int = 3) -> Splats:
+    generator = torch.Generator().manual_seed(0)
+    return first_splats(capture, sh_degree=sh_degree, max_gaussians=cap, generator=generator)
 
 
 @pytest.mark.parametrize("degree", range(4))
@@ -48,17 +39,6 @@ def test_of_too_many_points_some_are_taken(capture: Capture):
     splats = begun(capture, cap=50)
     assert len(splats) == 50 == len(splats.means.unique(dim=0))
     assert (splats.means[:, None] == capture.points).all(-1).any(1).all()
-
-
-def test_everything_random_follows_from_the_generator(capture: Capture):
-    bare = replace(capture, points=None, point_colors=None)
-    one, same, other = (begun(bare, seed=seed, ids=(0, 3)) for seed in (1, 1, 2))
-    for name, tensor in one.tensors().items():
-        assert torch.equal(tensor, same.tensors()[name]), name
-    assert not torch.equal(one.means, other.means)
-    assert one.identities is not None and one.classifier is not None
-    assert one.classifier.ids == (0, 3) and one.classifier.weight.shape == (2, 16)
-    assert one.identities.std() == pytest.approx(1, abs=0.1)
 
 
 def test_distances_to_neighbours_by_hand():

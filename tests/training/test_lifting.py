@@ -100,24 +100,6 @@ def test_nothing_to_lift():
         lift(away, capture(TRUTH))
 
 
-def test_renaming_labels_renames_the_ids_and_nothing_else():
-    renamed = {0: 0, 3: 1000, 7: 5, 300: 42}
-    maps = [labels.clone().apply_(lambda id: renamed[id]) for labels in TRUTH]
-    plain, other = lift(PLAIN, capture(TRUTH)), lift(PLAIN, capture(maps))
-    assert other.classifier is not None and other.classifier.ids == (0, 5, 42, 1000)
-    known, found = pick_objects(plain, [3, 7, 300]), pick_objects(other, [1000, 5, 42])
-    for id, mask in known.items():
-        assert torch.equal(mask, found[renamed[id]])
-    assert plain.confidence is not None and other.confidence is not None
-    assert torch.allclose(plain.confidence, other.confidence, atol=1e-5)  # sums in another order
-
-
-def test_labels_of_the_whole_picture_leave_no_doubt():
-    lifted = lift(PLAIN, capture([torch.full_like(labels, 9) for labels in TRUTH]))
-    share = 1 - class_probabilities(lifted)[:, 0]
-    assert (share > 0.999).float().mean() > 0.8  # the others hardly show
-
-
 def test_known_labels_leave_no_doubt():
     labels = torch.arange(len(PLAIN)) % 4 * 5
     most = class_probabilities(labelled(PLAIN, labels)).max(dim=1)

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from processes import begun, interrupt
+from processes import interrupt
 from stylesplat.evaluation.photos import NO_FITS, Fits, evaluate_views
 from stylesplat.scene.cameras import Cameras, are_rigid
 from stylesplat.scene.capture import Capture
@@ -16,7 +16,6 @@ from stylesplat.training.per_photo import (
     BLOWN_OUT,
     apply_color_map,
     fit_color_map,
-    photo_gains,
     shift_cameras,
     with_refined_cameras,
 )
@@ -146,21 +145,6 @@ def test_the_color_map_of_a_photo_is_found():
     assert (photo == 1).float().mean() > 0.1
     # The prior takes a little off, less than what is blown out would
     assert (fit_color_map(image, alpha, photo) - gain).abs().max() < 0.03
-
-
-def test_gains_are_found_from_points(plain: Capture, config: TrainConfig):
-    assert plain.points is not None
-    gains = 0.6 + 0.5 * rand(len(plain), 3, seed=1)
-    before, after = (
-        photo_gains(plain.points, begun(capture, config)[0])
-        for capture in (plain, with_gains(plain, gains))
-    )
-    truth = gains.log() - gains.log().mean(dim=0)
-    # Half of the points are hidden: what is left is of those, and differs as gains change
-    assert (after - before - truth).abs().mean() < 0.4 * truth.abs().mean()
-    assert torch.allclose(after.mean(dim=0), torch.zeros(3), atol=1e-5)
-    few = photo_gains(plain.points[:3], begun(plain, config)[0])
-    assert not few.any(), "photos without enough points count as typical"
 
 
 def test_shifts_are_of_the_world_in_units(cameras: Cameras):

@@ -17,7 +17,7 @@ from capture_files import write_ball_capture
 from processes import begun
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.scene.capture import Capture
-from stylesplat.training.state import ALONE, Ranks, Run, State
+from stylesplat.training.state import Ranks, Run, State
 from stylesplat.training.step import (
     PhotoGradients,
     average_gradients,
@@ -120,22 +120,6 @@ def test_every_photo_is_one_process_s(capture: Capture, config: TrainConfig):
     (one, state), (other, _) = runs(capture, replace(config, steps=11), 2, 2)
     found = [[*run.photos(replace(state, step=step))] for step in (0, 4, 8) for run in (one, other)]
     assert found == [[0, 2], [1, 3], [4, 6], [5, 7], [8, 10], [9, 11]]
-
-
-def test_all_of_a_turn_learn_identities_or_none(capture: Capture, config: TrainConfig):
-    """Also where a run that was interrupted after an odd number of photos goes on."""
-    both = [run for run, _ in runs(capture, config, 2, 1)]
-    for first in (1000, 1001, 1002, 1003):
-        found = {run.every(2, first + run.ranks.number) for run in both}
-        assert len(found) == 1, first
-
-
-def test_alone():
-    assert Ranks.here() == ALONE and ALONE.largest(2.0, True) == [2.0, True]
-    tensor = torch.ones(2)
-    ALONE.add_up([tensor])
-    ALONE.meet()
-    assert tensor.tolist() == [1.0, 1.0]
 
 
 def test_the_command(tmp_path: Path):

@@ -2,39 +2,10 @@ from dataclasses import replace
 
 import torch
 
-from balls import SPLATS
 from scenes import random_splats
 from stylesplat.training.initialize import scene_extent
-from stylesplat.training.state import CLASSIFIER, Run, first_state
+from stylesplat.training.state import Run, first_state
 from stylesplat.training.train_config import TrainConfig
-
-
-def test_splats_come_back():
-    state = first_state(replace(SPLATS, means=SPLATS.means.T.contiguous().T))
-    tensors = (state.params, state.moments.first, state.moments.second)
-    assert all(tensor.is_contiguous() for each in tensors for tensor in each.values())
-    for name, tensor in SPLATS.tensors().items():
-        assert torch.equal(state.splats.tensors()[name], tensor)
-        assert len(state.params[name]) == len(SPLATS) and name in state.names
-    assert set(state.params) - set(state.names) == set(CLASSIFIER)
-    classifier = state.splats.classifier
-    assert classifier is not None and SPLATS.classifier is not None
-    assert torch.equal(classifier.weight, SPLATS.classifier.weight)
-    assert classifier.ids == state.ids == SPLATS.classifier.ids
-    plain = first_state(replace(SPLATS, identities=None, classifier=None))
-    assert plain.ids == () and plain.splats.classifier is None
-    assert not set(CLASSIFIER) & set(plain.params)
-
-
-def test_clones_share_nothing():
-    state = first_state(random_splats(5))
-    copy = state.clone()
-    with torch.no_grad():
-        for tensors in (copy.params, copy.moments.first, copy.moments.second):
-            for tensor in tensors.values():
-                tensor.fill_(7)
-    for tensors in (state.params, state.moments.first, state.moments.second):
-        assert not any((tensor == 7).all() for tensor in tensors.values())
 
 
 def run(cameras, *, rows=tuple(range(1, 9)), **settings) -> Run:

@@ -1,5 +1,6 @@
-"""A capture from above and from the side: its cameras and its points."""
+"""A capture from above and from the side: its cameras, its points and the sides it covers."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from torch import Tensor
 from stylesplat.figures.grid import INK, Row, add_legend, draw_grid
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import move_cameras
+from stylesplat.structure_from_motion.capture_statistics import STRIDE
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
 
 PANEL = 720  # pixels along a side of a panel
@@ -21,9 +23,12 @@ GROUND = (238, 239, 240)
 ABOVE, SIDE = ((1.0, 0, 0), (0, 0, 1.0)), ((0, 0, 1.0), (0, -1.0, 0))
 FIRST, LAST = (96, 44, 168), (0, 158, 190)  # cameras by their order
 BLURRED, WEAK = (214, 40, 40), (240, 145, 20)
+COVERED, UNCOVERED = (20, 140, 70), (205, 85, 60)
+DASH = math.radians(3)  # length of a dash along a gap, and of the space between two
 MAX_POINTS = 60_000
 POINTS_SHOWN = (0.04, 0.96)  # quantiles of the points that fit in; others may lie outside
 FRUSTUM, CROSS = 0.07, 0.014  # of a panel's width: length of a camera, of half the middle's cross
+RIM = 1.08  # radius of the arc around the cameras, relative to their distance
 PADDING = 1.16  # of the panels, relative to what has to fit in
 
 Color = tuple[int, ...]
@@ -43,9 +48,9 @@ class _Panel:
         flat = (points.double() - self.centre) @ self.axes.T * self.scale
         return flat * torch.tensor([1.0, -1.0]).double() + self.image.width / 2
 
-    def draw_line(self, points: Line, color: Color) -> None:
+    def draw_line(self, points: Line, color: Color, width: int = 1) -> None:
         places = [(x, y) for x, y in self.pixels(points).tolist()]
-        ImageDraw.Draw(self.image).line(places, color, OVERSAMPLING, "curve")
+        ImageDraw.Draw(self.image).line(places, color, width * OVERSAMPLING, "curve")
 
     def draw_points(self, points: Float[Tensor, "M 3"], rgb: UInt8[Tensor, "M 3"]) -> None:
         """Draw points as squares in their colours, the nearest last."""
@@ -61,20 +66,28 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
 
     Returns:
         The picture. Cameras are coloured by their order, those of blurred photos red and those
-        that few points connect with others orange.
+        that few points connect with others orange. A circle around the cameras shows the sides
+        that they cover.
     """
     points = torch.zeros(0, 3) if capture.points is None else capture.points
     colors = capture.point_colors
     colors = torch.full(points.shape, 90).byte() if colors is None else colors
     some = slice(None, None, max(1, len(points) // MAX_POINTS))
     placed = report.frame.place(points[some].double())
-    centre, units = _extent(capture, report, placed)
+    covered, gaps = _arcs(report)
+    centre, units = _extent(capture, report, placed, covered + gaps)
     side = PANEL * OVERSAMPLING
     images = []
     for axes in (ABOVE, SIDE):
         image = Image.new("RGB", (side, side), GROUND)
         panel = _Panel(torch.tensor(axes).double(), centre, side / units, image)
         panel.draw_points(placed, colors[some])
+        if axes == ABOVE:
+            for arc in covered:
+                panel.draw_line(arc, COVERED, 3)
+            for arc in gaps:
+                for start in range(0, len(arc) - 1, 2):
+                    panel.draw_line(arc[start : start + 2], UNCOVERED, 2)
         for axis in panel.axes:
             panel.draw_line(torch.stack([-axis, axis]) * CROSS * units, INK)
         for color, lines in _camera_lines(capture, report, FRUSTUM * units):
@@ -95,15 +108,30 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
     key = [("first photo", FIRST), ("last photo", LAST)]
     key += [(f"blurred ({len(report.blurred)})", BLURRED)] if report.blurred else []
     key += [(f"hardly connected ({len(report.weak)})", WEAK)] if report.weak else []
+    key += [("covered sides", COVERED)]
+    key += [("not covered", UNCOVERED)] if coverage.arc < 360 else []
     return add_legend(draw_grid([Row([*zip(images, captions, strict=True)])]), key)
 
 
+def _arcs(report: CaptureReport) -> tuple[list[Line], list[Line]]:
+    """Lines on a circle around the cameras: over the covered sides, and over the gaps."""
+    sides = report.coverage.sides.deg2rad().tolist()
+    radius = RIM * report.coverage.far
+    covered, gaps = list[Tensor](), list[Tensor]()
+    for one, two in zip(sides, [*sides[1:], sides[0] + 2 * math.pi] if sides else [], strict=True):
+        if two > one:
+            turns = torch.linspace(one, two, 2 + round((two - one) / DASH), dtype=torch.float64)
+            arc = torch.stack([turns.sin() * radius, 0 * turns, -turns.cos() * radius], dim=1)
+            (covered if two - one <= STRIDE else gaps).append(arc)
+    return covered, gaps
+
+
 def _extent(
-    capture: Capture, report: CaptureReport, points: Float[Tensor, "M 3"]
+    capture: Capture, report: CaptureReport, points: Float[Tensor, "M 3"], arcs: list[Line]
 ) -> tuple[Float[Tensor, "3"], float]:
     """The middle of the panels, and their width: all cameras and most points fit in."""
     cameras = report.frame.place(capture.cameras.positions.double())
-    places = torch.cat([cameras, torch.zeros(1, 3).double()])
+    places = torch.cat([cameras, *arcs, torch.zeros(1, 3).double()])
     low, high = places.amin(dim=0), places.amax(dim=0)
     if len(points):
         reach = float((high - low).max()) + 1

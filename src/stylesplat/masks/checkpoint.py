@@ -1,7 +1,6 @@
 """What `mask` has found so far, on disk, so that an interrupted run continues."""
 
 import json
-import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,14 +11,13 @@ import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import MARK, atomic_path
+from stylesplat.io.atomic import atomic_path
 from stylesplat.io.json_files import read_json, write_json
 from stylesplat.masks.tracking import TrackingState
 from stylesplat.progress import say
 from stylesplat.scene.labels import Labels
 
 SETTINGS = "settings.json"
-OURS = re.compile(rf"\.?(settings|clip)[_\d]*(\.{MARK})?\.(json|npz)")
 
 
 @dataclass(frozen=True)
@@ -85,6 +83,5 @@ def open_checkpoint(folder: Path, settings: dict[str, Any]) -> MaskCheckpoint:
 
 def _is_ours(folder: Path) -> bool:
     """Whether a run made it, even if it was killed before it wrote or deleted everything."""
-    if not folder.is_dir():
-        return False
-    return (folder / SETTINGS).is_file() or all(OURS.fullmatch(p.name) for p in folder.iterdir())
+    names = [path.name.lstrip(".") for path in folder.iterdir()] if folder.is_dir() else [""]
+    return all(name.startswith(("settings", "clip_")) for name in names)

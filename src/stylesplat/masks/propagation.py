@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import torch
@@ -12,7 +11,6 @@ from torch.nn import functional as F
 
 from stylesplat.masks.tracking import labels_to_masks, masks_to_labels
 from stylesplat.rendering.shares import PRIOR, label_votes, largest_shown, scaled_rows
-from stylesplat.scene.cache import Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import BACKGROUND, Mask
 from stylesplat.scene.splats import Splats
@@ -50,7 +48,7 @@ class VideoPropagator:
                 logits, presence = output.pred_masks, output.object_score_logits.flatten()
                 masks = split_by_logit(logits[:, 0], presence, size)
                 found.append({output.object_ids[at]: mask.to(device) for at, mask in masks.items()})
-            _forget(session, row, self.model.config)
+            _drop_masks(session, row)
         return found
 
     def _open_session(
@@ -59,21 +57,17 @@ class VideoPropagator:
         session = self.processor.init_video_session(
             inference_device=self.model.device, dtype=self.model.dtype
         )
-        # Prepared when the model comes to them, and not kept: 12 MB each
-        prepare = [partial(self._pixels, photos, row) for row in range(len(photos))]
-        session.processed_frames = Lazy(prepare)
+        inputs = self.processor.image_processor(
+            images=[photo.cpu().numpy() for photo in photos],
+            input_data_format="channels_last",
+            return_tensors="pt",
+        )
+        pixels = inputs["pixel_values"].to(self.model.device, self.model.dtype)
+        session.processed_frames = dict(enumerate(pixels))
         self.processor.add_inputs_to_inference_session(
             session, frame_idx=0, obj_ids=[*seeds], input_masks=[*seeds.values()]
         )
         return session
-
-    def _pixels(self, photos: Sequence[UInt8[Tensor, "H W 3"]], row: int) -> Float[Tensor, "3 h w"]:
-        inputs = self.processor.image_processor(
-            images=photos[row].cpu().numpy(),
-            input_data_format="channels_last",
-            return_tensors="pt",
-        )
-        return inputs["pixel_values"][0].to(self.model.device, self.model.dtype)
 
 
 def split_by_logit(
@@ -93,18 +87,12 @@ def split_by_logit(
     return {row: owner == row for row in owner.unique().tolist() if row >= 0}
 
 
-def _forget(session: Any, row: int, config: Any) -> None:
-    """Drop what the model never reads again: 4 MB for each object and photo.
-
-    A session keeps every mask at the model's size, which is used within the step only, and all
-    memories, of which the model recalls the first photo's and the latest.
-    """
-    recalled = max(config.num_maskmem, config.max_object_pointers_in_encoder)
+def _drop_masks(session: Any, row: int) -> None:
+    """Drop the masks at the model's size, which it never reads again: 4 MB an object and photo."""
     for outputs in session.output_dict_per_obj.values():
         for memories in outputs.values():
             for name in ("high_res_masks", "pred_masks"):
                 memories.get(row, {}).pop(name, None)
-        outputs["non_cond_frame_outputs"].pop(row - recalled, None)
 
 
 @torch.no_grad()

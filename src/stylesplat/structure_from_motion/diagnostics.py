@@ -142,9 +142,6 @@ def diagnose_sides(coverage: Coverage, photos: int) -> Finding:
         says = f"seen from {arc} of 360 degrees, a gap of {gap}"
         advice = "Walk on around it, or leave it so if nobody is to look from there."
         return _finding("sides", _grade(arc, 320, 120), arc, says, advice)
-    if coverage.facing and arc >= 30:
-        says = f"a wall, seen from the front over {arc} degrees; views from behind will be empty"
-        return Finding("sides", "good", arc, says)
     if photos < FEW or arc < 30:
         says = f"{counted(photos, 'photo')} from one side only, {arc} of 360 degrees"
         return Finding("sides", "poor", arc, says, "Walk around the object.")

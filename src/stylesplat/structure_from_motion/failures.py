@@ -118,14 +118,8 @@ def _poor_quality(
 def _poor_overlap(name: str, groups: Sequence[set[str]], table: MatchTable) -> str:
     partners = table.partners(name)
     shared = max((partners[other] for other in groups[0]), default=0)
-    together = next((group for group in groups[1:] if name in group), None)
-    if together is not None:
-        others = counted(len(together) - 1, "other photo")
-        return f"sees another place than the rest, together with {others}"
-    if not partners:
-        return "too far from the others: it matches none of them"
-    if not shared:
-        return "sees another place than the rest: it matches none of the photos with a pose"
+    if any(name in group for group in groups[1:]):
+        return "sees another place than the rest, together with other photos"
     if shared < MIN_INLIERS:
         return (
             "too far from the others: no photo with a pose shares more than "

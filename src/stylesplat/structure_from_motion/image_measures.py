@@ -81,25 +81,19 @@ def relative_sharpness(values: Sequence[float]) -> list[float]:
     return [relative(index) for index in range(len(values))]
 
 
-def missing_background(small: SmallPhoto) -> str | None:
-    """What stands in place of the background: "transparent", "black", "white", "of one colour".
+def lacks_background(small: SmallPhoto) -> bool:
+    """Whether the background is transparent, or of one colour.
 
-    No camera gives a rim of one and the same grey level, so such a photo was masked. Returns None
-    for a photo with its background.
+    No camera gives a rim of one and the same grey level, so such a photo was masked.
     """
     if small.transparent > MIN_REMOVED:
-        return "transparent"
+        return True
     grey = small.grey.astype(np.float32)
     width = max(1, round(RIM * min(grey.shape)))
     on_rim = np.ones(grey.shape, bool)
     on_rim[width:-width, width:-width] = False
-    level = float(np.median(grey[on_rim]))
-    plain = np.abs(grey - level) < SAME_LEVEL
-    if plain[on_rim].mean() < PLAIN_RIM or plain.mean() < MIN_REMOVED:
-        return None
-    if level <= SAME_LEVEL:
-        return "black"
-    return "white" if level >= 255 - SAME_LEVEL else "of one colour"
+    plain = np.abs(grey - np.median(grey[on_rim])) < SAME_LEVEL
+    return bool(plain[on_rim].mean() >= PLAIN_RIM and plain.mean() >= MIN_REMOVED)
 
 
 class CornerTracker:

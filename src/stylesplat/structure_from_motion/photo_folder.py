@@ -3,7 +3,6 @@
 import importlib.util
 import os
 import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, count
@@ -11,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, brief, some
 from stylesplat.io.atomic import PARTIAL
 from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
 from stylesplat.io.captures.photos import SmallPhoto, plain_suffix, read_small
@@ -24,7 +23,7 @@ from stylesplat.structure_from_motion.image_measures import (
     ALL_BLURRED,
     BLURRED,
     SIDE,
-    missing_background,
+    lacks_background,
     near_duplicates,
     relative_sharpness,
     sharpness,
@@ -39,7 +38,6 @@ SKIPPED = (
 )
 MAX_MASKED = 0.5  # share of photos without background; with more the user masked them on purpose
 MAX_NUMBERS = 4  # numbers from the first to the last photo, per photo; with more it is no series
-MAX_REASONS = 3  # that a message names
 
 
 @dataclass(frozen=True)
@@ -168,15 +166,15 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
     """Leave out the photos of a folder that are unreadable, masked, blurred or near duplicates."""
     left_out = {**files.left_out, **dict.fromkeys(files.videos, "a video among photos")}
     photos = _measure(source, files.photos, left_out)
-    masked = {p.name: kind for p in photos if (kind := missing_background(p.small))}
+    masked = [photo.name for photo in photos if lacks_background(photo.small)]
     if len(masked) > MAX_MASKED * len(photos):
-        kind = Counter(masked.values()).most_common(1)[0][0]
         raise StyleSplatError(
-            f"{len(masked)} of {len(photos)} photos of {source} have no background: it is {kind}. "
-            "The background is needed to find the cameras; give the photos as they were taken."
+            f"{len(masked)} of {len(photos)} photos of {source} have a background that is "
+            "transparent or of one colour. The background is needed to find the cameras; give the "
+            "photos as they were taken."
         )
-    left_out |= {name: f"its background is {kind}" for name, kind in masked.items()}
-    photos = [photo for photo in photos if photo.name not in masked]
+    left_out |= dict.fromkeys(masked, "its background is transparent or of one colour")
+    photos = [photo for photo in photos if photo.name not in left_out]
     timed = all(photo.time for photo in photos)
     series = is_series([photo.name for photo in photos]) if photos else False
     if timed and not series:
@@ -209,13 +207,10 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
 
 def too_few_photos(source: Path, usable: int, left_out: Mapping[str, str]) -> StyleSplatError:
     """The error for a folder without enough photos."""
-    # A reason without what differs from photo to photo
-    kinds = (text.partition(":")[0].partition(" as ")[0] for text in left_out.values())
-    reasons = Counter(kinds).most_common(MAX_REASONS)
-    others = "".join(f"; {number} left out: {text}" for text, number in reasons)
-    first = next((f" ({brief(name)}: {text})" for name, text in left_out.items()), "")
+    reasons = some((f"{brief(name)} ({text})" for name, text in left_out.items()), whole=True)
+    others = f"; {len(left_out)} left out: {reasons}" if reasons else ""
     return StyleSplatError(
-        f"{source} has {usable or 'no'} photos that can be used{others}{first}. "
+        f"{source} has {usable or 'no'} photos that can be used{others}. "
         f"Give {MIN_PHOTOS} at least, better 30 or more, that overlap."
     )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import partial_of
-from stylesplat.io.files import cannot_read, cannot_write, inside, require_regular
+from stylesplat.io.files import inside, require_regular
 from stylesplat.io.json_files import read_json_as, write_json
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
@@ -41,16 +41,15 @@ def check_source(source: Path) -> None:
 def prepare(source: Path, folder: Path, *, frames: int = 100) -> PreparedPhotos:
     """Write photos that are fit for structure from motion: sharp, upright, none twice.
 
-    Photos that an earlier call wrote stay if the source is the same; others are deleted.
+    What the folder holds is deleted, but for photos that an earlier call wrote of the same source.
     """
     if frames < MIN_PHOTOS:
         raise StyleSplatError(f"Cannot choose {frames} frames. Give {MIN_PHOTOS} or more.")
     found = _open_source(Path(source), folder := Path(folder), frames)
     record, identity = _read_record(folder), found.identity()
     if record is None or record.source != identity:
-        selected = found.select()
-        _clear(folder)
-        record = _Record(identity, selected)
+        record = _Record(identity, found.select())
+        shutil.rmtree(folder, ignore_errors=True)
         write_json(asdict(record), folder / RECORD)
     origins = record.prepared.origins
     found.write({n: o for n, o in origins.items() if not inside(folder, n).is_file()}, folder)
@@ -66,7 +65,7 @@ class _Source:
     def identity(self) -> str:
         """A digest that differs for other files and other settings."""
         if self.files is None:
-            parts = [_stamp(self.path), str(self.frames)]
+            parts = [str(self.frames), _stamp(self.path)]
         else:
             photos = [f"{name} {_stamp(inside(self.path, name))}" for name in self.files.photos]
             parts = [*photos, *self.files.left_out, *self.files.videos]
@@ -93,8 +92,6 @@ class _Source:
 
 def _open_source(source: Path, folder: Path, frames: int) -> _Source:
     if source.is_dir():
-        if folder.resolve() == source.resolve():
-            raise StyleSplatError(f"{folder} holds the photos themselves. Choose another folder.")
         files = find_sources(source, skip=folder)
         if files.photos:
             return _Source(source, files, frames)
@@ -123,35 +120,13 @@ class _Record:
 
 def _read_record(folder: Path) -> _Record | None:
     """The record of an earlier call; None if there is none, or it is damaged."""
-    if not (folder / RECORD).is_file():
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise StyleSplatError(f"{folder} holds something else. Choose another folder.")
-        return None
     try:
-        record = read_json_as(folder / RECORD, _Record, "It is made again.")
-        for name in (*record.prepared.names, *record.prepared.origins):
-            inside(folder, name)
+        return read_json_as(folder / RECORD, _Record, "It is made again.")
     except StyleSplatError:
         return None
-    return record
-
-
-def _clear(folder: Path) -> None:
-    """Delete the photos of an earlier call; the record goes last, so that the rest stays ours."""
-    try:
-        for path in folder.glob("*"):
-            if path.is_dir():
-                shutil.rmtree(path)
-            elif path.name != RECORD:
-                path.unlink()
-    except OSError as error:
-        raise cannot_write(folder, error) from error
 
 
 def _stamp(path: Path) -> str:
     """Size and time of a file, which differ once it was changed."""
-    try:
-        status = path.stat()
-    except OSError as error:
-        raise cannot_read(path, error) from error
+    status = path.stat()
     return f"{status.st_size} {status.st_mtime_ns}"

@@ -130,38 +130,23 @@ def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
 class Checkpointer:
     """Writes the checkpoints of a run; one that cannot be written costs a line, not the run."""
 
-    def __init__(self, checkpoint: Checkpoint | None, state: State) -> None:
+    def __init__(self, checkpoint: Checkpoint | None) -> None:
         self._checkpoint = checkpoint
-        self._saved_step = state.step  # of the file, if there is one
         self._written = time.monotonic()
         self._has_failed = False
 
     def after_step(self, state: State) -> None:
         """Write a checkpoint if it is time; say so the first time that it cannot be written."""
         if time.monotonic() - self._written > CHECKPOINT_SECONDS:
-            error = self._save(state)
-            if error is not None and not self._has_failed:
-                self._has_failed = True
-                say(f"{error} Training goes on without a checkpoint.")
+            self.save(state, "Training goes on without it.", always=False)
 
-    def at_end(self, state: State, *, interrupted: bool) -> None:
-        """Write the last checkpoint; say so if an interrupted run cannot be saved."""
-        error = self._save(state)
-        if error is None or (self._has_failed and not interrupted):
-            return
-        if self._checkpoint is not None:
-            there = "There is no checkpoint"
-            if self._checkpoint.path.exists():
-                there = f"The last checkpoint is of step {self._saved_step:,}"
-            say(f"{error} {there}, and the run was at step {state.step:,}.")
-
-    def _save(self, state: State) -> StyleSplatError | None:
+    def save(self, state: State, consequence: str, *, always: bool) -> None:
+        """Write a checkpoint; say if it cannot be written, `always` or the first time only."""
+        self._written = time.monotonic()
         try:
             if self._checkpoint is not None:
                 save_checkpoint(self._checkpoint, state)
-                self._saved_step = state.step
         except StyleSplatError as error:
-            return error
-        finally:
-            self._written = time.monotonic()
-        return None
+            if always or not self._has_failed:
+                say(f"{error} {consequence}")
+            self._has_failed = True

@@ -102,7 +102,7 @@ def fit(
     run, state = _begin(capture, config, rows, device, continued)
     try:
         warm_up_training(run, state)
-        checkpointer = Checkpointer(saved if run.ranks.number == 0 else None, state)
+        checkpointer = Checkpointer(saved if run.ranks.number == 0 else None)
         bar = (
             task("training", config.steps, unit="step", done=state.step)
             if config.max_seconds is None
@@ -122,7 +122,7 @@ def fit(
                 state, stopped = _agree(run, state, interrupted=interrupted())
             if meter.scores:
                 meter.report(state, meter.means())
-            checkpointer.at_end(state, interrupted=stopped)
+            checkpointer.save(state, f"The run was at step {state.step:,}.", always=stopped)
         if stopped:  # and the program's own handler has let it pass
             raise KeyboardInterrupt
         return state

@@ -8,7 +8,7 @@ INRIA's code and gsplat, for exposure and white balance. It matches gains of 0.6
 light, with a tint, to 58 dB, as measured on photos; except for what is blown out.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import torch
@@ -18,12 +18,10 @@ from torch import Tensor
 from stylesplat.progress import say, track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.projection import project
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.exposure import photo_gains
 from stylesplat.training.adam import Moments, adam_step
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.state import PER_PHOTO, Run, State
-from stylesplat.training.training_views import TrainingView
 
 # First learning rates: a gain of 1.6 in light is a change of 0.24, and half a degree is 0.009
 RATES = {"color_maps": 5e-3, "pose_shifts": 2e-3}
@@ -34,10 +32,6 @@ FIT_PRIOR = 1e-4  # pull towards no change, over the mean square of what is fitt
 # Spread of the logarithms of gains from which on photos differ: real photos of fixed exposure have
 # 0.05, exposures of 0.6 to 1.6 in light 0.12 to 0.15, red and blue 0.3 off in turn 0.15
 VARIED = 0.09
-POINTS = 2000  # whose colours are compared
-ROUNDS = 8  # of taking photos' and points' medians in turn
-DARK, BRIGHT = 0.05, 0.98  # colours beyond say nothing about a gain
-FEWEST = 30  # points by which a photo's gain is estimated
 
 
 def initial_photo_params(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
@@ -54,7 +48,7 @@ def initial_photo_params(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[
         return first
     gains = torch.zeros(len(run.rows), 3)
     if points is not None and has_points:
-        gains = photo_gains(points, run)
+        gains = photo_gains(points, _first_photos(run)).nan_to_num()
     if wanted == "auto":
         if gains.std(dim=0, correction=0).max() < VARIED:  # of the channel that differs most
             return first
@@ -65,6 +59,13 @@ def initial_photo_params(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[
     factors = gains.exp() - gains.exp().mean(dim=0)
     maps = torch.cat([torch.diag_embed(factors), torch.zeros(len(gains), 3, 1)], dim=2)
     return {"color_maps": maps.to(run.device)} | first
+
+
+def _first_photos(run: Run) -> Iterator[tuple[Float[Tensor, "H W 3"], Cameras]]:
+    """The photos to train on, of the size that training begins with."""
+    for row in track(run.rows, "comparing exposures"):
+        view = run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
+        yield view.photo.cpu(), view.camera
 
 
 def per_photo_regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, ""] | float:
@@ -97,40 +98,6 @@ def step_photo(run: Run, state: State) -> None:
     with torch.no_grad():
         for name in names:
             state.params[name].sub_(state.params[name].mean(dim=0))
-
-
-def photo_gains(points: Float[Tensor, "M 3"], run: Run) -> Float[Tensor, "R 3"]:
-    """The logarithms of each photo's gain per channel of sRGB, whose mean over photos is 0.
-
-    Photos have the size that training begins with. Medians ignore points that are hidden in a
-    photo, or shine.
-    """
-    some = points[evenly(range(len(points)), POINTS)].cpu()
-    colors = []
-    for row in track(run.rows, "comparing exposures"):
-        factor = run.config.photo_downscale(0.0, run.cameras[row].size)
-        colors.append(_log_colors(some, run.views(row, factor)))
-    logs = torch.stack(colors)  # [R, P, 3]
-    counts = (~logs.isnan()).all(dim=-1).sum(dim=1)  # [R]
-    gains = torch.zeros(len(logs), 3)
-    for _ in range(ROUNDS):
-        typical = (logs - gains[:, None]).nanmedian(dim=0).values  # [P, 3]
-        gains = (logs - typical).nanmedian(dim=1).values
-        gains = torch.where((counts < FEWEST)[:, None], 0.0, gains)
-        gains = gains - gains.mean(dim=0)
-    return gains
-
-
-def _log_colors(points: Float[Tensor, "P 3"], view: TrainingView) -> Float[Tensor, "P 3"]:
-    """Logarithms of a photo's colours at points; NaN where they say nothing about a gain."""
-    photo = view.photo.cpu()
-    height, width, _ = photo.shape
-    positions, depths = project(points, view.camera)
-    x, y = positions.nan_to_num(-1, -1, -1).clamp(-1, 1e6).floor().long().unbind(dim=1)
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (depths > 0)
-    colors = photo[y.clamp(0, height - 1), x.clamp(0, width - 1)]
-    usable = inside & (colors > DARK).all(dim=1) & (colors < BRIGHT).all(dim=1)
-    return torch.where(usable[:, None], colors.clamp(min=DARK).log(), torch.nan)
 
 
 def apply_color_map(

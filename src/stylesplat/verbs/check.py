@@ -30,7 +30,7 @@ def check(capture: Capture) -> CaptureReport:
     cameras, points = capture.cameras, capture.points
     frame = working_frame(cameras, torch.zeros(0, 3) if points is None else points)
     outward = find_centre(cameras, points).outward
-    coverage = measure_coverage(cameras, points, frame, outward=outward)
+    coverage = measure_coverage(cameras, frame, outward=outward)
     figures = None if capture.path is None else read_figures(capture.path)
     photos = measure_photos(capture)
     return CaptureReport(
