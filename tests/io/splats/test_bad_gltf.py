@@ -111,12 +111,13 @@ def test_what_cannot_be_read_is_told_in_one_line(tmp_path: Path, expected: str):
 def test_hostile_containers(tmp_path: Path):
     path = written(tmp_path)
     content = path.read_bytes()
-    (size,) = struct.unpack_from("<I", content, 12)
     huge = struct.pack("<I", 2**32 - 1)
     for changed, expected in (
         (content[:-3], r"announces a file of \d+ bytes, it holds \d+"),
         (content[:8] + huge + content[12:], "announces a file of 4294967295 bytes"),
         (content[:12] + huge + content[16:], "a chunk should have 4294967295 bytes"),
+        (b"ply\n" + content, "it is no GLB. Check the name"),
+    ):
         path.write_bytes(changed)
         with pytest.raises(StyleSplatError, match=expected):
             read_splats(path)
