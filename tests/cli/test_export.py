@@ -49,11 +49,11 @@ def test_objects_go_out_and_come_back(scene: Path, tmp_path: Path, capsys):
     labels = ("--labels", tmp_path / "a.spz.objects.npz")
     found = result(capsys, "import", tmp_path / "a.spz", *labels, "-o", tmp_path / "b", "--up", "z")
     assert found["label_ids"] == 3
-    assert result(capsys, "export", scene, tmp_path / "picks.json", "--object", 7)["objects"] == 1
-    rows = ("--rows", tmp_path / "picks.json")
+    assert result(capsys, "export", scene, tmp_path / "picks.npz", "--object", 7)["objects"] == 1
+    rows = ("--rows", tmp_path / "picks.npz")
     picked = result(capsys, "select", tmp_path / "b", "--name", "it", *rows, "--no-picture")
-    assert picked["rows"] == [str(tmp_path / "picks.json")] and picked["gaussians"] > 70
-    idle = ("export", scene, tmp_path / "c.json", "--sidecar")
+    assert picked["rows"] == [str(tmp_path / "picks.npz")] and picked["gaussians"] > 70
+    idle = ("export", scene, tmp_path / "c.npz", "--sidecar")
     assert "takes --object alone" in complaint(capsys, *idle)
     assert "Leave --object" in complaint(capsys, "export", scene, "--each", tmp_path, "--sidecar")
 

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from processes import complaint, result, run
 
 
@@ -19,8 +21,8 @@ def test_import_and_select_by_shape(scene: Path, capture: Path, tmp_path: Path, 
 def test_import_with_labels(scene: Path, tmp_path: Path, capsys):
     splat, out = tmp_path / "balls.ply", tmp_path / "imported"
     assert run("export", scene, splat) == 0
-    (tmp_path / "labels.json").write_text(str([0] * 200 + [3] * 240))
-    labels = ("--labels", tmp_path / "labels.json")
+    np.save(tmp_path / "labels.npy", [0] * 200 + [3] * 240)
+    labels = ("--labels", tmp_path / "labels.npy")
     metrics = result(capsys, "import", splat, *labels, "-o", out, "--up", "z")
     assert metrics["label_ids"] == 1 and metrics["unlabelled_gaussians"] == 200
     assert result(capsys, "select", out, "--name", "it", "--id", 3)["gaussians"] > 220

@@ -70,8 +70,6 @@ def test_length_rate_and_size_of_a_round_trip(scene: Path, tmp_path: Path, capsy
     trip = ("render", scene, "-o", tmp_path / "a.mp4", "--seconds", 0.5, "--size", "64x30")
     assert run(*trip, "--views", "orbit", "--fps", 10) == 0
     assert played(tmp_path / "a.mp4") == (5, 10, (64, 30))
-    assert run("render", scene, "-o", tmp_path / "a.gif", "--views", "orbit", "--seconds", 0.2) == 0
-    assert played(tmp_path / "a.gif")[0] == 3, "at 14 frames a second"
     assert "--views orbit" in complaint(capsys, *trip, "--overwrite")
     wrong = complaint(capsys, *trip, "--overwrite", "--views", "orbit", "--size", "64")
     assert "WIDTHxHEIGHT" in wrong

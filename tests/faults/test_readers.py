@@ -113,7 +113,6 @@ def write_labels(folder: Path) -> None:
     labels = np.arange(COUNT) % 3
     np.save(folder / "a.npy", labels)
     np.savez(folder / "a.npz", labels=labels)
-    (folder / "a.json").write_text(json.dumps({"labels": labels.tolist()}))
     mask = {"size": [48, 64], "counts": [1536, 1536]}
     packed = {"size": [48, 64], "counts": "P`1P`1"}  # the same, 5 bits a letter
     masks = [{"image_id": 0, "category_id": 1, "segmentation": each} for each in (mask, packed)]
@@ -123,7 +122,7 @@ def write_labels(folder: Path) -> None:
 
 
 def read_labels(folder: Path) -> None:
-    for suffix in ("npy", "npz", "json"):
+    for suffix in ("npy", "npz"):
         ss.import_(random_splats(COUNT), labels=folder / f"a.{suffix}", device="cpu")
     maps = ss.mask(ss.load(folder / "capture"), source=folder / "coco.json").label_maps
     assert maps is not None and all(labels is None or labels.min() >= 0 for labels in maps)

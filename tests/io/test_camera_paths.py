@@ -89,15 +89,9 @@ def test_places_and_lenses_in_numbers(tmp_path: Path):
 @pytest.mark.parametrize(
     ("content", "match"),
     [
-        ({}, "keyframes"),
         (nerfstudio(camera_type="fisheye"), "fisheye"),
-        (nerfstudio(camera_path=[]), "length >= 1"),
         (nerfstudio(camera_path=[{"camera_to_world": [0.0] * 16, "fov": 50}]), "frame 0"),
-        (nerfstudio(camera_path=[{"camera_to_world": [0.0] * 12, "fov": 50}]), "length >= 16"),
-        (nerfstudio(render_width=10**6), "16384"),
-        (keys(*views(0)), "length >= 2"),
         (keys(*views(0, 1), seconds=1e4, fps=30), "Choose between 1 and 36,000"),
-        (keys(*views(0, 1), speed=3), "speed"),
         (keys({"view": "cat"}, {"view": "dog"}), "'cat'"),
         (keys({"position": [0, 0, 1]}, *views(1)), "key frame 0 needs a view, or"),
         (keys({"position": [0, 0, 1], "look_at": [0, 0, 0]}, *views(1)), "straight up or down"),

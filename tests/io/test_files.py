@@ -28,9 +28,7 @@ def test_json_is_strict(tmp_path: Path):
     [
         (None, "No such file"),
         ("{", "not valid JSON"),
-        ("[1]", "expected a JSON object"),
         ('{"a":' * 200 + "1" + "}" * 200, "nested more than 100 deep"),
-        ("\xff", "not valid JSON"),
     ],
 )
 def test_bad_json(tmp_path: Path, text: str | None, match: str):

@@ -52,22 +52,17 @@ VALUES: dict[tuple[Any, ...], tuple[object, ...]] = {  # wrong ones, by the plac
     ("scene.json", "capture"): (3, "a\0b"),
     ("scene.json", "test_views"): ([3], ["a\nb"]),
     ("scene.json", "settings"): ({"downscale": 0}, {"downscale": 10**400}),
-    ("cameras.json", "dtype"): ("float16",),
     ("cameras.json", "cameras"): ([], [None]),
-    ("cameras.json", "cameras", 0, "size"): ([0, 3], [60_000, 60_000], [1.5, 3]),
-    ("cameras.json", "cameras", 0, "name"): ("", "a\nb", "sub/b.png"),
+    ("cameras.json", "cameras", 0, "size"): ([60_000, 60_000],),
+    ("cameras.json", "cameras", 0, "name"): ("a\nb", "sub/b.png"),
     ("cameras.json", "cameras", 0, "viewmat"): ([[0.0] * 4] * 4, [[1e300] * 4] * 4),
     ("cameras.json", "cameras", 0, "K"): ([[0.0] * 3] * 3,),
     ("layers.json", "layers"): ([], [3], [{}]),
-    ("layers.json", "layers", 0, "object"): (*BAD_NAMES[:-2], 3, "7"),
+    ("layers.json", "layers", 0, "object"): ("../a", "7"),
     ("layers.json", "layers", 0, "file"): ("../picks.safetensors", "01-a/b.safetensors", 3),
-    ("layers.json", "layers", 0, "kind"): ("photo",),
-    ("layers.json", "layers", 0, "styles"): ([3], [{"path": "a\0"}], [{"sha256": "x" * 200}]),
+    ("layers.json", "layers", 0, "styles"): ([{"path": "a\0"}],),
     ("layers.json", "layers", 0, "settings"): (None, {"form": 9}),
-    ("layers.json", "layers", 0, "strength"): ("x", -1, 9, float("nan")),
-    ("layers.json", "layers", 0, "visible"): (1,),
-    ("layers.json", "layers", 0, "features"): (3, "a\nb"),
-    ("layers.json", "layers", 0, "weights"): ("a",),
+    ("layers.json", "layers", 0, "strength"): (9, float("nan")),
     ("objects.json", "fox"): (3, {"ids": 3}, {"ids": [-1]}),
     ("metrics.json", "train"): (3,),
 }
@@ -111,18 +106,14 @@ TENSOR_MUTANTS: list[tuple[str, Change]] = [
         for change in (torch.Tensor.half, filled(torch.nan), filled(1e30), lambda t: t[:1].clone())
     ),
     *(("identities", without(name)) for name in ("identities", "weight", "ids")),
-    *((FOX, without(name)) for name in ("rows", "shN", "canvas_quats")),
     ("picks", without("fox")),
     (FOX, with_tensor("extra", ONES(COUNT))),
-    *((FOX, with_tensor("shN", ONES(2, bands, 3))) for bands in (7, 8)),
+    (FOX, with_tensor("shN", ONES(2, 7, 3))),
     *((FOX, with_tensor("rows", torch.tensor(rows))) for rows in ([0, 6], [0, -1], [0, 0], [0])),
     (FOX, with_tensor("parents", torch.tensor([0, 1, 6]))),
-    (FOX, with_tensor("shares", torch.tensor([0, 1.1]))),
     *(("identities", with_tensor("ids", torch.tensor(ids))) for ids in ([0, 0, 7], [0, 7, 2**24])),
-    ("identities", with_tensor("ids", torch.tensor([0.0, 7.0, 9.0]))),
     ("identities", lambda t: {**t, "ids": t["ids"][:0], "weight": ONES(0, 16), "bias": ONES(0)}),
     ("picks", lambda t: dict.fromkeys(t, ONES(COUNT))),
-    ("picks", lambda t: dict.fromkeys(t, ONES(3, 2) > 0)),
 ]
 
 
@@ -144,11 +135,10 @@ def stored(dtype: str, shape: list[int], data: bytes, name: str = "fox") -> byte
     [
         (2**63).to_bytes(8, "little") + b"{}",
         stored("F4", [2], b"\0"),
-        stored("F8_E8M0", [2], b"\0\0"),
         stored("BOOL", [COUNT], b"\0\1\2\3\4\5"),
         stored("BOOL", [2**62, 4], b""),
     ],
-    ids=range(5),
+    ids=range(4),
 )
 def test_headers_that_lie(folder: Path, content: bytes):
     (folder / "picks.safetensors").write_bytes(content)

@@ -12,8 +12,6 @@ from stylesplat.io.scene_folder import revise
 from stylesplat.scene.compose import with_layers, with_strengths, without_layers
 from stylesplat.scene.scene import Scene
 
-# All calls that change what lies in a folder, deletions aside, which come last
-
 
 def inodes(folder: Path) -> dict[str, int]:
     files = (path for path in folder.rglob("*") if path.is_file())
@@ -23,15 +21,12 @@ def inodes(folder: Path) -> dict[str, int]:
 EVERYTHING: list[Callable[[Scene], Scene]] = [
     lambda scene: replace(without_layers(scene), splats=plain_scene().splats),
     lambda scene: replace(scene, cameras=scene.cameras[[1]]),
-    lambda scene: replace(scene, held_out=("sub/b.png",)),
-    lambda scene: replace(scene, downscale=4.0),
     lambda scene: replace(scene, capture=None),
     lambda scene: replace(scene, objects={}),
     without_layers,
     lambda scene: without_layers(scene, ["fox"]),
     lambda scene: with_layers(scene, scene.layers[::-1]),
     lambda scene: with_layers(scene, (*scene.layers[1:], scene.layers[0])),
-    lambda scene: with_layers(scene, scene.layers[:1]),
     lambda scene: with_strengths(scene, {"fox": 0.2}, {"7": 1.0}),
     lambda scene: replace(
         scene, layers=(replace(scene.layers[0], object="vixen"), *scene.layers[1:])

@@ -24,14 +24,6 @@ def test_round_trip(tmp_path: Path, make: Callable[[], Scene]):
     assert_same(scene_folder.open(tmp_path / "scene"), scene)
 
 
-def test_without_higher_bands_all_else_is_the_same(tmp_path: Path):
-    scene = full_scene()
-    scene_folder.save(scene, tmp_path / "scene")
-    few = [replace(each, shN=each.shN[:, :0]) for each in (scene.splats, scene.unpainted)]
-    bare = replace(scene, splats=few[0], base=few[1])
-    assert_same(scene_folder.open_without_bands(tmp_path / "scene"), bare)
-
-
 def test_what_is_read_composes_to_the_same(tmp_path: Path):
     scene_folder.save(full_scene(), tmp_path / "scene")
     found = scene_folder.open(tmp_path / "scene")

@@ -4,10 +4,9 @@ import av
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.video import write_gif, write_video
+from stylesplat.io.video import write_video
 
 COLORS = ((200, 60, 30), (20, 160, 230), (240, 240, 240))
 
@@ -44,38 +43,6 @@ def test_other_kinds_of_videos(tmp_path: Path, suffix: str, container: str, code
     assert len(found) == len(COLORS)
     for image, color in zip(found, COLORS, strict=True):
         np.testing.assert_allclose(image.mean((0, 1)), color, atol=4)  # YUV, see above
-
-
-def test_a_gif_plays_for_ever_in_its_own_colours(tmp_path: Path):
-    write_gif((frame(color) for color in COLORS), tmp_path / "a.gif")
-    with Image.open(tmp_path / "a.gif") as gif:
-        assert (gif.size, gif.info["loop"], gif.info["duration"]) == ((50, 36), 0, 70)
-        for number, color in enumerate(COLORS):
-            gif.seek(number)
-            np.testing.assert_allclose(np.array(gif.convert("RGB")).mean((0, 1)), color, atol=2)
-
-
-def test_a_gif_is_small_and_all_its_frames_have_the_same_colours(tmp_path: Path):
-    noise = torch.randint(0, 255, (300, 800, 3), generator=torch.Generator().manual_seed(0))
-    frames = [noise.to(torch.uint8).clone() for _ in range(3)]
-    for number, moving in enumerate(frames):
-        moving[:, 400:, number] = 255  # each has colours that the others lack
-    write_gif(frames, tmp_path / "a.gif")
-    shown = []
-    with Image.open(tmp_path / "a.gif") as gif:
-        assert gif.size == (640, 240)
-        for number in range(3):
-            gif.seek(number)
-            shown.append(np.array(gif.convert("RGB")).reshape(-1, 3))
-    assert len(np.unique(np.concatenate(shown), axis=0)) <= 256
-
-
-def test_no_gif_of_nothing_or_of_several_sizes(tmp_path: Path):
-    with pytest.raises(StyleSplatError, match=r"there are no frames\. Choose other views"):
-        write_gif([], tmp_path / "a.gif")
-    with pytest.raises(StyleSplatError, match=r"differ in size\. Write them into a folder"):
-        write_gif([frame(COLORS[0]), frame(COLORS[0], 40, 50)], tmp_path / "a.gif")
-    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("frames", [[], [torch.zeros(1, 50, 3, dtype=torch.uint8)]])

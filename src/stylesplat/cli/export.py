@@ -26,7 +26,7 @@ class Export(MakingCommand):
     file: Positional[Path | None] = None
     """File to make: .ply keeps every bit; .compressed.ply, .spz, .splat and .sog are smaller; .glb
     and .gltf are glTF; .html is a page for any browser, with before and
-    after; .npz and .json list the objects' Gaussians. Or name it with -o."""
+    after; .npz lists the objects' Gaussians. Or name it with -o."""
     output: OptionalOutput = None
     """File to make, where it does not follow the scene."""
     object: UseAppendAction[tuple[str, ...]] = ()
@@ -43,7 +43,7 @@ class Export(MakingCommand):
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
 
     def run(self) -> dict[str, Any]:
-        from stylesplat.io.gaussian_lists import SUFFIXES
+        from stylesplat.io.gaussian_lists import LISTS
         from stylesplat.verbs.export import export_each, export_objects
 
         places = [each for each in (self.file, self.output, self.each) if each is not None]
@@ -61,7 +61,7 @@ class Export(MakingCommand):
             return {"files": export_each(ss.open(self.scene), file, **options)}
         refuse_file(file, overwrite=self.overwrite)
         scene = ss.open(self.scene)
-        if file.suffix.lower() in SUFFIXES:
+        if file.suffix.lower() == LISTS:
             if any(others) or self.sh_degree is not None:
                 raise StyleSplatError(
                     f"{file} lists objects. Of the options it takes --object alone."

@@ -44,7 +44,7 @@ class Import(MakingCommand):
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
     labels: Path | None = None
-    """File of one label id per Gaussian, in the splat's order: .npy, .npz, .json, or a .ply with
+    """File of one label id per Gaussian, in the splat's order: .npy, .npz, or a .ply with
     the column label or object_id; or of objects, as `export` writes them. It takes the place of
     label maps."""
     device: Device = "auto"

@@ -114,7 +114,6 @@ class Rename(MakingCommand):
                 self.output,
                 lambda scene: ss.rename(scene, self.old, self.new),
                 overwrite=self.overwrite,
-                names_only=True,
             )
             has_picture = self.output is None and picture.is_file()
             if has_picture:
@@ -149,7 +148,6 @@ class Delete(MakingCommand):
                 self.output,
                 lambda scene: ss.delete(scene, self.name),
                 overwrite=self.overwrite,
-                names_only=True,
             )
             picture.unlink(missing_ok=True)
         return {"scene": folder, "deleted": self.name, "names": [*after.objects]}

@@ -26,7 +26,7 @@ class Render(MakingCommand):
     scene: Positional[Path]
     """Folder of the scene."""
     output: Output
-    """Folder of pictures to make; a video (.mp4, .mov, .mkv, .webm, .gif, .webp); or one .png,
+    """Folder of pictures to make; a video (.mp4, .mov, .mkv, .webm, .webp); or one .png,
     .jpg or .webp."""
     views: Literal["test", "train", "all", "orbit"] = "all"
     """Held-out views, training views, all of them, or a round trip."""
@@ -48,7 +48,7 @@ class Render(MakingCommand):
     seconds: float | None = None
     """Duration of a round trip or a path of key frames; by default 6, or as the path says."""
     fps: float | None = None
-    """Frames a second of a video; by default 30, 14 of a GIF, or what the path says."""
+    """Frames a second of a video; by default 30, or what the path says."""
     device: Device = "auto"
 
     def run(self) -> dict[str, Any]:
@@ -97,17 +97,11 @@ class Render(MakingCommand):
         return cameras_of(scene, self.view or self.views), self.fps
 
     def _frames(self) -> int:
-        """The frames of a round trip. A GIF has half as many a second."""
-        from stylesplat.io.video import GIF_FPS
-        from stylesplat.io.view_files import is_gif
+        """The frames of a round trip."""
         from stylesplat.scene.framing import frame_count
         from stylesplat.verbs.render import FPS, FRAMES
 
-        gif = is_gif(self.output)
-        if self.seconds is None and self.fps is None:
-            return FRAMES // 2 if gif else FRAMES
-        fps = self.fps or (GIF_FPS if gif else FPS)
-        return frame_count(FRAMES / FPS if self.seconds is None else self.seconds, fps)
+        return frame_count(self.seconds or FRAMES / FPS, self.fps or FPS)
 
     def _refuse_mixed(self) -> None:
         whole_trip = self.around is not None and self.views == "orbit"

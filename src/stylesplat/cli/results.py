@@ -53,15 +53,11 @@ def rewrite_scene(
     change: "Callable[[ss.Scene], ss.Scene]",
     *,
     overwrite: bool,
-    names_only: bool = False,
 ) -> "ss.Scene":
-    """Open a scene, change it, and save it to `output`, or without that in its own folder.
-
-    With `names_only` the change concerns names alone, and the higher bands of colour are not read.
-    """
+    """Open a scene, change it, and save it to `output`, or without that in its own folder."""
     from stylesplat.io.atomic import changing, refuse_occupied, refuse_unwritable
     from stylesplat.io.kinds import SCENE
-    from stylesplat.io.scene_folder import open_without_bands, revise
+    from stylesplat.io.scene_folder import revise
 
     with changing(output or source):  # from reading on, so that no other process's change is lost
         if output is not None:
@@ -69,10 +65,9 @@ def rewrite_scene(
             after = change(ss.open(source))
             ss.save(after, output, overwrite=overwrite)
             return after
-        before = open_without_bands(source) if names_only else ss.open(source)
+        before = ss.open(source)
         refuse_unwritable(source)
         after = change(before)
-        assert not names_only or after.splats is before.splats, "bands not read would be lost"
         revise(before, after, source)
         return after
 

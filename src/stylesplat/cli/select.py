@@ -56,7 +56,7 @@ class Select(MakingCommand):
     """x,y,z,RADIUS in world units; or VIEW:x,y,RADIUS around what shows at that pixel. May be
     repeated."""
     rows: UseAppendAction[tuple[Path, ...]] = ()
-    """File of row numbers or a mask (.npz, .npy, .json), as `export` writes objects, or a .ply in
+    """File of row numbers or a mask (.npz, .npy), as `export` writes objects, or a .ply in
     which SuperSplat has a selection. May be repeated."""
     plus: UseAppendAction[tuple[tuple[str, ...], ...]] = ()
     """Names of earlier selections that belong to it, several or one at a time."""
@@ -88,7 +88,6 @@ class Select(MakingCommand):
                 self.output,
                 self._select,
                 overwrite=self.overwrite,
-                names_only=not self.text,  # words are looked for in pictures
             )
             with suppress(OSError):
                 target.unlink()  # it shows an earlier selection of that name

@@ -1,95 +1,62 @@
 """Which Gaussians are meant, on disk: objects, a label each, rows, masks.
 
-`write_objects` makes .npz for numpy and .json for everything else. An .npz has `gaussians` (their
-number), `labels` if there are any, and for each object `NAME.rows`, `NAME.ids` and, if known,
-`NAME.shares`; JSON has the same under `objects`. Files of other programs are read as a label for
-each Gaussian (`read_objects`) or as a selection (`read_rows`). Nothing is unpickled, and the sizes
-that a header claims are checked before memory is allocated for them.
+`write_objects` makes an .npz of `gaussians` (their number), `labels` if there are any, and for each
+object `NAME.rows`, `NAME.ids` and, if known, `NAME.shares`. Files of other programs are read as a
+label for each Gaussian (`read_objects`) or as a selection (`read_rows`). Nothing is unpickled, and
+the sizes that a header claims are checked before memory is allocated for them.
 """
 
 import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import msgspec
 import numpy as np
 import torch
 from jaxtyping import Bool, Int, Shaped
-from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.errors import brief, some
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes, reading
-from stylesplat.io.json_files import strict_json
 from stylesplat.io.ply import read_ply_table
 from stylesplat.scene.labels import MAX_ID
 from stylesplat.scene.scene import ListedObject, ListedObjects, is_id, name_fault
 
-SUFFIXES = (".npz", ".json")  # of `write_objects`
+LISTS = ".npz"  # what `write_objects` makes
 SIDECAR = ".objects.npz"  # follows the name of a splat's file
 ROWS, SHARES, IDS, COUNT, LABELS = ".rows", ".shares", ".ids", "gaussians", "labels"
 LABEL_NAMES = ("labels", "label", "object_ids", "object_id", "ids", "id")  # of arrays and columns
 STATE = "state"  # SuperSplat's column in a .ply, whose first bit means selected
 ROW_NAMES = (STATE, "rows", "mask")
-READABLE = (".npy", ".npz", ".json", ".ply")
+READABLE = (".npy", ".npz", ".ply")
 MAX_FILE = 2**30  # bytes: a hundred million labels
 MAX_HEADER = 2**16  # bytes of the header of an array
 MAX_ITEM = 16  # bytes of a number
 REMEDY = "The manual's section on `import` says what can be read."
 Array = Shaped[np.ndarray, "..."]
-Id = Annotated[int, Meta(ge=0, le=MAX_ID)]
-Natural = Annotated[int, Meta(ge=0, le=2**31)]
-Share = Annotated[float, Meta(ge=0, le=1)]
-
-
-class _Object(msgspec.Struct):
-    rows: list[Natural]
-    shares: list[Share] | None = None
-    ids: list[Id] = []
-
-
-class _Content(msgspec.Struct):
-    """A JSON file: that of `write_objects`, or one with labels or rows alone."""
-
-    gaussians: Natural | None = None
-    objects: dict[str, _Object] | None = None
-    labels: list[int] | None = None
-    rows: list[Natural] | None = None
 
 
 def write_objects(listed: ListedObjects, path: Path | str) -> None:
-    """Write objects, in the format that the file's suffix names."""
-    path = Path(path)
+    """Write objects as a .npz file."""
+    arrays = {COUNT: np.array(listed.count)}
+    if listed.labels is not None:
+        arrays[LABELS] = listed.labels.to(torch.int32).numpy()
+    for name, each in listed.objects.items():
+        arrays[name + ROWS] = each.rows.to(torch.int32).numpy()
+        arrays[name + IDS] = np.array(each.ids, np.int32)
+        if each.shares is not None:
+            arrays[name + SHARES] = each.shares.float().numpy()
     with atomic_path(path) as draft:
-        if path.suffix.lower() == ".json":
-            objects = {name: {"ids": o.ids, "rows": o.rows} for name, o in listed.objects.items()}
-            for name, each in listed.objects.items():
-                if each.shares is not None:
-                    objects[name]["shares"] = each.shares.double().round(decimals=4)
-            labels = {} if listed.labels is None else {LABELS: listed.labels}
-            content = {COUNT: listed.count, "objects": objects, **labels}
-            draft.write_text(strict_json(content), encoding="utf-8")
-            return
-        arrays = {COUNT: np.array(listed.count)}
-        if listed.labels is not None:
-            arrays[LABELS] = listed.labels.to(torch.int32).numpy()
-        for name, each in listed.objects.items():
-            arrays[name + ROWS] = each.rows.to(torch.int32).numpy()
-            arrays[name + IDS] = np.array(each.ids, np.int32)
-            if each.shares is not None:
-                arrays[name + SHARES] = each.shares.float().numpy()
         np.savez_compressed(draft, allow_pickle=False, **arrays)
 
 
 def read_objects(path: Path | str, count: int) -> ListedObjects:
     """Read the objects of `count` Gaussians: a file of `write_objects`, or a label for each.
 
-    Labels are integers from 0 to 16777215: a .npy, a JSON list or the list `labels` of a JSON
-    object, or the array of an .npz or column of a .ply that is called `labels`, `label`,
-    `object_id` or `id`.
+    Labels are integers from 0 to 16777215: a .npy, or the array of an .npz or column of a .ply that
+    is called `labels`, `label`, `object_id` or `id`.
     """
     path = Path(path)
     with reading(path, REMEDY):
@@ -106,7 +73,7 @@ def read_rows(path: Path | str, count: int, name: str) -> Bool[Tensor, " N"]:
     """Read a selection of `count` Gaussians as a mask.
 
     Takes a file of `write_objects`, of which the object `name` or the only one is read; row numbers
-    or a mask in .npy, .npz or .json; or a .ply with SuperSplat's column `state`.
+    or a mask in .npy or .npz; or a .ply with SuperSplat's column `state`.
     """
     path = Path(path)
     with reading(path, REMEDY):
@@ -141,8 +108,6 @@ def _read(path: Path, count: int, names: Sequence[str]) -> ListedObjects | Array
     if suffix == ".ply":
         table = read_ply_table(path)
         return table[_choice(table.dtype.names or (), names)]
-    if suffix == ".json":
-        return _read_json(read_bytes(path, most=MAX_FILE).strip(), count)
     read_bytes(path, most=MAX_FILE, first=1)  # reports a file that cannot be read
     with warnings.catch_warnings(action="ignore"):  # of headers that Python 2 wrote
         if suffix == ".npy":
@@ -158,20 +123,6 @@ def _choice(found: Sequence[str], names: Sequence[str]) -> str:
         if name in found:
             return name
     raise ValueError(f"it holds {some([*found])}, but nothing called {' or '.join(names[:3])}")
-
-
-def _read_json(content: bytes, count: int) -> ListedObjects | Array:
-    if content.startswith(b"["):
-        return np.array(msgspec.json.decode(content, type=list[int]), np.int64)
-    found = msgspec.json.decode(content, type=_Content)
-    if found.objects is not None:
-        objects = {name: (each.rows, each.shares, each.ids) for name, each in found.objects.items()}
-        gaussians = count if found.gaussians is None else found.gaussians
-        return _listed(gaussians, found.labels, objects, count)
-    numbers = found.rows if found.labels is None else found.labels
-    if numbers is None:
-        raise ValueError("it has neither `objects` nor `labels` nor `rows`")
-    return np.array(numbers, np.int64)
 
 
 def _read_npz(archive: Any, count: int, names: Sequence[str]) -> ListedObjects | Array:

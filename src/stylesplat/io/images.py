@@ -23,9 +23,6 @@ FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "T
 # Decoding takes up to 12 bytes a pixel, so 1.5 GiB; the 108 megapixels of phones and 100 of medium
 # format cameras pass
 MAX_PIXELS = 2**27
-# For phones of 200 megapixels: JPEGs are decoded at half their sides at little cost, but those in
-# several scans keep 6 bytes a pixel on the way, 1.5 GiB
-MAX_JPEG_PIXELS = 2**28
 MAX_BYTES = 2**30  # of a file: some decoders read all of it, and no fitting picture has more
 JPEG_START = b"\xff\xd8\xff"
 HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx")  # in the box `ftyp`
@@ -56,10 +53,9 @@ ViewPicture = ColorPicture | Int[Tensor, "H W"] | Float[Tensor, "H W"]
 
 
 @contextmanager
-def open_image(path: Path, *, reduced: bool = True) -> Iterator[Image.Image]:
+def open_image(path: Path) -> Iterator[Image.Image]:
     """Open a picture and read its header; any error in the block names the file.
 
-    JPEGs of too many pixels are read at half their width and height, unless `reduced` is False.
     HEIC needs pillow-heif.
     """
     require_regular(path)
@@ -67,7 +63,7 @@ def open_image(path: Path, *, reduced: bool = True) -> Iterator[Image.Image]:
     with decoding(path), warnings.catch_warnings(action="ignore"), path.open("rb") as file:
         if path.stat().st_size > MAX_BYTES:
             raise ValueError("it has more than 1 GiB")
-        yield _open(file, path, reduced=reduced)
+        yield _open(file, path)
 
 
 @contextmanager
@@ -110,9 +106,9 @@ def decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W D"]:
     return np.ascontiguousarray(turn(pixels)) if turn else pixels
 
 
-def image_sizes(path: Path, *, reduced: bool = True) -> tuple[tuple[int, int], tuple[int, int]]:
+def image_sizes(path: Path) -> tuple[tuple[int, int], tuple[int, int]]:
     """Width and height as stored and after the EXIF rotation; reads the header only."""
-    with open_image(path, reduced=reduced) as image:
+    with open_image(path) as image:
         width, height = image.size
         turned = orientation(image) in QUARTER_TURNS
         return (width, height), (height, width) if turned else (width, height)
@@ -171,26 +167,22 @@ def write_numbers(numbers: Float[Tensor, "H W"], path: Path | str) -> None:
         values.save(draft, format="TIFF", compression="tiff_adobe_deflate")
 
 
-def _open(file: BinaryIO, path: Path, *, reduced: bool) -> Image.Image:
+def _open(file: BinaryIO, path: Path) -> Image.Image:
     start = file.read(FTYP_BYTES)
     file.seek(0)
     brands = start[8 : int.from_bytes(start[:4])]
     try:
         if start.startswith(JPEG_START):  # not by `Image.open`, which has a limit of its own
-            image, most = JpegImageFile(file), MAX_JPEG_PIXELS
+            image = JpegImageFile(file)
         elif start[4:8] == b"ftyp" and any(brand in brands for brand in HEIC_BRANDS):
-            image, most = _open_heic(file, path), MAX_PIXELS
+            image = _open_heic(file, path)
         else:
-            image, most = Image.open(file, formats=FORMATS), MAX_PIXELS
+            image = Image.open(file, formats=FORMATS)
     except UnidentifiedImageError as error:
         raise ValueError(f"it is no picture, or none of {', '.join(FORMATS)}") from error
     except Image.DecompressionBombError as error:
         raise _too_large(path) from error
-    fits = image.width * image.height <= most
-    if fits and reduced and image.width * image.height > MAX_PIXELS:
-        image.draft(None, (image.width // 2, image.height // 2))
-        fits = image.width * image.height <= MAX_PIXELS
-    if not fits:
+    if image.width * image.height > MAX_PIXELS:
         raise _too_large(path)
     return image
 
@@ -208,6 +200,6 @@ def _open_heic(file: BinaryIO, path: Path) -> Image.Image:
 
 def _too_large(path: Path) -> StyleSplatError:
     return StyleSplatError(
-        f"The picture {path} has more than {MAX_PIXELS // 10**6} megapixels (JPEGs may have "
-        f"{MAX_JPEG_PIXELS // 10**6}). Scale it to half its width and height."
+        f"The picture {path} has more than {MAX_PIXELS // 10**6} megapixels. Scale it to half its "
+        "width and height."
     )

@@ -14,7 +14,6 @@ from jaxtyping import Shaped
 
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import open_binary, reading
-from stylesplat.progress import say
 
 PLY_TYPES = {  # PLY's two sets of names, and numpy's
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -61,24 +60,14 @@ def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
 def ply_rows(path: Path | str, *, at_once: int) -> Iterator[PlyRows]:
     """The vertices of a PLY file in blocks of `at_once` rows: files may exceed the free memory.
 
-    The count of the header is checked against the file's size before memory is allocated. Elements
-    after the vertices, such as faces, are skipped; a message reports bytes that the header does not
-    announce. Vertices with lists, or after other elements, are a StyleSplatError.
+    The count of the header is checked against the file's size before memory is allocated. What
+    follows the vertices, such as faces, is skipped. Vertices with lists, or after other elements,
+    are a StyleSplatError.
     """
     with open_binary(path) as file:
         with reading(path, REMEDY):
-            rows, extra, unit = _open_rows(file, at_once)
-        report_extra(path, extra, unit)
+            rows = _open_rows(file, at_once)
         yield rows
-
-
-def report_extra(path: Path | str, count: int, unit: str = "bytes") -> None:
-    """Say that a file holds more than its header announces, if it does."""
-    if count:
-        say(
-            f"{path} goes on for {count} {unit} after what its header announces: left unread. "
-            " If anything is missing, export it again."
-        )
 
 
 def write_ply_table(table: Shaped[np.ndarray, " N"], path: Path | str) -> None:
@@ -98,13 +87,12 @@ def write_ply_rows(rows: PlyRows, path: Path | str) -> None:
             file.write(np.ascontiguousarray(block).data)
 
 
-def _open_rows(file: BinaryIO, at_once: int) -> tuple[PlyRows, int, str]:
-    """The rows, and how many bytes or lines the header does not announce."""
+def _open_rows(file: BinaryIO, at_once: int) -> PlyRows:
     encoding, elements, start = parse_header(file.read(MAX_HEADER))
     filled = [element for element in elements if element.rows or element.name == VERTEX]
     if not filled or not filled[0].columns:
         raise ValueError("its header names no vertices")
-    vertices, *later = filled
+    vertices = filled[0]
     if vertices.name != VERTEX:
         raise ValueError(f"expected vertices first, but its header has 'element {vertices.name}'")
     if vertices.lists:
@@ -128,7 +116,7 @@ def _open_rows(file: BinaryIO, at_once: int) -> tuple[PlyRows, int, str]:
             np.fromfile(file, dtype, min(at_once, count - first))
             for first in range(0, count, at_once)
         )
-    return PlyRows(count, dtype, blocks), 0 if later else size - needed, unit
+    return PlyRows(count, dtype, blocks)
 
 
 def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:

@@ -112,21 +112,11 @@ def open(path: Path | str) -> Scene:
         StyleSplatError: If the folder is no scene, or a file of it is missing, damaged, or made
             for other splats.
     """
-    return _read_unchanged(path, bands=True)
-
-
-def open_without_bands(path: Path | str) -> Scene:
-    """Read a scene without the higher bands of colour, which are three quarters of it."""
-    return _read_unchanged(path, bands=False)
-
-
-def _read_unchanged(path: Path | str, *, bands: bool) -> Scene:
-    """Read a scene, and read it again if another process changed the folder meanwhile."""
     folder = _scene_folder(path)
-    for _ in range(ATTEMPTS):
+    for _ in range(ATTEMPTS):  # again, if another process changed the folder meanwhile
         before = _state(folder)
         try:
-            scene = _read(folder, bands=bands)
+            scene = _read(folder)
         except StyleSplatError:
             if _state(folder) == before:
                 raise
@@ -147,11 +137,11 @@ def _state(folder: Path) -> tuple[int, ...] | None:
     return found.st_dev, found.st_ino, found.st_mtime_ns
 
 
-def _read(folder: Path, *, bands: bool) -> Scene:
+def _read(folder: Path) -> Scene:
     declared, info = _read_info(folder / SCENE)
-    splats = _with_identities(_read_gaussians(folder / SPLATS, bands), folder / IDENTITY_FILE)
+    splats = _with_identities(_read_gaussians(folder / SPLATS), folder / IDENTITY_FILE)
     picks = read_tensors(folder / PICKS, PICKED, N=len(splats))
-    base, layers = _read_stack(folder, splats, bands)
+    base, layers = _read_stack(folder, splats)
     metrics = read_json(folder / METRICS, most=MAX_JSON)
     fitting(metrics, _Metrics, f"Cannot read {folder / METRICS}", AGAIN)
     return Scene(
@@ -169,12 +159,11 @@ def _read(folder: Path, *, bands: bool) -> Scene:
     )
 
 
-def _read_gaussians(path: Path, bands: bool) -> Splats:
-    """Of degree 3, as they were written, or of degree 0."""
-    splats = read_splat_ply(path, bands=bands)
+def _read_gaussians(path: Path) -> Splats:
+    splats = read_splat_ply(path)
     if not len(splats):
         raise StyleSplatError(f"Cannot read {path}: there are no Gaussians. {AGAIN}")
-    return replace(splats, shN=pad_bands(splats.shN)) if bands else splats
+    return replace(splats, shN=pad_bands(splats.shN))
 
 
 def _with_identities(splats: Splats, path: Path) -> Splats:
@@ -188,9 +177,7 @@ def _with_identities(splats: Splats, path: Path) -> Splats:
     return replace(splats, **tensors, classifier=classifier)
 
 
-def _read_stack(
-    folder: Path, splats: Splats, bands: bool
-) -> tuple[Splats | None, tuple[Layer, ...]]:
+def _read_stack(folder: Path, splats: Splats) -> tuple[Splats | None, tuple[Layer, ...]]:
     """The base and the layers; without layers there is no base."""
     if (folder / VERSION_1_FILES[0]).exists():
         say(
@@ -199,7 +186,7 @@ def _read_stack(
         )
     if not (folder / STACK).exists():
         return None, ()
-    base = _read_gaussians(folder / BASE, bands)
+    base = _read_gaussians(folder / BASE)
     layers, count = read_layers(folder, len(base)), len(base)
     if len(splats) != count + sum(len(each.parents) for each in layers if each.is_shown):
         raise StyleSplatError(

@@ -1,4 +1,4 @@
-"""Videos: H.264, which every browser plays, or VP9; animated WebP with transparency; GIFs."""
+"""Videos: H.264, which every browser plays, or VP9; animated WebP with transparency."""
 
 from collections.abc import Iterable
 from fractions import Fraction
@@ -9,12 +9,10 @@ from typing import Literal, NamedTuple
 import av
 from av.video.reformatter import ColorRange, Colorspace, Interpolation
 from jaxtyping import UInt8
-from PIL import Image
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
-from stylesplat.progress import track
 
 
 class _Codec(NamedTuple):
@@ -41,11 +39,6 @@ CODECS = {
 # FFmpeg's default for the quarter-size colours of YUV, the nearest, costs 2.5 dB of the demo's
 # pictures
 SMOOTH_COLOR = Interpolation.BICUBIC | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
-GIF_SIDE = 640  # pixels of the longer side; six seconds take some ten megabytes
-GIF_FPS = 1000 / 70
-GIF_STEP, GIF_DELAY = 10, 20  # milliseconds: the unit of delays, and the least that browsers obey
-GIF_COLORS = 256
-GIF_SAMPLES = 16  # frames that the colours are chosen from
 
 
 def write_video(
@@ -75,37 +68,12 @@ def write_video(
                 context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
             for frame in chain([first], rest):
                 if frame.shape != first.shape:
-                    raise _sizes_differ(path)
+                    raise StyleSplatError(
+                        f"Cannot write {path}: the frames differ in size. Write them into a "
+                        "folder, or take a round trip (--views orbit)."
+                    )
                 container.mux(stream.encode(_video_frame(frame, codec)))
             container.mux(stream.encode())
-
-
-def write_gif(
-    frames: Iterable[UInt8[Tensor, "H W 3"]], path: Path | str, *, fps: float | int = GIF_FPS
-) -> None:
-    """Write a GIF that repeats for ever, its sides 640 pixels at most.
-
-    All frames share their 256 colours, or they would flicker. GIFs know 50, 33.3, 25, 20, ...
-    frames a second.
-    """
-    pictures = []
-    for frame in frames:
-        pictures.append(Image.fromarray(frame.cpu().numpy()))
-        pictures[-1].thumbnail((GIF_SIDE, GIF_SIDE), Image.Resampling.LANCZOS)
-    if not pictures:
-        raise StyleSplatError(f"Cannot write {path}: there are no frames. Choose other views.")
-    if len({picture.size for picture in pictures}) > 1:
-        raise _sizes_differ(path)
-    sample = pictures[:: -(-len(pictures) // GIF_SAMPLES)]  # one below the other
-    column = Image.new("RGB", (sample[0].width, sample[0].height * len(sample)))
-    for row, picture in enumerate(sample):
-        column.paste(picture, (0, row * picture.height))
-    palette = column.quantize(GIF_COLORS)
-    counted = track(pictures, "reducing colours", unit="frame")
-    first, *others = (picture.quantize(palette=palette) for picture in counted)
-    delay = max(GIF_DELAY, round(1000 / fps / GIF_STEP) * GIF_STEP)
-    with atomic_path(path) as draft:
-        first.save(draft, "GIF", save_all=True, append_images=others, duration=delay, loop=0)
 
 
 def _video_frame(frame: UInt8[Tensor, "H W C"], codec: _Codec) -> av.VideoFrame:
@@ -120,11 +88,4 @@ def _video_frame(frame: UInt8[Tensor, "H W C"], codec: _Codec) -> av.VideoFrame:
         dst_colorspace=Colorspace.ITU709,
         dst_color_range=ColorRange.MPEG,
         interpolation=SMOOTH_COLOR,
-    )
-
-
-def _sizes_differ(path: Path | str) -> StyleSplatError:
-    return StyleSplatError(
-        f"Cannot write {path}: the frames differ in size. Write them into a folder, or take a "
-        "round trip (--views orbit)."
     )

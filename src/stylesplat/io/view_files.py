@@ -9,20 +9,18 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_folder, changing, refuse_file, refuse_occupied
 from stylesplat.io.files import inside
 from stylesplat.io.images import ViewPicture, write_image, write_numbers
-from stylesplat.io.kinds import PHOTOS, SPLATS
-from stylesplat.io.kinds import VIDEOS as PHOTO_VIDEOS
+from stylesplat.io.kinds import PHOTOS, SPLATS, VIDEOS
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.io.video import CODECS, write_gif, write_video
+from stylesplat.io.video import CODECS, write_video
 
-GIF, TIFF, PNG, WEBP = ".gif", (".tif", ".tiff"), ".png", ".webp"
-VIDEOS = (*CODECS, GIF)
+TIFF, PNG, WEBP = (".tif", ".tiff"), ".png", ".webp"
 COLORS = (PNG, ".jpg", ".jpeg", WEBP)  # one picture; several make WebP an animation
 WITH_ALPHA = (PNG, WEBP)
 # Suffixes of files, which nobody wants as the name of a folder
 FOREIGN = (
     *(".apng", ".exr", ".flv", ".hdr", ".jxl", ".ksplat", ".npy", ".npz", ".obj", ".ogv", ".ts"),
     *(".7z", ".csv", ".gz", ".html", ".json", ".md", ".mpeg", ".pdf", ".psd", ".rar", ".svg"),
-    *(".tar", ".txt", ".usd", ".usdz", ".yaml", ".yml", ".zip", *SPLATS, *PHOTOS, *PHOTO_VIDEOS),
+    *(".tar", ".txt", ".usd", ".usdz", ".yaml", ".yml", ".zip", *SPLATS, *PHOTOS, *VIDEOS),
 )
 
 
@@ -49,7 +47,7 @@ def refuse_taken(output: Path, *, overwrite: bool) -> None:
     if suffix in FOREIGN and not _is_file(output) and not output.is_dir():
         raise StyleSplatError(
             f"Cannot render into {output}: {suffix} is not among the formats. Use "
-            f"{', '.join(VIDEOS)} for a video, {', '.join((*COLORS, *TIFF))} for one picture, or "
+            f"{', '.join(CODECS)} for a video, {', '.join((*COLORS, *TIFF))} for one picture, or "
             "the name of a folder."
         )
     if not _is_file(output):
@@ -69,7 +67,7 @@ def write_views(
     """Write each view under the photo's name, sub-folders kept; or all as a video; or one picture.
 
     In a folder colours and ids become PNGs and depths in world units TIFFs. `pictures` are images,
-    label ids or depths and are taken one by one. `fps` is by default 30, and 14 of a GIF.
+    label ids or depths and are taken one by one. `fps` is by default 30.
     """
     moving = is_video(output, len(names))
     if fps is not None and not moving:
@@ -87,8 +85,7 @@ def write_views(
     if _is_file(output):
         with changing(output):
             if moving:
-                write = write_gif if is_gif(output) else write_video
-                write(rest, output, **({} if fps is None else {"fps": fps}))
+                write_video(rest, output, fps=fps or 30)
             else:
                 for picture in rest:
                     _write_picture(picture, output)
@@ -102,15 +99,11 @@ def write_views(
 def is_video(output: Path, count: int) -> bool:
     """Whether `count` views are written as a video or an animation."""
     suffix = output.suffix.lower()
-    return suffix in VIDEOS and (suffix != WEBP or count != 1)
-
-
-def is_gif(output: Path) -> bool:
-    return output.suffix.lower() == GIF
+    return suffix in CODECS and (suffix != WEBP or count != 1)
 
 
 def _is_file(output: Path) -> bool:
-    return output.suffix.lower() in (*VIDEOS, *COLORS, *TIFF)
+    return output.suffix.lower() in (*CODECS, *COLORS, *TIFF)
 
 
 def _refuse_unfit(picture: ViewPicture, output: Path) -> None:

@@ -53,7 +53,7 @@ def group_by_camera(photos: Path, names: Sequence[str], cameras: str) -> tuple[C
     """Group photos by size and lens, reading headers only."""
     rows: dict[tuple[object, ...], list[int]] = {}
     for row, name in enumerate(names):
-        with open_image(inside(photos, name), reduced=False) as image:
+        with open_image(inside(photos, name)) as image:
             key: tuple[object, ...] = image.size
             if cameras == "several":
                 key = (row,)
@@ -105,7 +105,7 @@ def _is_plausible(value: object) -> bool:
 
 def color_profile(path: Path) -> bytes | None:
     """The ICC profile of an RGB picture, if it has one."""
-    with open_image(path, reduced=False) as image:
+    with open_image(path) as image:
         return image.info.get("icc_profile") if image.mode in ("RGB", "RGBA") else None
 
 

@@ -57,7 +57,7 @@ def read_style(
         size = pixels.shape[1::-1]
     else:
         name, pixels = str(picture), _decoded(Path(picture))
-        size = image_sizes(Path(picture), reduced=False)[1]
+        size = image_sizes(Path(picture))[1]
     if region is not None:
         pixels = _crop(pixels, region, size, name)
     pixels = np.ascontiguousarray(_turn(_shrink(pixels, name), rotate, name))

@@ -91,7 +91,7 @@ def export(
 def export_objects(
     scene: Scene, path: Path | str, *, objects: Sequence[str] = (), overwrite: bool = False
 ) -> int:
-    """Write the rows and shares of objects (by default all) to a `.npz` or `.json` file.
+    """Write the rows and shares of objects (by default all) to a `.npz` file.
 
     Returns the number of objects.
     """

@@ -111,14 +111,6 @@ def test_photos_smaller_than_their_cameras(make_capture: MakeCapture):
     assert cameras.Ks[0].tolist() == [[30, 0, 15.5], [0, 31, 12.5], [0, 0, 1]]
 
 
-def test_no_capture(tmp_path: Path):
-    with pytest.raises(StyleSplatError, match=r"There is no folder .*none"):
-        load(tmp_path / "none")
-    (tmp_path / "notes.txt").touch()
-    with pytest.raises(StyleSplatError, match=r"not a capture: .*sparse/0.*transforms\.json"):
-        load(tmp_path)
-
-
 @pytest.mark.parametrize(
     "pose",
     [

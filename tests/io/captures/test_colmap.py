@@ -88,21 +88,6 @@ def test_rigs_of_several_cameras_are_complete(tmp_path: Path):
     assert pycolmap.Reconstruction(tmp_path).num_rigs() == 3
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("cameras", "1 NO_SUCH_MODEL 64 48 1 2 3\n"),
-        ("images", "1 nonsense\n\n"),
-        ("points3D", "1 a b c\n"),
-    ],
-)
-def test_malformed_text(make_capture: Callable[..., Path], name: str, text: str):
-    folder = make_capture(text=True)
-    (folder / "sparse/0" / f"{name}.txt").write_text(text)
-    with pytest.raises(StyleSplatError, match="Cannot read the reconstruction"):
-        read(folder)
-
-
 def test_there_are_no_figures_without_a_model_or_tracks(
     make_capture: Callable[..., Path], tmp_path: Path
 ):

@@ -65,15 +65,6 @@ def test_label_maps_come_before_alpha(cut_outs: Path):
     assert labels is not None and int(labels.min()) == 5
 
 
-def test_opaque_photos_with_an_alpha_channel_are_ordinary(tmp_path: Path):
-    folder = write_capture(tmp_path / "a")
-    for i in range(3):
-        save_rgba(folder / f"images/{i + 1:03d}.png", color=50 * i)
-    capture = load(folder)
-    assert capture.alphas is None and capture.label_maps is None and capture.object_names == {}
-    assert int(capture.photos[2].unique()) == 100
-
-
 def test_some_photos_may_have_no_alpha(tmp_path: Path):
     folder = write_capture(tmp_path / "a")
     save_rgba(folder / "images/002.png", alpha=left_half())

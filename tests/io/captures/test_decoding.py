@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image, ImageOps
 
-from capture_files import HEIGHT, PINHOLE, WIDTH, save_noise, write_capture
+from capture_files import save_noise
 from stylesplat.errors import StyleSplatError
-from stylesplat.io import images
-from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.images import image_sizes, read_image
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.stylization.style_image import read_style
@@ -56,43 +54,6 @@ def test_turned_as_pillow_turns(tmp_path: Path, orientation: int):
     with Image.open(tmp_path / "a.png") as image:
         expected = np.asarray(ImageOps.exif_transpose(image))
     np.testing.assert_array_equal(read_image(tmp_path / "a.png").numpy(), expected)
-
-
-@pytest.fixture
-def small_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two and eight thousand pixels; photos of these tests have three thousand."""
-    monkeypatch.setattr(images, "MAX_PIXELS", 2_000)
-    monkeypatch.setattr(images, "MAX_JPEG_PIXELS", 8_000)
-
-
-def test_the_largest_jpegs_are_read_at_half_their_size(
-    tmp_path: Path, small_bounds: None, said: list[str]
-):
-    folder = write_capture(tmp_path / "capture", count=2)
-    for path in (folder / "images").iterdir():  # Pillow goes by the content
-        Image.fromarray(PIXELS).save(path, format="JPEG")
-    files = open_capture(folder)
-    assert [line for line in said if "are read at half" in line] == said != []
-    assert files.cameras.sizes.tolist() == [[WIDTH // 2, HEIGHT // 2]] * 2
-    assert files.cameras.Ks[0, 0, 0] == PINHOLE[1][0] / 2
-    assert files.at(1).photos[0].shape == (HEIGHT // 2, WIDTH // 2, 3)
-
-
-def test_jpegs_beyond_that_are_refused(tmp_path: Path, small_bounds: None):
-    save_noise(tmp_path / "a.jpg", (100, 90))
-    with pytest.raises(StyleSplatError, match="Scale it to half"):
-        read_image(tmp_path / "a.jpg")
-
-
-def test_a_region_counts_in_the_pixels_of_the_file(tmp_path: Path, monkeypatch):
-    pixels = np.zeros((200, 300, 3), np.uint8)
-    pixels[100:180, 200:280] = 255
-    Image.fromarray(pixels).save(tmp_path / "a.jpg", quality=95)
-    monkeypatch.setattr(images, "MAX_PIXELS", 50_000)
-    seen = read_style(tmp_path / "a.jpg", region=(200, 100, 280, 180))
-    assert seen.shape == (40, 40, 3) and seen.min() > 0.9  # JPEG at the rim
-    with pytest.raises(StyleSplatError, match="within 0,0,300,200"):
-        read_style(tmp_path / "a.jpg", region=(200, 100, 301, 180))
 
 
 def test_no_memory_for_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -38,12 +38,9 @@ def written(folder: Path) -> Path:
     "uri",
     [
         "%2e%2e/secret.bin",
-        "a/../../secret.bin",
         "{at}/secret.bin",
         "file://{at}/secret.bin",
-        "//localhost/secret.bin",
         "C:\\secret.bin",
-        "a\0b/c",
     ],
 )
 def test_nothing_is_read_outside_the_folder(tmp_path: Path, uri: str):
@@ -88,27 +85,12 @@ REFUSED = {
     "1000000000000 rows of POSITION, 12 bytes": lambda d: counts(d, 10**12),
     "40 positions, but 41 KHR": lambda d: attribute(d, f"{NAME}:SCALE").update(count=41),
     "end at byte 1000000480, its buffer at 4000": lambda d: places(d).update(byteOffset=10**9),
-    "40 rows of POSITION, 4 bytes apart": lambda d: places(d).update(byteStride=4),
-    "POSITION have the wrong type: 'VEC4' of 5126": lambda d: attribute(d, "POSITION").update(
-        type="VEC4"
-    ),
-    "or sparse, which": lambda d: attribute(d, "POSITION").update(sparse={}),
-    "no accessor of .*: number 99 of": lambda d: attributes(d).update(POSITION=99),
-    "no buffer: number 9 of 1": lambda d: places(d).update(buffer=9),
-    "no .*SH_DEGREE_0_COEF_0": lambda d: attributes(d).pop(f"{NAME}:SH_DEGREE_0_COEF_0"),
     "no ellipses, but 'cube'": lambda d: extension(d).update(kernel="cube"),
     rf"compressed \({PACKED}\).* .spz": lambda d: extension(d).update(extensions={PACKED: {}}),
-    "compressed .EXT_meshopt_com": lambda d: places(d).update(
-        extensions={"EXT_meshopt_compression": {}}
-    ),
     "an ordinary model": lambda d: drawn(d).pop("extensions"),
     f"stored by {DRAFT}": lambda d: (d.update(extensionsUsed=[DRAFT]), drawn(d).pop("extensions")),
     "mirrors, shears or stretches": lambda d: node(d).update(scale=[1, 2, 1]),
-    "zero norm": lambda d: node(d).update(rotation=[0, 0, 0, 0]),
     "its nodes are no tree": lambda d: node(d).update(children=[0]),
-    "shows mesh 5 of 1": lambda d: node(d).update(mesh=5),
-    "missing required field `asset`": lambda d: d.pop("asset"),
-    "values of means are out of range": lambda d: node(d).update(translation=[1e30, 0, 0]),
     "shows 360 Gaussians, which .* cannot hold": lambda d: d.update(
         nodes=[{"mesh": 0}] * 512, scenes=[{"nodes": [*range(512)]}]
     ),
@@ -129,18 +111,11 @@ def test_what_cannot_be_read_is_told_in_one_line(tmp_path: Path, expected: str):
 def test_hostile_containers(tmp_path: Path):
     path = written(tmp_path)
     content = path.read_bytes()
-    (size,) = struct.unpack_from("<I", content, 12)
     huge = struct.pack("<I", 2**32 - 1)
     for changed, expected in (
-        (content[:10], "Cannot read"),
         (content[:-3], r"announces a file of \d+ bytes, it holds \d+"),
-        (content[:4] + struct.pack("<I", 1) + content[8:], "a GLB of version 1"),
         (content[:8] + huge + content[12:], "announces a file of 4294967295 bytes"),
         (content[:12] + huge + content[16:], "a chunk should have 4294967295 bytes"),
-        (content[:16] + b"BIN\0" + content[20:], "no chunk of JSON"),
-        (content[:20] + b"[" * size + content[20 + size :], "Cannot read"),
-        (content[:20] + b"\xff" * size + content[20 + size :], "malformed"),
-        (content[: 24 + size] + b"XYZ\0" + content[28 + size :], "its buffer 0 is missing"),
         (b"ply\n" + content, "it is no GLB. Check the name"),
     ):
         path.write_bytes(changed)
@@ -166,10 +141,8 @@ def test_json_that_would_take_much_memory(tmp_path: Path, deep: str):
     ("name", "value", "expected"),
     [
         ("POSITION", math.nan, "1 values of means are not finite"),
-        (f"{NAME}:SCALE", math.inf, "1 values of scales are not finite"),
         (f"{NAME}:SCALE", -1e-3, "1 standard deviations are negative"),
         (f"{NAME}:OPACITY", 1.5, "1 opacities are not from 0 to 1"),
-        (f"{NAME}:OPACITY", math.nan, "1 values of opacities are not finite"),
     ],
 )
 def test_numbers_that_cannot_be(tmp_path: Path, name: str, value: float, expected: str):

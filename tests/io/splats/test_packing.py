@@ -34,13 +34,6 @@ def test_many_equal_rows_take_few_entries():
     assert len(entries) < 2400 and error(values, entries, labels) < 1e-3
 
 
-def test_each_entry_is_the_middle_of_its_rows():
-    values = rows(2000)
-    entries, labels = tree_kmeans(values, 512)
-    for entry in np.unique(labels)[:50]:
-        np.testing.assert_allclose(entries[entry], values[labels == entry].mean(axis=0), atol=1e-5)
-
-
 def test_a_codebook_is_better_than_even_steps():
     numbers = np.random.default_rng(0).normal(size=20_000).astype(np.float32)
     codebook = fit_codebook(numbers)

@@ -107,21 +107,12 @@ def test_hostile_compressed_ply(tmp_path: Path, old: bytes, new: bytes, expected
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".glb"])
-def test_bytes_too_many(tmp_path: Path, suffix: str, said: list[str]):
+def test_what_follows_the_gaussians_is_not_read(tmp_path: Path, suffix: str):
     path = tmp_path / f"a{suffix}"
     export(PLAIN, path)
     before = read_splats(path)
     path.write_bytes(path.read_bytes() + b"more")
     assert torch.equal(read_splats(path).means, before.means)
-    assert len(said) == 1 and "goes on for 4 bytes after what its header announces" in said[0]
-
-
-def test_no_whole_number_of_rows(tmp_path: Path):
-    path = tmp_path / "a.splat"
-    export(PLAIN, path)
-    path.write_bytes(path.read_bytes() + b"more")
-    with pytest.raises(StyleSplatError, match=r"Cannot read .*a\.splat: "):
-        read_splats(path)
 
 
 def test_nothing_to_read(tmp_path: Path):

@@ -108,17 +108,13 @@ def body(content: bytes) -> int:
 
 DAMAGES: list[tuple[Callable[[bytes], bytes], str]] = [
     (lambda c: c[:-1], "truncated: 7 vertices take 1736 bytes, got 1735"),
-    (lambda c: c[: body(c) // 2], "not a PLY file"),
     (
         replaced(b"element vertex", EDGES + b"element vertex"),
         "expected vertices first, but its header has 'element edge'",
     ),
     (replaced(b"vertex 7", b"vertex 999999999999"), "truncated: 999999999999 vertices"),
-    (replaced(b"vertex 7", b"vertex -7"), "-7 rows of vertex"),
     (replaced(b" opacity\n", b" opacitx\n"), "no column opacity"),
-    (replaced(b" f_rest_44\n", b" f_rest_45\n"), "no column f_rest_44"),
     (replaced(b" f_rest_44\n", b" other\n"), "44 f_rest columns fit no degree"),
-    (replaced(b" rot_3\n", b" rot_2\n"), "'rot_2' occurs more than once"),
     (
         replaced(b"property float x\n", b"property list uchar int x\n"),
         "expected plain vertices, but their 'x' is a list",
@@ -137,21 +133,14 @@ def test_damaged_files(tmp_path: Path, damage: Callable[[bytes], bytes], match: 
 
 
 @pytest.mark.parametrize(
-    ("header", "rows", "left"),
-    [
-        (b"", bytes(2), 2),
-        (EDGES, bytes(16), 0),
-        (EDGES + FACES, bytes(16) + b"\3" + bytes(20) + b"\4" + bytes(24), 0),
-    ],
+    ("header", "rows"),
+    [(b"", bytes(2)), (EDGES + FACES, bytes(16) + b"\3" + bytes(20) + b"\4" + bytes(24))],
 )
-def test_what_follows_the_vertices_is_skipped(
-    tmp_path: Path, said: list[str], header: bytes, rows: bytes, left: int
-):
+def test_what_follows_the_vertices_is_skipped(tmp_path: Path, header: bytes, rows: bytes):
     splats, path = random_splats(), tmp_path / "a.ply"
     write_splat_ply(splats, path)
     path.write_bytes(path.read_bytes().replace(b"end_header", header + b"end_header") + rows)
     assert same(read_splat_ply(path), splats)
-    assert [f"goes on for {left} bytes" in line for line in said] == [True] * bool(left)
 
 
 @pytest.mark.parametrize("bands", [0, 3, 8, 15])

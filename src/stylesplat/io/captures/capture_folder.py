@@ -18,7 +18,6 @@ from stylesplat.io.captures.photos import OPAQUE, Photo, fit_photo
 from stylesplat.io.captures.posed_files import PosedFiles, drop_missing
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.captures.transforms import read_transforms
-from stylesplat.io.images import MAX_PIXELS, image_sizes
 from stylesplat.io.kinds import PHOTOS, TRANSFORMS, find_sparse, no_capture
 from stylesplat.io.label_maps import DrawnLabels, fit_labels, match_label_maps, read_names
 from stylesplat.progress import say, track
@@ -107,18 +106,6 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     lenses = [lens for lens in posed.lenses if lens is not None]  # every existing photo has one
     pairs = [*zip(posed.paths, lenses, strict=True)]
     photos = [fit_photo(*pair) for pair in track(pairs, "reading photos", unit="photo")]
-    reduced = [
-        photo.path
-        for photo, lens in zip(photos, lenses, strict=True)
-        if photo.lens.size != lens.size
-        and image_sizes(photo.path) != image_sizes(photo.path, reduced=False)
-    ]
-    if reduced:
-        say(
-            f"{len(reduced)} photos have more than {MAX_PIXELS // 10**6} megapixels, such as "
-            f"{reduced[0]}: they are read at half their width and height, and boxes and points "
-            "count these pixels."
-        )
     pinholes = [photo.lens.pinhole() for photo in photos]
     cameras = Cameras(
         viewmats=posed.viewmats.float(),

@@ -12,7 +12,6 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.images import (
-    MAX_PIXELS,
     QUARTER_TURNS,
     TURNS,
     UPRIGHT,
@@ -126,9 +125,8 @@ def read_small(path: Path, side: int) -> SmallPhoto:
 
 def plain_suffix(path: Path) -> str | None:
     """`.jpg` or `.png` for an upright, opaque picture in 8-bit RGB of that kind, else None."""
-    with open_image(path, reduced=False) as image:
+    with open_image(path) as image:
         suffix = {"JPEG": ".jpg", "PNG": ".png"}.get(image.format or "")
         deep = any("16" in str(tile.args) for tile in getattr(image, "tile", ()))
         simple = image.mode == "RGB" and not image.has_transparency_data and not deep
-        fits = image.width * image.height <= MAX_PIXELS
-        return suffix if simple and fits and orientation(image) == UPRIGHT else None
+        return suffix if simple and orientation(image) == UPRIGHT else None

@@ -150,7 +150,7 @@ def _read_lens(frame: _Frame, photo: Path) -> Lens | None:
     if frame.w is None and not os.path.lexists(photo):
         return None
     if frame.w is None:
-        width, height = image_sizes(photo, reduced=False)[1]
+        width, height = image_sizes(photo)[1]
     elif frame.h is None:
         raise ValueError("it has w, but lacks the key 'h'")
     else:

@@ -8,7 +8,7 @@ import torch
 
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import reading
-from stylesplat.io.ply import PlyElement, parse_header, report_extra
+from stylesplat.io.ply import PlyElement, parse_header
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.splat_ply import BANDS, check_splats
 from stylesplat.scene.splats import Splats
@@ -33,7 +33,6 @@ def read_compressed_ply(path: Path | str, content: bytes) -> Splats:
             raise ValueError(
                 f"its header announces a file of {size} bytes, it holds {len(content)}"
             )
-        report_extra(path, len(content) - size)
         data = gsply.decompress_from_bytes(content[:size])
     return from_gsply(data, path)
 

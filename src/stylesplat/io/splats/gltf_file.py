@@ -20,7 +20,6 @@ from msgspec import Meta, Struct
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.files import inside, read_bytes
-from stylesplat.io.ply import report_extra
 
 T = TypeVar("T")
 
@@ -228,7 +227,7 @@ def open_gltf(path: Path) -> Gltf:
     if packed != (path.suffix.lower() == ".glb"):
         kind = "a GLB, whose name ends in .glb" if packed else "no GLB"
         raise ValueError(f"it is {kind}. Check the name")
-    text, binary = _chunks(path, content) if packed else (content, None)
+    text, binary = _chunks(content) if packed else (content, None)
     commas = text.count(b",")
     if commas > MAX_COMMAS:
         raise ValueError(f"its JSON has {commas} parts, more than {MAX_COMMAS}")
@@ -238,7 +237,7 @@ def open_gltf(path: Path) -> Gltf:
     return Gltf(path, document, binary)
 
 
-def _chunks(path: Path, content: bytes) -> tuple[bytes, memoryview | None]:
+def _chunks(content: bytes) -> tuple[bytes, memoryview | None]:
     """The JSON of a GLB, and its binary chunk if it has one."""
     _, version, announced = HEADER.unpack_from(content)
     if version != VERSION:
@@ -246,7 +245,6 @@ def _chunks(path: Path, content: bytes) -> tuple[bytes, memoryview | None]:
     if announced > len(content):
         size = f"{announced} bytes, it holds {len(content)}"
         raise ValueError(f"its header announces a file of {size}")
-    report_extra(path, len(content) - announced)
     chunks, rest = {}, memoryview(content)[HEADER.size : announced]
     while len(rest) >= CHUNK.size and len(chunks) < 2:
         size, kind = CHUNK.unpack_from(rest)

@@ -24,14 +24,10 @@ REMEDY = "Remove those Gaussians, or make the file again."
 SMALLEST_QUAT = 1e-10  # of a component: squares of less vanish in float32
 
 
-def read_splat_ply(path: Path | str, *, bands: bool = True) -> Splats:
-    """Read splats of degree 0 to 3, their columns in any order; other columns are ignored.
-
-    Without `bands` the higher bands of colour, three quarters of the file, are skipped.
-    """
+def read_splat_ply(path: Path | str) -> Splats:
+    """Read splats of degree 0 to 3, their columns in any order; other columns are ignored."""
     with ply_rows(path, at_once=AT_ONCE) as rows:
         rest = _find_rest(rows.dtype, path)
-        rest = rest if bands else ()
         shapes = ((3,), (4,), (3,), (), (1, 3), (len(rest) // 3, 3))
         empty = (torch.empty(rows.count, *shape) for shape in shapes)
         means, quats, scales, opacities, sh0, shN = empty
