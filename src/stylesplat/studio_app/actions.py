@@ -30,7 +30,7 @@ from stylesplat.studio_app.commands import commands_text
 from stylesplat.studio_app.exports import FORMATS, Exporter, render_png, render_turntable
 from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture
 from stylesplat.studio_app.history import StudioState, object_names, replace_scene
-from stylesplat.studio_app.layers import Variant, describe_settings, fingerprint, layer_of
+from stylesplat.studio_app.layers import Variant, describe_settings, find_layer, paint_digest
 from stylesplat.studio_app.paint_queue import PaintQueue, make_style, preview_colors
 from stylesplat.studio_app.picking import object_in, pixel_of, region_of
 from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of
@@ -355,7 +355,7 @@ class Actions:
 
     def _with_variant(self, state: StudioState, number: int) -> StudioState:
         variant = self._variant(number)
-        layer = layer_of(self.session.history.at(variant.bookmark).scene, variant.object)
+        layer = find_layer(self.session.history.at(variant.bookmark).scene, variant.object)
         return layers.use_layer(state, layer, variant.title)
 
     def _variant(self, number: int) -> Variant:
@@ -373,9 +373,9 @@ class Actions:
             )
         except StyleSplatError:  # it shows in no view
             picture = b""
-        layer, bookmark = layer_of(scene, name), session.history.bookmark()
+        layer, bookmark = find_layer(scene, name), session.history.bookmark()
         settings = describe_settings(layer.settings)
-        variant = Variant(name, title, bookmark, picture, settings, fingerprint(layer))
+        variant = Variant(name, title, bookmark, picture, settings, paint_digest(layer))
         self.variants.append(variant)
         session.on_change.call()
 
@@ -451,7 +451,7 @@ class Actions:
     def _variant_info(self, number: int, variant: Variant) -> m.VariantInfo:
         layers = self.session.state.scene.layers
         current = any(
-            each.object == variant.object and fingerprint(each) == variant.fingerprint
+            each.object == variant.object and paint_digest(each) == variant.fingerprint
             for each in layers
         )
         return m.VariantInfo(number, variant.object, variant.title, variant.settings, current)
@@ -474,7 +474,7 @@ def _corners(points: list[m.Place]) -> tuple[m.Place, m.Place]:
 
 
 def _layer_info(state: StudioState, name: str) -> m.LayerInfo:
-    layer = layer_of(state.scene, name)
+    layer = find_layer(state.scene, name)
     names = (each.path.stem if each.path else "a picture" for each in layer.styles)
     title = ", ".join(names).replace("_", " ")
     return m.LayerInfo(

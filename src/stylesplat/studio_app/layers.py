@@ -26,7 +26,7 @@ class Variant:
     fingerprint: tuple[float, int]
 
 
-def layer_of(scene: Scene, name: str) -> Layer:
+def find_layer(scene: Scene, name: str) -> Layer:
     """The layer of an object.
 
     Raises:
@@ -38,14 +38,14 @@ def layer_of(scene: Scene, name: str) -> Layer:
     raise StyleSplatError(f"{name} is not painted.")
 
 
-def fingerprint(layer: Layer) -> tuple[float, int]:
+def paint_digest(layer: Layer) -> tuple[float, int]:
     """Numbers that tell one painting from another, whatever its strength."""
     return float(layer.sh0.double().sum()), len(layer.canvas)
 
 
 def set_strength(state: StudioState, name: str, strength: float) -> StudioState:
     refuse_locked(state, name)
-    if layer_of(state.scene, name).strength == strength:
+    if find_layer(state.scene, name).strength == strength:
         return state
     scene = adjust(state.scene, strength, objects=name)
     return replace(state, scene=scene, note=f"Strength of {name}: {strength:.0%}")
@@ -53,20 +53,20 @@ def set_strength(state: StudioState, name: str, strength: float) -> StudioState:
 
 def set_form(state: StudioState, name: str, form: float) -> StudioState:
     refuse_locked(state, name)
-    if layer_of(state.scene, name).form == form:
+    if find_layer(state.scene, name).form == form:
         return state
     scene = adjust(state.scene, form=form, objects=name)
     return replace(state, scene=scene, note=f"Form of {name}: {form:.0%}")
 
 
 def set_visible(state: StudioState, name: str, visible: bool) -> StudioState:
-    layer = replace(layer_of(state.scene, name), visible=visible)
+    layer = replace(find_layer(state.scene, name), visible=visible)
     word = "Showed" if visible else "Hid"
     return _with_layer(state, layer, f"{word} the paint of {name}")
 
 
 def set_locked(state: StudioState, name: str, locked: bool) -> StudioState:
-    layer_of(state.scene, name)
+    find_layer(state.scene, name)
     names = state.locked | {name} if locked else state.locked - {name}
     return replace(state, locked=names, note=f"{'Locked' if locked else 'Unlocked'} {name}")
 
@@ -74,7 +74,7 @@ def set_locked(state: StudioState, name: str, locked: bool) -> StudioState:
 def move_layer(state: StudioState, name: str, by: int) -> StudioState:
     """Move a layer up or down in the stack."""
     layers = [*state.scene.layers]
-    place = layers.index(layer_of(state.scene, name))
+    place = layers.index(find_layer(state.scene, name))
     to = place + by
     if not 0 <= to < len(layers):
         return state

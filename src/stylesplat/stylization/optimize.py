@@ -150,7 +150,7 @@ def paint_steps(
     object = _Object(context, target, canvas, survey, boxes, form)
     previews = list[Stage]()
     if preview and target.config.max_discs(1) > 0:
-        previews.append(replace(stages[0], steps=PREVIEW_STEPS))
+        previews.append(replace(stages[0], steps=min(PREVIEW_STEPS, stages[0].steps)))
     done = sum(stage.steps for stage in previews)
     steps = done + sum(stage.steps for stage in stages)
     painting = _paint(object, stages, done=done, steps=steps)
