@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.images import image_sizes, open_image, read_image
+from stylesplat.io.images import open_image, read_image
 from stylesplat.progress import say
 from stylesplat.stylization.config import USUAL_SCALE
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -54,12 +54,10 @@ def read_style(
     """
     if isinstance(picture, Tensor):
         name, pixels = "the style tensor", _colors_of(picture)
-        size = pixels.shape[1::-1]
     else:
         name, pixels = str(picture), _decoded(Path(picture))
-        size = image_sizes(Path(picture))[1]
     if region is not None:
-        pixels = _crop(pixels, region, size, name)
+        pixels = _crop(pixels, region, name)
     pixels = np.ascontiguousarray(_turn(_shrink(pixels, name), rotate, name))
     colors = torch.from_numpy(pixels)
     return colors.float() / 255 if colors.dtype == torch.uint8 else colors.clamp(0, 1)
@@ -120,10 +118,8 @@ def _require_side(width: int, height: int, what: str) -> None:
         )
 
 
-def _crop(
-    pixels: Pixels, region: tuple[int, int, int, int], size: tuple[int, int], name: str
-) -> Pixels:
-    (x0, y0, x1, y1), (width, height) = region, size
+def _crop(pixels: Pixels, region: tuple[int, int, int, int], name: str) -> Pixels:
+    (x0, y0, x1, y1), (height, width) = region, pixels.shape[:2]
     name = f"The region {x0},{y0},{x1},{y1} of {name}"
     if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
         raise StyleSplatError(
@@ -131,8 +127,7 @@ def _crop(
             "with x0 < x1 and y0 < y1."
         )
     _require_side(x1 - x0, y1 - y0, name)
-    shrunk = round(width / pixels.shape[1])  # 2 for the largest JPEGs
-    return pixels[y0 // shrunk : -(-y1 // shrunk), x0 // shrunk : -(-x1 // shrunk)]
+    return pixels[y0:y1, x0:x1]
 
 
 def _shrink(pixels: Pixels, name: str) -> Pixels:
