@@ -148,9 +148,11 @@ def test_the_distance_pulls_only_what_is_far():
 def test_settling_brings_pixels_to_the_painting(views: list[ObjectView]):
     picked = ball(0)
     before = off_palette(object_colors(SPLATS, views), GREY)
-    settled = project_to_palette(SPLATS, picked, views, build_palette(GREY))
+    palette, beneath = build_palette(GREY), picked & (torch.arange(len(SPLATS)) % 2 == 0)
+    settled = project_to_palette(SPLATS, picked, views, palette, beneath)
     after = off_palette(object_colors(settled, views), GREY)
     assert before > 0.9 and after < 0.5 * before
+    assert off_palette((settled.sh0[beneath, 0] * SH_C0 + 0.5).clamp(0, 1), GREY) == 0
     assert torch.equal(settled.sh0[~picked], SPLATS.sh0[~picked])
     assert torch.equal(settled.shN, SPLATS.shN)
 

@@ -214,9 +214,16 @@ def build_palette(style: Float[Tensor, "Q 3"]) -> Palette:
 
 
 def project_to_palette(
-    splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[ObjectView], palette: Palette
+    splats: Splats,
+    mask: Bool[Tensor, " N"],
+    views: Sequence[ObjectView],
+    palette: Palette,
+    beneath: Bool[Tensor, " N"],
 ) -> Splats:
     """Move an object's colours until its pixels are near the palette.
+
+    Of Gaussians that lie beneath the strokes the colours themselves are near it: where they show
+    a little, other views may show them bare.
 
     Each round backprojects every pixel's offset to the Gaussians by their weights, and averages
     (simultaneous algebraic reconstruction, Gilbert 1972).
@@ -238,4 +245,5 @@ def project_to_palette(
         assert sh0.grad is not None
         offsets = sh0.grad[rows, 0] / SH_C0 / weights[:, None]
         colors = (colors + STRIDE * offsets).minimum(brightest)
+        colors = torch.where(beneath[rows, None], colors + palette.offset(colors), colors)
     return splats.with_rows(rows, {"sh0": sh0_from_rgb(colors.clamp(min=0))[:, None]})

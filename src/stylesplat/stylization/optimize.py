@@ -254,7 +254,9 @@ def _paint(
                     paint = blur_colors(paint, mask, whole[0])
                 paint = transfer_colors(paint, mask, goal.colors, whole[0])
                 if is_last:
-                    paint = project_to_palette(paint, mask, whole[0], goal.palette)
+                    is_disc = object.canvas.is_disc
+                    beneath = mask & ~is_disc & is_disc.any()
+                    paint = project_to_palette(paint, mask, whole[0], goal.palette, beneath)
             done += 1
             yield PaintState(
                 step=done,

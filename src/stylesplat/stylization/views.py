@@ -78,7 +78,8 @@ class ObjectView:
         """The transpose of rendering: an image times the weight of each Gaussian, summed."""
         with torch.enable_grad():
             grey = torch.zeros_like(splats.sh0).requires_grad_()
-            (sums,) = torch.autograd.grad(self.render(replace(splats, sh0=grey)), grey, image)
+            total = (self.render(replace(splats, sh0=grey)) * image).sum()
+            (sums,) = torch.autograd.grad(total, grey)
         return sums / SH_C0
 
 
