@@ -16,9 +16,9 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.form import (
     Form,
     FormSurvey,
+    detail_bands,
     form_distance,
     form_relief,
-    luminance_bands,
     measure_form,
     survey_form,
 )
@@ -70,6 +70,18 @@ def test_an_eye_stands_out_of_a_plain_ball():
         assert weight[NEAR_EYE].mean() > 1.5 * weight[FAR].mean()
 
 
+def test_what_differs_in_hue_alone_stands_out_too():
+    """Beside the eye, which is darker, a spot of the same luminance in another hue."""
+    hue = torch.tensor([0.5, 0.0, -0.5])
+    hue = hue - (hue @ LUMA) / LUMA.sum()
+    spotted = WITH_EYE + spot(-EYE[0], EYE[1])[..., None] * hue
+    assert torch.allclose(spotted @ LUMA, WITH_EYE @ LUMA, atol=1e-5)
+    here = NEAR_EYE.flip(1)
+    grey_form, form = form_of(WITH_EYE), form_of(spotted)
+    for before, after in zip(grey_form.details, form.details, strict=True):
+        assert after[here].abs().max() > 3 * before[here].abs().max()
+
+
 def test_dots_all_over_do_not_stand_out():
     """But for the outline, where there are fewer of them around. Nothing does on a flat object."""
     dots, eye = form_of(DOTTED), form_of(WITH_EYE)
@@ -78,9 +90,9 @@ def test_dots_all_over_do_not_stand_out():
     assert max(flat.shares) < 1e-3
     assert distance(SOME, flat) < 1e-2, "so that it asks for nothing"
     inside = XS.square() + YS.square() < (0.35 * LENGTH) ** 2
-    shown, energy = dots.details, luminance_bands(DOTTED, MASK, LENGTH)
-    for detail, band in zip(shown, energy, strict=True):
-        assert detail[inside].square().sum() < 0.1 * band[inside].square().sum()
+    bands = detail_bands(DOTTED @ LUMA, MASK, LENGTH)
+    for detail, share, band in zip(dots.details, dots.shares, bands, strict=True):
+        assert (share * detail[inside]).square().sum() < 0.1 * band[inside].square().sum()
 
 
 def test_the_unpainted_view_is_nearest_to_itself():
@@ -162,7 +174,7 @@ def test_relief_is_where_the_form_is(network: FeatureNetwork):
     """Darker on the eye than around it, faint elsewhere, nothing on what is not picked."""
     boxes = find_boxes(BALL, FINE, PICKED)
     views = cropped(BALL, boxes, PICKED, network, max_memory=1e9)
-    survey = FormSurvey((5e-4, 5e-4), (1.0, 1.0))
+    survey = FormSurvey((5e-4, 5e-4), (1.0, 1.0), torch.zeros(3))
     relief = form_relief(BALL, BALL, PICKED, views, typical_length(boxes), survey).sum(dim=1)
     assert not relief[~PICKED].any()
     own, sides = relief[PICKED], WAYS @ TO_EYE

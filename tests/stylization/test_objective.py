@@ -47,7 +47,9 @@ def views_within(max_memory: float, network: FeatureNetwork) -> list[ObjectView]
 def objective(network: FeatureNetwork) -> Objective:
     style = torch.rand(200, 12, generator=torch.Generator().manual_seed(1))
     length = ZOOM * typical_length(find_boxes(SCENE, CAMERAS[:3], PICKED))
-    form = FormSurvey((0.0, 0.0), (0.0, 1.0))  # its views are too small for finer detail
+    form = FormSurvey(
+        (0.0, 0.0), (0.0, 1.0), torch.zeros(3)
+    )  # its views are too small for finer detail
     return Objective(network, [build_index(style, torch.float32)], CONFIG, length, form)
 
 

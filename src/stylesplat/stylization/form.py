@@ -1,7 +1,8 @@
-"""The form of an object: the luminance detail that people recognise it by.
+"""The form of an object: the detail that people recognise it by.
 
 Form is detail that stands out locally: eyes, a mouth, a fold, an edge. Detail that the object has
-everywhere (a pattern, fur, a weave) is decoration, which the style replaces.
+everywhere (a pattern, fur, a weave) is decoration, which the style replaces. Paint shows form as
+luminance. What differs in hue alone, as hair and skin of a doll do, becomes luminance as well.
 """
 
 import math
@@ -22,11 +23,12 @@ from stylesplat.stylization.views import ObjectView, with_fixed_bands
 
 BAND_DEVIATIONS = (0.004, 0.015, 0.05)  # of blurs whose differences are bands, in lengths
 ENERGY_DEVIATION = 0.03  # of the blur that averages a band's energy, in lengths
-SALIENT = 1.5  # times the median energy: less is pattern
+SALIENT = 0.6  # times the median energy: less is pattern
 SURVEY_LENGTH = 96.0  # pixels of the object's longer side where bands are compared
 # Deviation of a band's energy over the object, of its mean: of pattern, and what counts in full.
 # The demo's vase and teapot have .67 to .75, a doll .89, fox and a face 1.1 to 1.5.
 EVEN, UNEVEN = 0.75, 0.88
+CHROMA = 0.5  # luminance that one unit of an object's main hue contrast becomes
 TINY = 1e-6  # energy of a band that the object hardly has
 NEAR = 0.04  # deviation of the window of a local correlation, in lengths
 FAINT = 0.01  # of 1: detail of less contrast is not seen
@@ -42,6 +44,8 @@ class FormSurvey:
     """The median of the local energy: what stands out has more."""
     shares: Sequence[float]
     """The share of the detail that is form; 0 if the object has its detail everywhere."""
+    hue: Float[Tensor, " 3"]
+    """The object's main contrast besides luminance; see `main_hue`."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +66,42 @@ def survey_form(
 ) -> FormSurvey:
     """Measure an object's detail in views of the whole unpainted object, so many pixels long."""
     energies = []
+    hue = main_hue(torch.cat([i[mask] for i, mask in zip(images, masks, strict=True)]))
     for image, mask in zip(images, masks, strict=True):
-        squares = (band.square() for band in luminance_bands(image, mask, length))
+        squares = (band.square() for band in object_detail(image, mask, length, hue))
         energies.append([smooth(each, mask, ENERGY_DEVIATION * length)[mask] for each in squares])
     bands = [torch.cat(views) for views in zip(*energies, strict=True)]
     variations = [float(energy.std() / (energy.mean() + TINY)) for energy in bands]
     shares = [min(max((each - EVEN) / (UNEVEN - EVEN), 0.0), 1.0) for each in variations]
-    return FormSurvey([float(energy.median()) for energy in bands], shares)
+    return FormSurvey([float(energy.median()) for energy in bands], shares, hue)
+
+
+def main_hue(colors: Float[Tensor, "P 3"]) -> Float[Tensor, " 3"]:
+    """Weights of red, green and blue: the main direction of what luminance leaves of colours."""
+    luma = colors.new_tensor(LUMA)
+    hues = colors - (colors @ luma)[:, None]
+    main = torch.linalg.eigh(hues.T.cov(correction=0)).eigenvectors[:, -1]
+    return main - main.sum() * luma
+
+
+def object_detail(
+    image: Float[Tensor, "H W 3"],
+    mask: Bool[Tensor, "H W"],
+    length: float,
+    hue: Float[Tensor, " 3"],
+) -> list[Float[Tensor, "H W"]]:
+    """The detail of an unpainted object, by bands, as luminance.
+
+    Hues become lighter or darker, whatever adds to the contrast in luminance around a place.
+    """
+    near = NEAR * length
+    lumas = detail_bands(image @ image.new_tensor(LUMA), mask, length)
+    hues = detail_bands(CHROMA * (image @ hue.to(image)), mask, length)
+    details = []
+    for luma, chroma in zip(lumas, hues, strict=True):
+        together = blur(luma * chroma, near) + (2 * math.pi) * (near * FAINT) ** 2
+        details.append(luma + together.sign() * chroma)
+    return details
 
 
 @torch.no_grad()
@@ -77,7 +110,7 @@ def measure_form(
 ) -> Form:
     """Find the form in a view of the unpainted object, which is so many pixels long."""
     details, weights = [], []
-    bands = luminance_bands(image, mask, length)
+    bands = object_detail(image, mask, length, survey.hue)
     for band, typical in zip(bands, survey.energies, strict=True):
         energy = smooth(band.square(), mask, ENERGY_DEVIATION * length)
         least = SALIENT * typical + FAINT**2
@@ -97,7 +130,7 @@ def form_distance(
     """
     total, near = image.new_zeros(()), NEAR * length
     faint = 2 * math.pi * (near * FAINT) ** 2  # a blur has the sum of its Gaussian
-    bands = luminance_bands(image, mask, length)
+    bands = detail_bands(image @ image.new_tensor(LUMA), mask, length)
     for band, detail, weight, share in zip(
         bands, form.details, form.weights, form.shares, strict=True
     ):
@@ -148,10 +181,9 @@ def form_relief(
     return relief
 
 
-def luminance_bands(
-    image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float
+def detail_bands(
+    grey: Float[Tensor, "H W"], mask: Bool[Tensor, "H W"], length: float
 ) -> list[Float[Tensor, "H W"]]:
-    """Luminance between each two of `BAND_DEVIATIONS`, inside the mask alone; 0 elsewhere."""
-    luma = image @ image.new_tensor(LUMA) * mask
-    levels = [smooth(luma, mask, size * length) for size in BAND_DEVIATIONS]
+    """A grey image between each two of `BAND_DEVIATIONS`, inside the mask alone; 0 elsewhere."""
+    levels = [smooth(grey * mask, mask, size * length) for size in BAND_DEVIATIONS]
     return [fine - coarse for fine, coarse in pairwise(levels)]
