@@ -16,7 +16,7 @@ from stylesplat.stylization.recipe import parse_variation
 from stylesplat.verbs.sheet import CELL
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
-PAINT = "stylesplat.verbs.sheet.stylize_unmeasured"
+PAINT = "stylesplat.verbs.sheet.stylize"
 FAST = ("--features", "compact", "--steps", 2, "--device", "cpu")
 
 

@@ -29,7 +29,7 @@ from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.select import select
-from stylesplat.verbs.stylize import stylize, stylize_unmeasured
+from stylesplat.verbs.stylize import stylize
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
@@ -132,7 +132,7 @@ def test_colours_that_were_never_a_file(trained: Path, tmp_path: Path, said: lis
     colors = torch.rand(64, 80, 3, generator=torch.Generator().manual_seed(2))
     style = Style(colors, config=FAST)
     styles = {"red": style}
-    styled = stylize_unmeasured(scene_folder.open(trained), styles, device="cpu").scene
+    styled = stylize(scene_folder.open(trained), styles, device="cpu", measured=False)
     scene_folder.save(styled, tmp_path / "styled")
     found = scene_folder.open(tmp_path / "styled")
     assert found.layers[0].styles == style.sources()

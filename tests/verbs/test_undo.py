@@ -25,7 +25,7 @@ from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.select import select
-from stylesplat.verbs.stylize import stylize, stylize_unmeasured
+from stylesplat.verbs.stylize import stylize
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 ROWS = torch.arange(len(SPLATS))
@@ -125,7 +125,7 @@ def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(
     assert_same_splats(anew.splats[ROWS][others], twice.splats[ROWS][others])
     save(anew, tmp_path / "it")
     again = read_recipe(tmp_path / "it" / "recipe.json")  # the other is painted on the new one
-    made = stylize_unmeasured(trained, again, device="cpu").scene
+    made = stylize(trained, again, device="cpu", measured=False)
     assert torch.equal(made.layers[0].sh0, anew.layers[0].sh0)
     assert made.painted_objects == anew.painted_objects
     assert_same_splats(adjust(opened(tmp_path / "it"), undo=True).splats, trained.splats)

@@ -26,7 +26,7 @@ from stylesplat.stylization.config import Network
 from stylesplat.stylization.paint import check_targets
 from stylesplat.stylization.style_image import Picture
 from stylesplat.stylization.target import PaintTarget
-from stylesplat.verbs.stylize import stylize_unmeasured
+from stylesplat.verbs.stylize import stylize
 
 CELL = 512  # pixels along a cell: strokes of a normal painting can be told apart
 
@@ -96,10 +96,10 @@ def sheet(
     camera = close_up(splats, cameras, picked.to(splats.device), side=CELL)
     # The paint that the object has stays in its place of the stack, without a message about it
     bare = replace(with_strengths(scene, {name: 0.0}), path=scene.path)
-    how = {"features": features, "weights": weights, "device": device}
+    how = {"features": features, "weights": weights, "device": device, "measured": False}
     pictures = {}
     for style, cells in track(runs, name, unit="painting"):
-        painted = stylize_unmeasured(bare, {name: style}, **how).scene
+        painted = stylize(bare, {name: style}, **how)
         for cell in cells:
             intensity = {name: cell.style.config.intensity}
             blended = with_strengths(painted, intensity).splats.to(splats.device)
