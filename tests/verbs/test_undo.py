@@ -98,17 +98,6 @@ def test_intensity_0_shows_the_colours_before_and_goes_back(folder: Path, tmp_pa
     assert scene.metrics == {"train": {"psnr": 30.0}}
 
 
-def test_objects_that_were_styled_by_id_stay_what_they_were(folder: Path, tmp_path: Path):
-    """Among the Gaussians with a canvas, outliers of an id are others than before."""
-    styled = painted(opened(folder / "trained"), "3", folder / "wave.png", measured=False)
-    save(styled, tmp_path / "styled")
-    none = adjust(opened(tmp_path / "styled"), 0.0)
-    assert_same_splats(none.splats, styled.unpainted)
-    repainted = (styled.splats.sh0[ROWS] != styled.unpainted.sh0).flatten(1).any(dim=1)
-    assert repainted.any() and not (repainted & ~own_rows(none, "3")).any()
-    assert adjust(none, undo=True).objects.keys() == TRAINED.objects.keys()
-
-
 def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(
     folder: Path, tmp_path: Path, said: list[str]
 ):
