@@ -35,10 +35,8 @@ Column = UInt8[Tensor, "..."]
 
 
 def palette_of(values: Float[Tensor, "M D"]) -> tuple[Bytes, float, Int[Tensor, " M"]]:
-    """Entries that rows are like (k-means), rounded to bytes; rows of zeros have the first.
-
-    Returns:
-        The entries, what the largest byte means, and the entry of each row.
+    """Entries that rows are like (k-means), as bytes; what the largest byte means; and the entry
+    of each row, which is the first for zeros.
     """
     filled = values.ne(0).any(dim=1).numpy()
     entries = np.zeros((ENTRIES, values.shape[1]), np.float32)
@@ -67,15 +65,8 @@ class Packed:
     """How many Gaussians there are, and the range of each kind of number."""
 
 
-def pack(splats: Splats, before: Splats, *, sh_degree: int, level: int = 9) -> Packed:
-    """Pack what shows of splats, sorted by place.
-
-    Args:
-        splats: The Gaussians.
-        before: The same Gaussians in other colours and opacities, or the same.
-        sh_degree: Up to which degree colours depend on where they are seen from.
-        level: Of compression, 1 to 9.
-    """
+def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
+    """Pack what shows of splats, sorted by place; `before` has other colours and opacities."""
     shown = torch.maximum(splats.opacities, before.opacities)
     rows = (torch.sigmoid(shown) >= MIN_ALPHA).nonzero()[:, 0]
     rows = rows[morton_order(splats.means[rows])]
@@ -95,7 +86,7 @@ def pack(splats: Splats, before: Splats, *, sh_degree: int, level: int = 9) -> P
         *_bands(splats, before, about),
     ]
     content = b"".join(column.contiguous().numpy().tobytes() for column in columns)
-    return Packed(zlib.compress(content, level), about)
+    return Packed(zlib.compress(content, 9), about)
 
 
 def _shapes(splats: Splats, about: dict[str, Any]) -> Iterator[Column]:

@@ -75,12 +75,6 @@ def object_sheet(
 
     Each object is cut out of the whole scene, from the view that shows most of it. What hides it in
     this view hides it here.
-
-    Returns:
-        The sheet, objects in the order of their ids.
-
-    Raises:
-        StyleSplatError: If the splats have no identities, or no objects.
     """
     ids = object_ids(splats)
     if not ids:
@@ -120,10 +114,8 @@ def selection_picture(
     """Draw a selection in up to three views from different sides, with the names of the views.
 
     Selected Gaussians are drawn in colour, all others in grey. Those that `stylize` does not
-    paint, as they lie beside the object or on the surface below it, are blue.
-
-    Returns:
-        The views side by side; None if the selection shows in none.
+    paint, as they lie beside the object or on the surface below it, are blue. Returns None if the
+    selection shows in no view.
     """
     found = find_views(splats, cameras, picked)
     if not found:
@@ -158,13 +150,8 @@ def before_after(
 ) -> tuple[str, UInt8[Tensor, "H W 3"]] | None:
     """Draw the view that shows most of the painted objects and of their detail, before and after.
 
-    It is as large as its photo, up to 2048 pixels a side.
-
-    Returns:
-        The view's name and the pictures side by side; None if no view shows painted objects.
-
-    Raises:
-        StyleSplatError: If the scene is not painted.
+    It is as large as its photo, up to 2048 pixels a side. Returns its name and the pictures side by
+    side, or None if no view shows painted objects.
     """
     require_painted(scene)
     base = scene.unpainted.to(pick_device(device))
@@ -187,9 +174,6 @@ def beside_photo(
 
     The photo is drawn at its full size if the capture is smaller, up to 2048 pixels a side. The
     PSNR is measured at the size of the capture.
-
-    Raises:
-        StyleSplatError: If the photos cannot be read again at their own size.
     """
     whole = capture
     if capture.downscale != 1 and capture.path is not None:

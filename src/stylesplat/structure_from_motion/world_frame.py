@@ -67,9 +67,6 @@ def working_frame(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Frame:
     floor that things stand on. The origin is what the cameras look at, z points ahead of them (of
     the first, where they stand all around), and their median distance is 1. The same scene in
     another frame gives the same result.
-
-    Returns:
-        The transform from the frame that cameras and points are in.
     """
     centre = find_centre(cameras, points).position
     distance = float((cameras.positions.double() - centre).norm(dim=1).median())
@@ -178,10 +175,9 @@ def _geometric_median(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Float[T
 def ground_normal(
     points: Float[Tensor, "M 3"], up: Float[Tensor, "3"], *, seed: int = 0
 ) -> Float[Tensor, "3"] | None:
-    """The upward normal of the near level plane that holds most points (RANSAC).
+    """The upward normal of the near level plane that holds most points; None if none is clear.
 
-    Returns:
-        The normal; None if no plane is clear.
+    The first guess is by RANSAC.
     """
     near = points[points.norm(dim=1) < NEAR]
     near = near[:: max(1, len(near) // MAX_POINTS)]
