@@ -41,17 +41,6 @@ def contents(folder: Path) -> dict[str, bytes]:
     return all_contents(folder, "metrics.json")
 
 
-def test_a_second_style_leaves_the_first_alone(folder: Path):
-    once, twice = (opened(folder / name) for name in ("once", "twice"))
-    green = once.objects["green"].picked
-    rows = torch.arange(len(once.splats))
-    assert_same_splats(twice.splats[rows][~green], once.splats[~green])
-    assert twice.painted_objects == ("red", "green")
-    files = [folder / name / "layers/01-red.safetensors" for name in ("once", "twice")]
-    assert files[0].read_bytes() == files[1].read_bytes()
-    assert twice.metrics["train"] == {"psnr": 30.0}
-
-
 def test_undoing_the_first_leaves_the_second_alone(folder: Path, tmp_path: Path):
     twice, trained = opened(folder / "twice"), opened(folder / "trained")
     save(adjust(twice, undo=True, objects=["red"]), tmp_path / "undone")
