@@ -193,16 +193,18 @@ def ground_normal(
         return None
     normals, offsets = normals[level], (one[level] * normals[level]).sum(dim=1)
     close = (near @ normals.T - offsets).abs() < THICKNESS  # [M, planes]
-    close = close[:, close.sum(dim=0).argmax()]
-    for _ in range(ROUNDS + 1):  # a plane is fitted to the points that are close to the one before
-        inliers = close
+    inliers, fits = close[:, close.sum(dim=0).argmax()], 0
+    while True:
         if inliers.sum() < 3:
             return None
         centre = near[inliers].mean(dim=0)
         variances, axes = torch.linalg.eigh(torch.cov((near[inliers] - centre).T, correction=0))
         normal = axes[:, 0] * (axes[:, 0] @ up).sign()
         distances = ((near - centre) @ normal).abs()
-        close = distances < THICKNESS
+        fits += 1
+        if fits > ROUNDS:
+            break
+        inliers = distances < THICKNESS
     clear = inliers.sum() >= MIN_CONTRAST * (distances < 3 * THICKNESS).sum()
     large = variances[1] >= MIN_WIDTH**2 and inliers.double().mean() >= MIN_INLIERS
     return normal if clear and large and normal @ up > least else None
