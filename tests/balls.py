@@ -24,7 +24,7 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.target import PaintTarget, paint_context
 from stylesplat.stylization.views import Box, ObjectView, object_views
-from stylesplat.verbs.stylize import stylize_unmeasured
+from stylesplat.verbs.stylize import stylize
 
 BALLS = {  # label id: centre (x right, y forward, z up) and colour
     3: ((-0.7, 0.0, 0.3), (0.9, 0.1, 0.1)),
@@ -255,8 +255,8 @@ def painted(
     """A scene with one more object painted."""
     pictures = [pictures] if isinstance(pictures, Path) else pictures
     style = Style(*pictures, config=PAINTED_FAST, **settings)
-    done = stylize_unmeasured(scene, {name: style}, **(network or {}), device="cpu")
-    return done.measured() if measured else done.scene
+    rest = {"device": "cpu", "measured": measured, **(network or {})}
+    return stylize(scene, {name: style}, **rest)
 
 
 def write_painted(

@@ -13,7 +13,7 @@ from processes import as_nobody, complaint, public_folder
 LONG = "a" * 250  # characters that a file's name may have, but not with what it has meanwhile
 WORK = (
     "stylesplat.train",
-    "stylesplat.verbs.stylize.stylize_unmeasured",
+    "stylesplat.stylize",
     "stylesplat.import_",
     "stylesplat.render",
     "stylesplat.verbs.sheet.sheet",

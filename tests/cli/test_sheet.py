@@ -9,14 +9,13 @@ import torch
 
 from processes import complaint, run
 from stylesplat.figures.grid import CAPTION, HEAD, MARGIN
-from stylesplat.figures.style_sheet import plan_sheet
 from stylesplat.io.images import read_image
 from stylesplat.stylization.config import PRESETS
 from stylesplat.stylization.recipe import parse_variation
-from stylesplat.verbs.sheet import CELL
+from stylesplat.verbs.sheet import CELL, sheet_rows
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
-PAINT = "stylesplat.verbs.sheet.stylize_unmeasured"
+PAINT = "stylesplat.verbs.sheet.stylize"
 FAST = ("--features", "compact", "--steps", 2, "--device", "cpu")
 
 
@@ -68,14 +67,12 @@ def test_columns_and_rows_are_settings(draw, scene: Path, style: Path):
 
 
 def test_settings_start_from_the_preset():
-    kinds = parse_variation("preset=paper,default")
-    plan = plan_sheet([(Path("a.png"),)], [kinds], settings={"preset": "default"})
-    configs = [cell.style.config for cell in plan.cells]
-    assert configs == [PRESETS["paper"], PRESETS["default"]]
-    assert [style.network for style, _ in plan.runs()] == ["vgg16", "compact"]
-    settings = {"preset": "paper", "steps": 9}
-    plan = plan_sheet([(Path("a.png"),)], [("seed", (1, 2))], settings=settings)
-    configs = [cell.style.config for cell in plan.cells]
+    varied = dict([parse_variation("preset=paper,default")])
+    ((_, cells),) = sheet_rows(["a.png"], varied, {"preset": "default"})
+    assert [style.config for _, style in cells] == [PRESETS["paper"], PRESETS["default"]]
+    assert [style.network for _, style in cells] == ["vgg16", "compact"]
+    ((_, cells),) = sheet_rows(["a.png"], {"seed": (1, 2)}, {"preset": "paper", "steps": 9})
+    configs = [style.config for _, style in cells]
     assert [(c.steps, c.seed, c.color) for c in configs] == [(9, seed, "free") for seed in (1, 2)]
 
 

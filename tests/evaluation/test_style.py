@@ -30,7 +30,7 @@ def measured(
 ) -> tuple[Painted, dict[str, Any]]:
     studio = paint_context(SCENE, cameras, network, held_out=held_out)
     styled = paint_objects(studio, jobs)
-    return styled, measure_painted(studio, jobs, styled.splats, held_out=held_out)
+    return styled, measure_painted([studio] * len(jobs), jobs, styled.splats, held_out=held_out)
 
 
 @pytest.fixture(autouse=True)

@@ -88,8 +88,3 @@ def test_photos_at_fault_stand_out():
     assert not like(none, BLURRED, 30).any() and not like(none, WEAK, 30).any()
     some, _ = drawn(capture, replace(fine, blurred=("003.jpg",), weak=("020.jpg", "003.jpg")))
     assert like(some, BLURRED, 30).sum() > 20 and like(some, WEAK, 30).sum() > 20
-
-
-def test_a_single_photo():
-    picture = capture_picture(capture := photos_of(DOME[:1]), check(capture))
-    assert picture.shape[1] == 2 * PANEL + 3 * MARGIN

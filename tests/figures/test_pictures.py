@@ -8,6 +8,7 @@ from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import identity_colors, label_colors, render_pictures
 from stylesplat.rendering.shares import expected_depth
+from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import pick
 
@@ -46,19 +47,6 @@ def test_depth_is_brighter_when_nearer_and_white_where_nothing_is():
     assert luma[18, 23] > luma[6, 23] + 20  # ball 3 stands in front of ball 7
 
 
-@pytest.mark.parametrize("what", ["colour", "object"])
-def test_unknown_picture(what):
-    with pytest.raises(StyleSplatError, match=r"Choose color, labels, .*object:NAME"):
-        render_pictures(SPLATS, CAMERAS, what)
-
-
-@pytest.mark.parametrize("what", ["labels", "identities"])
-def test_needs_identities(what):
-    splats = replace(SPLATS, identities=None, classifier=None)
-    with pytest.raises(StyleSplatError, match="no identities"):
-        render_pictures(splats, CAMERAS, what)
-
-
 @pytest.mark.parametrize("what", IMAGES)
 def test_transparent_pictures_are_the_same_on_any_background(what):
     """Straight alpha: what is composited later is what would have been rendered."""
@@ -79,19 +67,6 @@ def test_transparent_pictures_are_the_same_on_any_background(what):
         assert colors[rim].amax(dim=1).mean() > 0.8 * colors[inside].amax(dim=1).mean()
 
 
-@pytest.mark.parametrize("what", ["labels", "depth-float"])
-def test_ids_and_distances_have_no_background(what):
-    with pytest.raises(StyleSplatError, match=rf"{what} has no background"):
-        render_pictures(SPLATS, CAMERAS, what, background="white")
-
-
-def test_colours_of_backgrounds():
-    (picture,) = render_pictures(SPLATS, CAMERAS[0], "object", picked=GREEN, background="#ff0033")
-    assert picture[0, 0].tolist() == [255, 0, 51]
-    with pytest.raises(StyleSplatError, match="#rrggbb"):
-        render_pictures(SPLATS, CAMERAS, background="reddish")
-
-
 def test_depths_in_world_units():
     (depths,) = render_pictures(SPLATS, CAMERAS[2], "depth-float")
     expected, alphas = expected_depth(SPLATS, CAMERAS[2])
@@ -104,8 +79,28 @@ def test_depths_in_world_units():
     torch.testing.assert_close(twice, 2 * depths, rtol=1e-3, atol=1e-3)
 
 
-def test_nothing_in_front():
-    behind = replace(CAMERAS[0], viewmats=CAMERAS[0].viewmats.clone())
-    behind.viewmats[:, 2] *= -1
-    with pytest.raises(StyleSplatError, match="No Gaussian lies in front"):
-        render_pictures(SPLATS, behind, "depth")
+def test_the_colour_of_a_background():
+    (picture,) = render_pictures(SPLATS, CAMERAS[0], "object", picked=GREEN, background="#ff0033")
+    assert picture[0, 0].tolist() == [255, 0, 51]
+
+
+PLAIN = replace(SPLATS, identities=None, classifier=None)
+BEHIND = replace(SPLATS, means=SPLATS.means + 99 * CAMERAS[0].positions)
+
+
+@pytest.mark.parametrize(
+    ("splats", "what", "background", "message"),
+    [
+        (SPLATS, "colour", None, r"Choose color, labels, .*object:NAME"),
+        (SPLATS, "object", None, r"Choose color, labels, .*object:NAME"),
+        (PLAIN, "labels", None, "no identities"),
+        (PLAIN, "identities", None, "no identities"),
+        (SPLATS, "labels", "white", "labels has no background"),
+        (SPLATS, "depth-float", "white", "depth-float has no background"),
+        (SPLATS, "color", "reddish", "#rrggbb"),
+        (BEHIND, "depth", None, "No Gaussian lies in front"),
+    ],
+)
+def test_pictures_that_cannot_be(splats: Splats, what: str, background: str | None, message: str):
+    with pytest.raises(StyleSplatError, match=message):
+        render_pictures(splats, CAMERAS[0], what, background=background)

@@ -96,8 +96,6 @@ def test_refusals(tmp_path: Path):
         export(SCENE, page)
     export(SPLATS, page, overwrite=True)
     assert read(page.read_text()).about["count"] == len(SPLATS)
-    with pytest.raises(StyleSplatError, match=r"no degree of colour 4\. Use 0, 1, 2, 3"):
-        export(SPLATS, tmp_path / "b.HTML", sh_degree=4)
     for nothing in (SPLATS[torch.arange(0)], replace(SPLATS, opacities=SPLATS.opacities - 99)):
         with pytest.raises(StyleSplatError, match="No Gaussian shows"):
             export(nothing, tmp_path / "b.html")

@@ -77,13 +77,8 @@ def test_the_plane_makes_up_exact():
     assert 0.3 < degrees(camera_up(cameras), UP), "the cameras alone would not do"
     frame = working_frame(cameras, points)
     assert degrees(up_of(frame), UP) < 0.2
-
-
-@pytest.mark.parametrize("arc", [40, 150, 350])
-def test_cameras_alone_find_up(arc: float):
-    cameras = walk(0, arc, 30)
-    # Rolls of 3 degrees in 30 photos leave half a degree; over a short arc pitch counts as well
-    assert degrees(up_of(working_frame(cameras, NOTHING)), UP) < (5 if arc < 90 else 2)
+    around = walk(0, 350, 30)  # rolls of 3 degrees in 30 photos leave half a degree
+    assert degrees(up_of(working_frame(around, NOTHING)), UP) < 2
 
 
 def test_a_wall_or_a_slope_is_not_the_ground():
@@ -161,9 +156,3 @@ def test_hardly_anything_still_gives_a_frame(count: int, few: int):
     torch.testing.assert_close(frame.rotation @ frame.rotation.T, torch.eye(3).double())
     assert torch.linalg.det(frame.rotation) == pytest.approx(1)
     assert degrees(up_of(frame), UP) < 16, "even that of a plane that is none is near level"
-    down = torch.tensor([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
-    viewmats = cameras.viewmats.clone()
-    viewmats[:, :3, :3], viewmats[:, :3, 3] = down, -line @ down.T
-    assert (
-        working_frame(replace(cameras, viewmats=viewmats), table()[:few]).rotation.isfinite().all()
-    )

@@ -29,7 +29,7 @@ from stylesplat.stylization.paint import (
 )
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.target import PaintTarget
-from stylesplat.verbs.stylize import stylize_unmeasured
+from stylesplat.verbs.stylize import stylize
 
 
 def painted(jobs: Sequence[PaintTarget], network: FeatureNetwork, **options) -> Painted:
@@ -257,7 +257,7 @@ def test_no_object_is_painted_if_another_cannot_be(monkeypatch: pytest.MonkeyPat
     picture = torch.rand(64, 64, 3)
     styles = {"red": picture, "green": Style(picture, object_size=4, scale=50.0)}
     with pytest.raises(StyleSplatError, match="green: it is hardly visible"):
-        stylize_unmeasured(TRAINED, styles, device="cpu")
+        stylize(TRAINED, styles, device="cpu")
 
 
 def test_objects_and_styles_that_cannot_be_painted(job: PaintTarget, network: FeatureNetwork):

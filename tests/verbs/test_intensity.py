@@ -11,7 +11,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import sh_basis
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.stylize import stylize_unmeasured
+from stylesplat.verbs.stylize import stylize
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 EXACT = 1e-5  # colours below 2, sums over some dozen Gaussians in float32
@@ -23,7 +23,7 @@ def calm() -> Scene:
     scene = replace(TRAINED, splats=replace(SPLATS, sh0=SPLATS.sh0 / 2))
     picture = 0.45 + 0.1 * torch.rand(64, 80, 3, generator=torch.Generator().manual_seed(0))
     style = Style(picture, steps=3, layers=(1,), object_size=30, lr=0.01, quality="draft")
-    painted = stylize_unmeasured(scene, {"red": style}, device="cpu").scene
+    painted = stylize(scene, {"red": style}, device="cpu", measured=False)
     assert len(painted.splats) == len(SPLATS), "it is painted on its own Gaussians"
     return painted
 

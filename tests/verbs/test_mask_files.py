@@ -42,19 +42,6 @@ def write_maps(folder: Path, ids: dict[str, int]) -> None:
         write_label_map(labels(id), folder / f"{stem}.png")
 
 
-def test_attaches_label_maps_by_name(folder: Path, tmp_path: Path):
-    write_maps(folder / "object_mask", {"001": 5})
-    write_maps(tmp_path / "mine", {"001": 1, "003": 70000})
-    capture = load(folder)
-    masked = mask(capture, source=tmp_path / "mine")
-    assert torch.equal(attached(masked, 0), labels(1).int()), "in place of those that it has"
-    assert masked.label_maps is not None and masked.label_maps[1] is None
-    assert torch.equal(attached(masked, 2), labels(70000).int())
-    assert masked.photos is capture.photos
-    last = mask(capture.only([2]), source=tmp_path / "mine")
-    assert torch.equal(attached(last, 0), labels(70000).int())
-
-
 def test_nothing_to_go_by(folder: Path):
     with pytest.raises(StyleSplatError, match=r"Nothing says what to mask.*another program"):
         mask(load(folder))

@@ -17,7 +17,6 @@ from capture_files import (
     write_ball_capture,
 )
 from stylesplat.cli.mask import PREVIEW, Mask
-from stylesplat.errors import StyleSplatError
 from stylesplat.io.images import read_image
 from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map
 from stylesplat.io.scene_folder import save
@@ -92,14 +91,3 @@ def test_what_an_earlier_run_said_is_replaced_and_nothing_else(capture: Path, sc
     Mask(capture=capture, source=capture.parent / "masks", overwrite=True).run()
     assert not (folder / NAMES).exists(), "they have no names"
     assert {path.name for path in folder.iterdir()} == {"0000.png", "mine.png", PREVIEW}
-
-
-def test_a_box_that_fails_leaves_what_was_there(capture: Path, scene: Path):
-    folder = capture / "object_mask"
-    run_mask(capture, {"vase": VASE}, scene)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    black = ("0001.jpg", (4.0, 110.0, 20.0, 130.0))
-    with pytest.raises(StyleSplatError, match=r"box in 0001\.jpg holds looks like"):
-        run_mask(capture, {"vase": VASE, "hole": black}, scene, overwrite=True)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert [path.name for path in capture.iterdir() if path.name.startswith(".")] == []

@@ -106,9 +106,7 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
     [
         (OBJECTS + "stepps: 3", "there is no key 'stepps'. Did you mean 'steps'?"),
         (OBJECTS + "steps: many", 'steps cannot be "many": Expected `int | null`, got `str`.'),
-        (OBJECTS + "scale: .nan", "Cannot stylise with scale nan: use 0.001 to 10,000."),
         (OBJECTS + "features: vgg", ". Use compact or vgg16 or vgg19."),
-        ("objects: {vase: {style: wave.jpg, steps: 0}}", "vase: Cannot stylise with steps 0"),
         ("objects: {vase: {steps: 3}}", "vase: it has no picture. Add `style: IMAGE`."),
         (
             "objects: {vase: {style: [wave.jpg, null], sha256: [abc, abd]}}",
@@ -118,9 +116,7 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         ("objects: {vase: {style: lost.jpg}}", "lost.jpg. Paths are relative to the recipe's"),
         ("objects: {}", "it names no objects. Add `objects:`"),
         ("objects: [{style: wave.jpg}]", "each of the list `objects` must have a name"),
-        ("- vase", "it must hold `objects:` and settings, as KEY: VALUE."),
         ("steps: 3\nobjects:\n  vase: [", "line 3 is no valid YAML: "),
-        ("steps: \0", "it is no YAML text: "),
         (
             "objects:\n  vase: {style: wave.jpg}\n  pear: {style: wave.jpg}\n"
             "  vase: {style: night.jpg}",

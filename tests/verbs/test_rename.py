@@ -12,7 +12,7 @@ from stylesplat.io.json_files import read_json
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.objects import delete, objects, rename
+from stylesplat.verbs.objects import delete, rename
 from stylesplat.verbs.select import select
 
 SCENE = select(select(Scene(SPLATS, CAMERAS), "red", id=3), "green", id=7)
@@ -27,15 +27,6 @@ def styled(tmp_path_factory: pytest.TempPathFactory, quick_painting: None) -> Sc
     scene = painted(scene_folder.open(folder / "trained"), "red", wave)
     scene_folder.save(scene, folder / "styled")
     return scene_folder.open(folder / "styled")
-
-
-def test_an_object_gets_another_name(tmp_path: Path):
-    scene = rename(SCENE, "red", "花瓶")
-    assert [*scene.objects] == ["花瓶", "green"], "in its place"
-    assert scene.objects["花瓶"] is SCENE.objects["red"]
-    assert [each["names"] for each in objects(scene)] == [["花瓶"], ["green"], []]
-    scene_folder.save(scene, tmp_path / "scene")
-    assert [*scene_folder.open(tmp_path / "scene").objects] == ["花瓶", "green"]
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.select import select
-from stylesplat.verbs.stylize import stylize, stylize_unmeasured
+from stylesplat.verbs.stylize import stylize
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 ROWS = torch.arange(len(SPLATS))
@@ -39,17 +39,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def contents(folder: Path) -> dict[str, bytes]:
     return all_contents(folder, "metrics.json")
-
-
-def test_a_second_style_leaves_the_first_alone(folder: Path):
-    once, twice = (opened(folder / name) for name in ("once", "twice"))
-    green = once.objects["green"].picked
-    rows = torch.arange(len(once.splats))
-    assert_same_splats(twice.splats[rows][~green], once.splats[~green])
-    assert twice.painted_objects == ("red", "green")
-    files = [folder / name / "layers/01-red.safetensors" for name in ("once", "twice")]
-    assert files[0].read_bytes() == files[1].read_bytes()
-    assert twice.metrics["train"] == {"psnr": 30.0}
 
 
 def test_undoing_the_first_leaves_the_second_alone(folder: Path, tmp_path: Path):
@@ -98,17 +87,6 @@ def test_intensity_0_shows_the_colours_before_and_goes_back(folder: Path, tmp_pa
     assert scene.metrics == {"train": {"psnr": 30.0}}
 
 
-def test_objects_that_were_styled_by_id_stay_what_they_were(folder: Path, tmp_path: Path):
-    """Among the Gaussians with a canvas, outliers of an id are others than before."""
-    styled = painted(opened(folder / "trained"), "3", folder / "wave.png", measured=False)
-    save(styled, tmp_path / "styled")
-    none = adjust(opened(tmp_path / "styled"), 0.0)
-    assert_same_splats(none.splats, styled.unpainted)
-    repainted = (styled.splats.sh0[ROWS] != styled.unpainted.sh0).flatten(1).any(dim=1)
-    assert repainted.any() and not (repainted & ~own_rows(none, "3")).any()
-    assert adjust(none, undo=True).objects.keys() == TRAINED.objects.keys()
-
-
 def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(
     folder: Path, tmp_path: Path, said: list[str]
 ):
@@ -125,7 +103,7 @@ def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(
     assert_same_splats(anew.splats[ROWS][others], twice.splats[ROWS][others])
     save(anew, tmp_path / "it")
     again = read_recipe(tmp_path / "it" / "recipe.json")  # the other is painted on the new one
-    made = stylize_unmeasured(trained, again, device="cpu").scene
+    made = stylize(trained, again, device="cpu", measured=False)
     assert torch.equal(made.layers[0].sh0, anew.layers[0].sh0)
     assert made.painted_objects == anew.painted_objects
     assert_same_splats(adjust(opened(tmp_path / "it"), undo=True).splats, trained.splats)

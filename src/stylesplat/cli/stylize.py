@@ -70,25 +70,28 @@ class Stylize(MakingCommand):
     def run(self) -> dict[str, Any]:
         from stylesplat.io.kinds import SCENE
         from stylesplat.io.scene_folder import revise
-        from stylesplat.verbs.stylize import stylize_unmeasured
 
         recipe = self._recipe()
+        picture = dict[str, Any]()
+
+        def save(scene: "ss.Scene") -> None:
+            save_or_rescue(scene, self.output, overwrite=self.overwrite)
+            say(f"The painted scene is in {self.output}. Measuring and drawing are left to do.")
+            tidy_heap()
+            picture.update(draw_before_after(scene, self.output, device=self.device))
+            tidy_heap()
+
         with changing(self.output):
             refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
-            painted = stylize_unmeasured(
+            styled = ss.stylize(
                 ss.open(self.scene),
                 recipe,
                 features=self.features,
                 weights=self.weights,
                 device=self.device,
+                on_painted=save,
             )
-            save_or_rescue(painted.scene, self.output, overwrite=self.overwrite)
-            say(f"The painted scene is in {self.output}. Measuring and drawing are left to do.")
-            tidy_heap()
-            picture = draw_before_after(painted.scene, self.output, device=self.device)
-            tidy_heap()
-            styled = painted.measured()
-            revise(painted.scene, styled, self.output)
+            revise(replace(styled, metrics={}), styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
         return {"scene": self.output, **picture, **numbers}
 

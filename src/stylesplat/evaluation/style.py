@@ -43,7 +43,7 @@ VIEWS = 4  # of the object, and of the scene
 
 
 def measure_painted(
-    context: PaintContext,
+    contexts: Sequence[PaintContext],
     targets: Sequence[PaintTarget],
     styled: Splats,
     *,
@@ -55,7 +55,7 @@ def measure_painted(
     """Measure how painting some objects changed them and the rest of the scene.
 
     Args:
-        context: The scene before, and the views that were optimised on.
+        contexts: For each object the scene before, the views that were optimised on, its network.
         targets: The objects and their styles.
         styled: The scene after; new Gaussians are at its end.
         held_out: Views to measure on instead.
@@ -67,11 +67,11 @@ def measure_painted(
         The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
         which are empty where the style is too small to be compared.
     """
-    base = context.splats
-    measured = replace(context, cameras=held_out or context.cameras)
+    base, cameras = contexts[0].splats, held_out or contexts[0].cameras
     targets = [target.to(base) for target in targets]
     objects = {}
-    for target in targets:
+    for context, target in zip(contexts, targets, strict=True):
+        measured = replace(context, cameras=cameras)
         part, own, after = measured, target, styled
         if cuts and target.name in cuts:
             assert families is not None
@@ -91,7 +91,7 @@ def measure_painted(
             say(f"{target.name} is not compared with its style: {error}")
             objects[target.name] = {}
     picked = torch.stack([target.mask for target in targets]).any(dim=0)
-    return measure_changes(base, styled, measured.cameras, picked) | {"objects": objects}
+    return measure_changes(base, styled, cameras, picked) | {"objects": objects}
 
 
 @torch.no_grad()

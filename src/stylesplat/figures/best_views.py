@@ -117,11 +117,7 @@ def survey_view(camera: Cameras) -> Cameras:
 def close_up(
     splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, side: int = CELL
 ) -> Cameras:
-    """A square view of an object and a margin, made from the camera that shows most of it.
-
-    Raises:
-        StyleSplatError: If the object shows in none of the views.
-    """
+    """A square view of an object and a margin, made from the camera that shows most of it."""
     found = find_views(splats, cameras, picked, count=1)
     if not found:
         where = cameras.names[0] if len(cameras) == 1 else f"any of {len(cameras)} views"

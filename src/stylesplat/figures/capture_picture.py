@@ -64,10 +64,8 @@ class _Panel:
 def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H W 3"]:
     """Draw cameras and points from above and from the side, up being up.
 
-    Returns:
-        The picture. Cameras are coloured by their order, those of blurred photos red and those
-        that few points connect with others orange. A circle around the cameras shows the sides
-        that they cover.
+    Cameras are coloured by their order, those of blurred photos red and those that few points
+    connect with others orange. A circle around the cameras shows the sides that they cover.
     """
     points = torch.zeros(0, 3) if capture.points is None else capture.points
     colors = capture.point_colors

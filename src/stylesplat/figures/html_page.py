@@ -14,6 +14,7 @@ from PIL import Image
 from torch import Tensor
 
 from stylesplat.evaluation.summary import flat
+from stylesplat.scene.scene import Scene
 
 STYLE = Path(__file__).with_name("page_style.css")
 MIME = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
@@ -95,9 +96,10 @@ def _url(content: bytes, suffix: str) -> str:
 
 @dataclass(frozen=True)
 class SceneColumn:
-    """The pictures and numbers of one scene among others."""
+    """One scene among others, with its pictures and numbers."""
 
     name: str
+    scene: Scene
     metrics: Mapping[str, Any]
     """The result of `evaluate`; empty if nothing could be measured."""
     differences: Mapping[str, Any]

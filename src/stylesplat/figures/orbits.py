@@ -29,15 +29,9 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
 
     The path stays where photos were taken: a full circle if they surround the scene, else to and
     fro over the arc that they cover. The height is the photos' mean, with some of their spread, and
-    the distance is that of the farther ones.
-
-    Returns:
-        `count` cameras of one even size, with the intrinsics of the photo whose view is median in
-        width and the principal point in the centre. They look at `focus`, by default the point
-        that the capture's cameras look at.
-
-    Raises:
-        StyleSplatError: If the view axes do not meet in front of the cameras.
+    the distance is that of the farther ones. The cameras have one even size and the lens of the
+    photo whose view is median in width. They look at `focus`, by default the point that the
+    capture's cameras look at.
     """
     focus = focus_point(cameras) if focus is None else focus.double()
     axes = _axes(cameras, focus)

@@ -9,11 +9,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
+from scipy.cluster.vq import vq
 from torch import Tensor
 
-from stylesplat.io.splats.packing import LARGEST, morton_order, smallest_three
+from stylesplat.io.splats.packing import LARGEST, kmeans, morton_order, smallest_three
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
 from stylesplat.rendering.gaussians import MIN_ALPHA
@@ -22,7 +24,6 @@ from stylesplat.scene.splats import Splats, rgb_from_sh0
 ENTRIES = 256  # as many as a byte can name; the first is all zeros
 SAMPLE = 20_000  # rows that a palette is made from
 ROUNDS = 6  # of k-means; more change little
-AT_ONCE = 16_384  # rows whose distances from all entries are in memory
 MIDDLE, STEPS = 128, 127  # the byte of 0, and how many there are on each side
 
 Bytes = UInt8[Tensor, "E D"]
@@ -33,42 +34,25 @@ LEVELS = 2  # palettes: the entry of the second is added to that of the first
 Column = UInt8[Tensor, "..."]
 
 
-def palette_of(values: Float[Tensor, "M D"], *, seed: int = 0) -> tuple[Bytes, float]:
-    """Entries that rows are like (k-means, Lloyd 1982), rounded to bytes.
-
-    Returns:
-        The entries, and what the largest byte means.
+def palette_of(values: Float[Tensor, "M D"]) -> tuple[Bytes, float, Int[Tensor, " M"]]:
+    """Entries that rows are like (k-means), as bytes; what the largest byte means; and the entry
+    of each row, which is the first for zeros.
     """
-    generator = torch.Generator().manual_seed(seed)
-    rows = values.ne(0).any(dim=1).nonzero()[:, 0]
-    rows = rows[torch.randperm(len(rows), generator=generator)[:SAMPLE]]
-    sample = values[rows]
-    entries = values.new_zeros(ENTRIES, values.shape[1])
-    first = sample[: ENTRIES - 1]
-    entries[1 : 1 + len(first)] = first
-    for _ in range(ROUNDS if len(sample) > len(first) else 0):
-        entry = nearest_entries(sample, entries)
-        counts = torch.bincount(entry, minlength=ENTRIES)
-        sums = torch.zeros_like(entries).index_add(0, entry, sample)
-        found = counts > 0
-        found[0] = False  # stays zero: rows without anything are so exactly
-        entries[found] = sums[found] / counts[found, None]
-    strongest = float(entries.abs().max()) or 1.0
-    return (entries / strongest * STEPS + MIDDLE).round().byte(), strongest
+    filled = values.ne(0).any(dim=1).numpy()
+    entries = np.zeros((ENTRIES, values.shape[1]), np.float32)
+    if filled.any():
+        sample = np.random.default_rng(0).permutation(values.numpy()[filled])[:SAMPLE]
+        centres, _ = kmeans(sample, ENTRIES - 1, rounds=ROUNDS)
+        entries[1 : 1 + len(centres)] = centres
+    strongest = float(np.abs(entries).max()) or 1.0
+    palette = torch.from_numpy(entries / strongest * STEPS + MIDDLE).round().byte()
+    nearest = torch.from_numpy(vq(values.numpy(), palette_values(palette, strongest).numpy())[0])
+    return palette, strongest, nearest.long()
 
 
 def palette_values(palette: Bytes, strongest: float) -> Float[Tensor, "E D"]:
     """The values of a palette's bytes."""
     return (palette.float() - MIDDLE) / STEPS * strongest
-
-
-def nearest_entries(
-    values: Float[Tensor, "M D"], entries: Float[Tensor, "E D"]
-) -> Int[Tensor, " M"]:
-    """The entry that each row is most like."""
-    squares = entries.square().sum(dim=1)
-    parts = [(squares - 2 * part @ entries.T).argmin(dim=1) for part in values.split(AT_ONCE)]
-    return torch.cat(parts) if parts else torch.zeros(0, dtype=torch.int64)
 
 
 @dataclass(frozen=True)
@@ -81,15 +65,8 @@ class Packed:
     """How many Gaussians there are, and the range of each kind of number."""
 
 
-def pack(splats: Splats, before: Splats, *, sh_degree: int, level: int = 9) -> Packed:
-    """Pack what shows of splats, sorted by place.
-
-    Args:
-        splats: The Gaussians.
-        before: The same Gaussians in other colours and opacities, or the same.
-        sh_degree: Up to which degree colours depend on where they are seen from.
-        level: Of compression, 1 to 9.
-    """
+def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
+    """Pack what shows of splats, sorted by place; `before` has other colours and opacities."""
     shown = torch.maximum(splats.opacities, before.opacities)
     rows = (torch.sigmoid(shown) >= MIN_ALPHA).nonzero()[:, 0]
     rows = rows[morton_order(splats.means[rows])]
@@ -109,7 +86,7 @@ def pack(splats: Splats, before: Splats, *, sh_degree: int, level: int = 9) -> P
         *_bands(splats, before, about),
     ]
     content = b"".join(column.contiguous().numpy().tobytes() for column in columns)
-    return Packed(zlib.compress(content, level), about)
+    return Packed(zlib.compress(content, 9), about)
 
 
 def _shapes(splats: Splats, about: dict[str, Any]) -> Iterator[Column]:
@@ -155,10 +132,9 @@ def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Co
     rest = torch.cat([splats.shN, before.shN]).flatten(1)
     indices = []
     for level in track(range(LEVELS), "packing colours", unit="palette"):
-        palette, about["strongest"][level] = palette_of(rest)
-        entries = palette_values(palette, about["strongest"][level])
-        index = nearest_entries(rest, entries)
-        rest = rest - entries[index]
+        palette, strongest, index = palette_of(rest)
+        about["strongest"][level] = strongest
+        rest = rest - palette_values(palette, strongest)[index]
         indices.append(index.byte())
         yield palette.unflatten(1, (bands, 3)).permute(1, 0, 2)  # [bands, 256, 3]
     for part in (slice(len(splats)), slice(len(splats), None)):

@@ -40,9 +40,6 @@ HUE_STEP, VALUE_STEP = 0.6180339887, 0.7548776662  # irrational, so that ids nea
 def parse_background(text: str) -> Background:
     """The colour that a name or `#rrggbb` stands for.
 
-    Raises:
-        StyleSplatError: If it stands for none.
-
     Example:
         >>> parse_background("#ff0033")
         (1.0, 0.0, 0.2)
@@ -84,25 +81,10 @@ def render_pictures(
     picked: Bool[Tensor, " N"] | None = None,
     background: str | None = None,
 ) -> Iterator[ViewPicture]:
-    """Render one picture per camera; colours mean the same in all of them.
+    """Render one picture per camera, on the CPU; colours mean the same in all of them.
 
-    Args:
-        splats: The Gaussians.
-        cameras: The views; sizes may differ.
-        what: `color`; `labels`, the label ids themselves; `label-colors`, a colour for each;
-            `identities`, their first three principal components (the paper's Figure 3); `depth`,
-            near is bright; `depth-float`, along the view in world units, 0 where nothing is; or
-            `object`, some Gaussians alone.
-        picked: Which these are.
-        background: What is behind: `transparent`, `black`, `white` or `#rrggbb`. By default black
-            behind `color` and white behind other pictures.
-
-    Yields:
-        An image, with alpha if it is transparent; or ids of labels, or depths; on the CPU.
-
-    Raises:
-        StyleSplatError: If `what` or the background is unknown, or needs identities that are not
-            there.
+    For `what` and `background` see `verbs.render.render`; `object` draws the picked Gaussians
+    alone. Sizes of cameras may differ.
     """
     behind = BEHIND.get(what)
     if background is not None:
@@ -161,11 +143,7 @@ def _renderer(
 
 
 def identity_colors(splats: Splats) -> Float[Tensor, "N 3"]:
-    """The first three principal components of the identities, spread over 0..1.
-
-    Raises:
-        StyleSplatError: If the splats have no identities.
-    """
+    """The first three principal components of the identities, spread over 0..1."""
     identities, _ = require_identities(splats)
     centred = identities - identities.mean(dim=0)
     _, axes = torch.linalg.eigh(centred.T @ centred)  # ascending

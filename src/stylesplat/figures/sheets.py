@@ -14,7 +14,6 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.best_views import (
     SEARCHED_VIEWS,
     aim_at,
-    best_rows,
     find_views,
     most_detailed,
     survey_view,
@@ -23,7 +22,6 @@ from stylesplat.figures.best_views import (
 from stylesplat.figures.grid import (
     CARD,
     CELL,
-    PAPER,
     Row,
     add_legend,
     draw_grid,
@@ -39,7 +37,6 @@ from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.compose import require_painted
-from stylesplat.scene.content import solid
 from stylesplat.scene.labels import BACKGROUND, ids_of
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
@@ -49,8 +46,6 @@ from stylesplat.selection.identities import MIN_COVERAGE, object_ids, render_lab
 from stylesplat.selection.pick import each_object
 from stylesplat.selection.soft_picks import own_shares, survey
 
-GAP = 8  # pixels between the pictures of one object
-SMALL = (CELL - GAP) // 2  # pixels along the pictures from other sides
 MAX_COLUMNS = 4  # of a sheet with few objects; a sheet of many is about square
 SURVEY_VIEWS = 24  # views searched for the best ones of each object
 
@@ -78,14 +73,8 @@ def object_sheet(
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw each object with its id, its name and the number of its Gaussians.
 
-    Each object is cut out of the whole scene, from the view that shows most of it and small from
-    two other sides. What hides it in these views hides it here.
-
-    Returns:
-        The sheet, objects in the order of their ids.
-
-    Raises:
-        StyleSplatError: If the splats have no identities, or no objects.
+    Each object is cut out of the whole scene, from the view that shows most of it. What hides it in
+    this view hides it here.
     """
     ids = object_ids(splats)
     if not ids:
@@ -105,7 +94,6 @@ def object_sheet(
     seen = survey(splats, views)
     cells = []
     for id, picked in track(each_object(splats, ids), "objects", unit="object", total=len(ids)):
-        rows = best_rows(cameras, splats.means[solid(splats, picked)], scores[id])
         nearby, own = splats, picked
         if seen is not None and picked.any():
             around = seen.around(picked)
@@ -113,7 +101,8 @@ def object_sheet(
         name = (names or {}).get(id)
         title = f"{id} · {name}" if name else str(id)
         caption = f"{title}\n{int(picked.sum()):,} Gaussians"
-        cells.append((_portraits(nearby, own, cameras[rows]), caption))
+        best = cameras[max(scores[id], key=scores[id].__getitem__)] if scores[id] else None
+        cells.append((_portrait(nearby, own, best), caption))
     lines = math.ceil(len(cells) / max(MAX_COLUMNS, math.sqrt(len(cells))))
     return draw_grid(wrap_cells(cells, math.ceil(len(cells) / lines)))
 
@@ -125,10 +114,8 @@ def selection_picture(
     """Draw a selection in up to three views from different sides, with the names of the views.
 
     Selected Gaussians are drawn in colour, all others in grey. Those that `stylize` does not
-    paint, as they lie beside the object or on the surface below it, are blue.
-
-    Returns:
-        The views side by side; None if the selection shows in none.
+    paint, as they lie beside the object or on the surface below it, are blue. Returns None if the
+    selection shows in no view.
     """
     found = find_views(splats, cameras, picked)
     if not found:
@@ -163,13 +150,8 @@ def before_after(
 ) -> tuple[str, UInt8[Tensor, "H W 3"]] | None:
     """Draw the view that shows most of the painted objects and of their detail, before and after.
 
-    It is as large as its photo, up to 2048 pixels a side.
-
-    Returns:
-        The view's name and the pictures side by side; None if no view shows painted objects.
-
-    Raises:
-        StyleSplatError: If the scene is not painted.
+    It is as large as its photo, up to 2048 pixels a side. Returns its name and the pictures side by
+    side, or None if no view shows painted objects.
     """
     require_painted(scene)
     base = scene.unpainted.to(pick_device(device))
@@ -192,9 +174,6 @@ def beside_photo(
 
     The photo is drawn at its full size if the capture is smaller, up to 2048 pixels a side. The
     PSNR is measured at the size of the capture.
-
-    Raises:
-        StyleSplatError: If the photos cannot be read again at their own size.
     """
     whole = capture
     if capture.downscale != 1 and capture.path is not None:
@@ -215,23 +194,15 @@ def one_view(scene: Scene, name: str, *, device: str = "auto") -> UInt8[Tensor, 
     return _render(scene.splats.to(pick_device(device)), camera)
 
 
-def _portraits(
-    splats: Splats, picked: Bool[Tensor, " N"], cameras: Cameras
+def _portrait(
+    splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras | None
 ) -> UInt8[Tensor, "H W 3"]:
-    """An object alone from up to three cameras: the first large, the others small beside it."""
-    card = torch.tensor(CARD, dtype=torch.uint8)
-    sheet = torch.tensor(PAPER, dtype=torch.uint8).repeat(CELL, CELL + GAP + SMALL, 1)
-    right = CELL + GAP
-    for number, (top, left, side) in enumerate(
-        ((0, 0, CELL), (0, right, SMALL), (SMALL + GAP, right, SMALL))
-    ):
-        portrait = card.expand(side, side, 3)
-        if number < len(cameras):
-            camera = aim_at(splats, picked, cameras[number], side)
-            image, share = colors_and_coverage(splats, camera, picked)
-            portrait = to_uint8(share * image + (1 - share) * card.to(image) / 255).cpu()
-        sheet[top : top + side, left : left + side] = portrait
-    return sheet
+    """An object alone; without a camera the empty card."""
+    card = torch.tensor(CARD, dtype=torch.uint8).expand(CELL, CELL, 3)
+    if camera is None:
+        return card
+    image, share = colors_and_coverage(splats, aim_at(splats, picked, camera, CELL), picked)
+    return to_uint8(share * image + (1 - share) * card.to(image) / 255).cpu()
 
 
 def _crop_around(camera: Cameras, mask: Bool[Tensor, "h w"]) -> Cameras:

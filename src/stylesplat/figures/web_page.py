@@ -31,12 +31,7 @@ CODE = ("unpack.js", "sort.js", "draw.js", "camera.js", "hands.js", "main.js")
 def write_page(
     what: Scene | Splats, path: Path, *, overwrite: bool = False, sh_degree: int | None = None
 ) -> None:
-    """Write the page of `page_of`, called like its file.
-
-    Raises:
-        StyleSplatError: If nothing shows, there is no such degree, or the file exists or cannot be
-            written.
-    """
+    """Write the page of `page_of`, called like its file."""
     degree = MAX_DEGREE if sh_degree is None else sh_degree
     check_choice(degree, "degree of colour", range(MAX_DEGREE + 1))
     refuse_file(path, overwrite=overwrite)
@@ -48,13 +43,8 @@ def write_page(
 def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) -> str:
     """A page that shows splats, from the first photo or from where all is in sight.
 
-    Of a scene that is painted, a handle lies between before and after; buttons bring
-    each object into sight.
-
-    Colours depend on the direction of view up to `sh_degree`, 0 to 3.
-
-    Raises:
-        StyleSplatError: If nothing shows.
+    Of a scene that is painted, a handle lies between before and after; buttons bring each object
+    into sight. Colours depend on the direction of view up to `sh_degree`, 0 to 3.
     """
     scene = what if isinstance(what, Scene) else None
     splats = (what.splats if isinstance(what, Scene) else what).detach().to("cpu")

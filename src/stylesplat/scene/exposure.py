@@ -22,11 +22,7 @@ def photo_gains(
     """The logarithms of each photo's gain per channel of sRGB, whose mean over photos is 0.
 
     Medians ignore points that are hidden in a photo, or shine. A photo that shows too few points
-    has NaN.
-
-    Args:
-        points: In the world.
-        photos: Each with its camera, of the photo's size.
+    has NaN. Each photo comes with a camera of its size.
     """
     some = points[evenly(range(len(points)), POINTS)].cpu()
     logs = torch.stack([_log_colors(some, photo, camera) for photo, camera in photos])  # [C, P, 3]

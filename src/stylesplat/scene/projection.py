@@ -54,13 +54,10 @@ def pixel_centres(width: int, height: int) -> Float[Tensor, "P 2"]:
 def crop(
     camera: Cameras, corner: Sequence[int | float], size: Sequence[int], *, zoom: float = 1.0
 ) -> Cameras:
-    """The camera of a crop of its image.
+    """The camera of a crop of its image, enlarged by `zoom`.
 
-    Args:
-        camera: One camera.
-        corner: Left and top of the crop in the camera's pixels, possibly outside its image.
-        size: Width and height of the crop in its own pixels.
-        zoom: Pixels of the crop per pixel of the camera.
+    `corner` is the left and the top in the camera's pixels, possibly outside its image; `size` the
+    width and height in the crop's own pixels.
     """
     Ks = camera.Ks.clone()
     Ks[:, :2, 2] -= Ks.new_tensor(corner)

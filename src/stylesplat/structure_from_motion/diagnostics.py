@@ -9,7 +9,6 @@ from torch import Tensor
 
 from stylesplat.errors import some
 from stylesplat.io.captures.colmap import ModelFigures
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.structure_from_motion.capture_statistics import Coverage, PhotoStatistics
@@ -21,7 +20,6 @@ FEW = 20  # photos; with fewer from one side only, even that side is poor
 MIN_SHARED = 50  # points that a photo has to share with others
 MIN_SHARED_SHARE = 0.1  # of what photos of the capture share in the median
 SAME_DISTANCE = 1.2  # ratio of distances that is not worth a number
-ZOOM = 1.1  # ratio of focal lengths, beyond which lenses differ
 
 
 @dataclass(frozen=True)
@@ -204,18 +202,6 @@ def diagnose_photos(photos: PhotoStatistics, names: Sequence[str]) -> list[Findi
             lock,
         ),
     ]
-
-
-def diagnose_lenses(cameras: Cameras) -> Finding:
-    sizes = {(w, h) for w, h in cameras.sizes.tolist()}
-    # Relative to the longer side, so that a phone on its side counts as the same
-    focal = (cameras.Ks[:, 0, 0].cpu() / cameras.sizes.amax(dim=1)).double()
-    ratio = float(focal.max() / focal.min())
-    says = f"{counted(len(sizes), 'size')}, one lens"
-    if ratio > ZOOM:
-        says = f"{counted(len(sizes), 'size')}, focal lengths that differ by {ratio:.1f} times"
-    advice = "Fine for several lenses; zooming while walking makes poses vague, so do not zoom."
-    return _finding("lenses", _grade(ratio, ZOOM, float("inf")), ratio, says, advice)
 
 
 def _finding(what: str, verdict: Verdict, number: float | int, says: str, advice: str) -> Finding:

@@ -95,37 +95,26 @@ def why_unregistered(
     names: Sequence[str],
 ) -> dict[str, str]:
     """By name the reason, for each photo that the first model lacks."""
-    groups = [{i.name for i in model.images.values() if i.has_pose} for model in models]
-    return {
-        name: _poor_quality(name, counts, sharpness) or _poor_overlap(name, groups, table)
-        for name in names
-        if name not in groups[0]
-    }
+    posed, *others = [{i.name for i in m.images.values() if i.has_pose} for m in models]
 
-
-def _poor_quality(
-    name: str, counts: Mapping[str, int], sharpness: Mapping[str, float]
-) -> str | None:
-    if name not in counts:
-        return "it cannot be decoded"
-    if sharpness.get(name, 1.0) < SOFT:
-        return f"blurred: {sharpness[name]:.0%} as sharp as its neighbours"
-    if counts[name] < FEW_FEATURES:
-        return f"too little texture: {counts[name]} features"
-    return None
-
-
-def _poor_overlap(name: str, groups: Sequence[set[str]], table: MatchTable) -> str:
-    partners = table.partners(name)
-    shared = max((partners[other] for other in groups[0]), default=0)
-    if any(name in group for group in groups[1:]):
-        return "sees another place than the rest, together with other photos"
-    if shared < MIN_INLIERS:
+    def reason(name: str) -> str:
+        if name not in counts:
+            return "it cannot be decoded"
+        if sharpness.get(name, 1.0) < SOFT:
+            return f"blurred: {sharpness[name]:.0%} as sharp as its neighbours"
+        if counts[name] < FEW_FEATURES:
+            return f"too little texture: {counts[name]} features"
+        if any(name in group for group in others):
+            return "sees another place than the rest, together with other photos"
+        shared = max((table.matches.get((name, other), 0) for other in posed), default=0)
+        if shared < MIN_INLIERS:
+            return (
+                "too far from the others: no photo with a pose shares more than "
+                f"{counted(shared, 'feature')} with it, {MIN_INLIERS} are needed"
+            )
         return (
-            "too far from the others: no photo with a pose shares more than "
-            f"{counted(shared, 'feature')} with it, {MIN_INLIERS} are needed"
+            f"no camera position fits, though it shares {shared} features with a photo that has a "
+            "pose: things that repeat or moved mislead, or the camera only turned"
         )
-    return (
-        f"no camera position fits, though it shares {shared} features with a photo that has a "
-        "pose: things that repeat or moved mislead, or the camera only turned"
-    )
+
+    return {name: reason(name) for name in names if name not in posed}

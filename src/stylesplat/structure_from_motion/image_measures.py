@@ -124,28 +124,22 @@ class CornerTracker:
 def near_duplicates(greys: Sequence[Grey], worth: Sequence[tuple[float, ...]]) -> dict[int, int]:
     """Which photos repeat another one: the row of the kept photo by the row of its duplicate.
 
-    Photos are compared with those kept so far, so a slow walk is thinned to photos that differ. Of
-    two duplicates the one with the higher worth is kept, else the first.
+    Each photo is compared with those of higher worth that were kept, so a slow walk is thinned to
+    photos that differ.
     """
     thumbnails = np.array([_thumbnail(grey) for grey in greys])
-    kept: dict[int, CornerTracker] = {}
-    repeats: dict[int, int] = {}
-    for index, grey in enumerate(track(greys, "comparing photos", unit="photo")):
+    kept, repeats = dict[int, CornerTracker](), dict[int, int]()
+    best_first = sorted(range(len(greys)), key=worth.__getitem__, reverse=True)
+    for row in track(best_first, "comparing photos", unit="photo"):
         others = np.array([*kept], int)
-        correlations = thumbnails[others] @ thumbnails[index]
+        correlations = thumbnails[others] @ thumbnails[row]
         closest = np.argsort(-correlations, kind="stable")[:CANDIDATES]
-        candidates = [int(others[o]) for o in closest if correlations[o] >= MIN_CORRELATION]
-        same = next((o for o in candidates if _is_same_view(kept[o], grey)), None)
-        if same is not None and worth[index] <= worth[same]:
-            repeats[index] = same
-            continue
-        if same is not None:
-            repeats[same] = index
-            del kept[same]
-        kept[index] = CornerTracker(grey)
-    for photo in repeats:
-        while repeats[photo] in repeats:  # the photo that was kept at first was replaced later
-            repeats[photo] = repeats[repeats[photo]]
+        alike = [int(others[o]) for o in closest if correlations[o] >= MIN_CORRELATION]
+        same = next((other for other in alike if _is_same_view(kept[other], greys[row])), None)
+        if same is None:
+            kept[row] = CornerTracker(greys[row])
+        else:
+            repeats[row] = same
     return repeats
 
 

@@ -1,6 +1,5 @@
 """Which pairs of photos are matched, and the matches."""
 
-from collections import Counter
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -40,10 +39,6 @@ class MatchTable:
     @property
     def matched(self) -> int:
         return len(self.matches) // 2
-
-    def partners(self, name: str) -> Counter[str]:
-        """The photos that one photo matches, and in how many features."""
-        return Counter({b: count for (a, b), count in self.matches.items() if a == name})
 
 
 def match_pairs(workspace: Workspace, *, ordered: bool) -> MatchTable:

@@ -30,8 +30,7 @@ LENS_TAGS = (Base.FocalLength, Base.FocalLengthIn35mmFilm, Base.LensModel)
 SENSOR_TAGS = (
     *(Base.FocalPlaneXResolution, Base.FocalPlaneYResolution, Base.FocalPlaneResolutionUnit),
 )
-TIME_TAGS = (Base.DateTimeOriginal, Base.SubsecTimeOriginal)
-MAX_TEXT = 64  # characters of a camera's name or a time
+MAX_TEXT = 64  # characters of a camera's name
 MAX_NUMBER = 1e6  # millimetres or pixels in an inch: no camera has as many
 
 # Photos of one camera that OPENCV's two focal lengths and four distortion coefficients need; with
@@ -66,18 +65,8 @@ def group_by_camera(photos: Path, names: Sequence[str], cameras: str) -> tuple[C
     return tuple(CameraGroup(tuple(found)) for found in rows.values())
 
 
-def capture_time(path: Path) -> str | None:
-    """When a photo was taken, as text that sorts by time; None if that is not known."""
-    with open_image(path) as image:
-        details = exif_of(image).get_ifd(ExifTags.IFD.Exif)
-        time, subsecond = (details.get(tag) for tag in TIME_TAGS)
-    if not isinstance(time, str) or not time[:4].isdigit():
-        return None
-    return f"{time[:MAX_TEXT]}.{subsecond}" if isinstance(subsecond, str) else time[:MAX_TEXT]
-
-
 def lens_exif(path: Path) -> bytes:
-    """EXIF data with the camera, its lens and the time, without rotation and position.
+    """EXIF data with the camera and its lens, without rotation and position.
 
     They are empty if unknown or damaged: the photo itself may be whole.
     """
@@ -86,7 +75,7 @@ def lens_exif(path: Path) -> bytes:
             found, kept = exif_of(image), Image.Exif()
             details, kept_details = (e.get_ifd(ExifTags.IFD.Exif) for e in (found, kept))
             kept.update({t: found[t] for t in CAMERA_TAGS if _is_plausible(found.get(t))})
-            tags = (*LENS_TAGS, *SENSOR_TAGS, *TIME_TAGS)
+            tags = (*LENS_TAGS, *SENSOR_TAGS)
             kept_details.update({t: details[t] for t in tags if _is_plausible(details.get(t))})
             return kept.tobytes() if kept or kept_details else b""
         except Exception:  # Pillow raises all kinds

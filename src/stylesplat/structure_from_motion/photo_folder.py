@@ -28,7 +28,7 @@ from stylesplat.structure_from_motion.image_measures import (
     relative_sharpness,
     sharpness,
 )
-from stylesplat.structure_from_motion.photo_files import capture_time, map_photos
+from stylesplat.structure_from_motion.photo_files import map_photos
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 # Folders of pictures that are no photos of the scene
@@ -157,7 +157,6 @@ class _Candidate:
     name: str
     small: SmallPhoto = field(repr=False)
     sharpness: float
-    time: str | None
     suffix: str
     """Of the file that will be written."""
 
@@ -175,10 +174,7 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
         )
     left_out |= dict.fromkeys(masked, "its background is transparent or of one colour")
     photos = [photo for photo in photos if photo.name not in left_out]
-    timed = all(photo.time for photo in photos)
-    series = is_series([photo.name for photo in photos]) if photos else False
-    if timed and not series:
-        photos = sorted(photos, key=lambda photo: photo.time or "")
+    series = is_series([photo.name for photo in photos])
     measured = [photo.sharpness for photo in photos]
     if len(photos) >= MIN_PHOTOS and np.median(measured) < ALL_BLURRED:
         raise StyleSplatError(
@@ -198,7 +194,7 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
     written = dict(zip(_written_names(photos), photos, strict=True))
     return PreparedPhotos(
         names=tuple(written),
-        ordered=series or timed,
+        ordered=series,
         origins={name: photo.name for name, photo in written.items()},
         sharpness={name: sharp[photo.name] for name, photo in written.items()},
         left_out=left_out,
@@ -220,7 +216,7 @@ def _measure(source: Path, names: Sequence[str], left_out: dict[str, str]) -> li
         path = source / name
         try:
             small, suffix = read_small(path, SIDE), plain_suffix(path) or ".jpg"
-            return _Candidate(name, small, sharpness(small.grey), capture_time(path), suffix)
+            return _Candidate(name, small, sharpness(small.grey), suffix)
         except StyleSplatError as error:
             cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
             return f"no readable picture: {reason(cause)}"

@@ -27,14 +27,14 @@ from stylesplat.structure_from_motion.video_keyframes import (
 )
 
 RECORD = ".prepared.json"  # in the folder of prepared photos
-VERSION = 2  # of how photos are selected and written; those of another version are made again
+VERSION = 3  # of how photos are selected and written; those of another version are made again
 
 
 def check_source(source: Path) -> None:
     """Refuse what is clearly neither photos nor a video, before anything is written."""
-    found = _open_source(source, partial_of(source), MIN_PHOTOS)
-    if found.files is None:
-        with open_video(found.path):
+    path, files = _find_source(source, partial_of(source))
+    if files is None:
+        with open_video(path):
             pass
 
 
@@ -45,69 +45,53 @@ def prepare(source: Path, folder: Path, *, frames: int = 100) -> PreparedPhotos:
     """
     if frames < MIN_PHOTOS:
         raise StyleSplatError(f"Cannot choose {frames} frames. Give {MIN_PHOTOS} or more.")
-    found = _open_source(Path(source), folder := Path(folder), frames)
-    record, identity = _read_record(folder), found.identity()
+    path, files = _find_source(source, folder)
+    if files is None:
+        parts = [str(frames), _stamp(path)]
+    else:
+        photos = [f"{name} {_stamp(inside(path, name))}" for name in files.photos]
+        parts = [*photos, *files.left_out, *files.videos]
+    text = "\n".join((str(VERSION), *parts))
+    identity = hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()
+    record = _read_record(folder)
     if record is None or record.source != identity:
-        record = _Record(identity, found.select())
+        chosen = select_keyframes(path, frames) if files is None else select_photos(path, files)
+        record = _Record(identity, chosen)
         shutil.rmtree(folder, ignore_errors=True)
         write_json(asdict(record), folder / RECORD)
-    origins = record.prepared.origins
-    found.write({n: o for n, o in origins.items() if not inside(folder, n).is_file()}, folder)
-    return record.prepared
+    prepared = record.prepared
+    missing = {n: o for n, o in prepared.origins.items() if not inside(folder, n).is_file()}
+
+    def write(item: tuple[str, str]) -> None:
+        name, origin = item
+        write_photo(inside(path, origin), inside(folder, name))
+
+    if files is None:
+        write_keyframes(path, [*missing], folder)
+    else:
+        map_photos(write, missing.items(), "writing photos")
+    return prepared
 
 
-@dataclass(frozen=True)
-class _Source:
-    path: Path
-    files: SourceFiles | None
-    frames: int
-
-    def identity(self) -> str:
-        """A digest that differs for other files and other settings."""
-        if self.files is None:
-            parts = [str(self.frames), _stamp(self.path)]
-        else:
-            photos = [f"{name} {_stamp(inside(self.path, name))}" for name in self.files.photos]
-            parts = [*photos, *self.files.left_out, *self.files.videos]
-        text = "\n".join((str(VERSION), *parts))
-        return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()
-
-    def select(self) -> PreparedPhotos:
-        if self.files is None:
-            return select_keyframes(self.path, self.frames)
-        return select_photos(self.path, self.files)
-
-    def write(self, origins: dict[str, str], folder: Path) -> None:
-        """Write photos, given by name with what the user calls them."""
-        if self.files is None:
-            write_keyframes(self.path, [*origins], folder)
-            return
-
-        def write(item: tuple[str, str]) -> None:
-            name, origin = item
-            write_photo(inside(self.path, origin), inside(folder, name))
-
-        map_photos(write, origins.items(), "writing photos")
-
-
-def _open_source(source: Path, folder: Path, frames: int) -> _Source:
+def _find_source(source: Path, folder: Path) -> tuple[Path, SourceFiles | None]:
+    """The folder and its files, or the video and None."""
     if source.is_dir():
         files = find_sources(source, skip=folder)
         if files.photos:
-            return _Source(source, files, frames)
+            return source, files
         if not files.videos:
             raise too_few_photos(source, 0, files.left_out)
         if len(files.videos) > 1:
             raise StyleSplatError(
                 f"{source} holds {len(files.videos)} videos: {', '.join(files.videos)}. Give one."
             )
-        return _Source(source.joinpath(*files.videos), None, frames)
+        return source.joinpath(*files.videos), None
     require_regular(source)
     if not source.exists():
         raise StyleSplatError(f"There is no folder or video {source}. Check the name.")
     if source.suffix.lower() in (*PHOTOS, *RAW):
         raise StyleSplatError(f"{source} is one photo. Give the folder of all photos, or a video.")
-    return _Source(source, None, frames)
+    return source, None
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,11 @@
 """A world frame for photos whose poses come without one: level, centred, of unit scale."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -66,9 +67,6 @@ def working_frame(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Frame:
     floor that things stand on. The origin is what the cameras look at, z points ahead of them (of
     the first, where they stand all around), and their median distance is 1. The same scene in
     another frame gives the same result.
-
-    Returns:
-        The transform from the frame that cameras and points are in.
     """
     centre = find_centre(cameras, points).position
     distance = float((cameras.positions.double() - centre).norm(dim=1).median())
@@ -177,10 +175,9 @@ def _geometric_median(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Float[T
 def ground_normal(
     points: Float[Tensor, "M 3"], up: Float[Tensor, "3"], *, seed: int = 0
 ) -> Float[Tensor, "3"] | None:
-    """The upward normal of the near level plane that holds most points (RANSAC).
+    """The upward normal of the near level plane that holds most points; None if none is clear.
 
-    Returns:
-        The normal; None if no plane is clear.
+    The first guess is by RANSAC.
     """
     near = points[points.norm(dim=1) < NEAR]
     near = near[:: max(1, len(near) // MAX_POINTS)]
@@ -190,39 +187,24 @@ def ground_normal(
     one, two, three = near[torch.randint(len(near), (TRIPLES, 3), generator=generator)].unbind(1)
     normals = normalize(torch.linalg.cross(two - one, three - one), dim=1)
     normals = normals * (normals @ up).sign()[:, None]
-    level = _are_level(normals, up).nonzero()[:MAX_PLANES, 0]
+    least = math.cos(math.radians(MAX_TILT))
+    level = (normals @ up > least).nonzero()[:MAX_PLANES, 0]
     if not len(level):
         return None
     normals, offsets = normals[level], (one[level] * normals[level]).sum(dim=1)
-    inliers = (near @ normals.T - offsets).abs() < THICKNESS  # [M, planes]
-    best = int(inliers.sum(dim=0).argmax())
-    return _refine_normal(near, inliers[:, best], up)
-
-
-def _are_level(normals: Float[Tensor, "P 3"], up: Float[Tensor, "3"]) -> Bool[Tensor, " P"]:
-    return normals @ up > torch.deg2rad(torch.tensor(MAX_TILT)).cos()
-
-
-def _refine_normal(
-    points: Float[Tensor, "M 3"], inliers: Bool[Tensor, " M"], up: Float[Tensor, "3"]
-) -> Float[Tensor, "3"] | None:
-    """The normal of a plane that is fitted to its inliers again and again; None if not clear."""
-    for _ in range(ROUNDS):
-        _, _, distances = _fit_plane(points, inliers)
-        inliers = distances < THICKNESS
+    close = (near @ normals.T - offsets).abs() < THICKNESS  # [M, planes]
+    inliers, fits = close[:, close.sum(dim=0).argmax()], 0
+    while True:
         if inliers.sum() < 3:
             return None
-    normal, widths, distances = _fit_plane(points, inliers)
+        centre = near[inliers].mean(dim=0)
+        variances, axes = torch.linalg.eigh(torch.cov((near[inliers] - centre).T, correction=0))
+        normal = axes[:, 0] * (axes[:, 0] @ up).sign()
+        distances = ((near - centre) @ normal).abs()
+        fits += 1
+        if fits > ROUNDS:
+            break
+        inliers = distances < THICKNESS
     clear = inliers.sum() >= MIN_CONTRAST * (distances < 3 * THICKNESS).sum()
-    large = widths[1] >= MIN_WIDTH and inliers.double().mean() >= MIN_INLIERS
-    normal = normal * (normal @ up).sign()
-    return normal if clear and large and _are_level(normal[None], up) else None
-
-
-def _fit_plane(
-    points: Float[Tensor, "M 3"], inliers: Bool[Tensor, " M"]
-) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"], Float[Tensor, " M"]]:
-    """Normal of the plane of the inliers, their deviations in its axes, distances of all to it."""
-    centre = points[inliers].mean(dim=0)
-    variances, axes = torch.linalg.eigh(torch.cov((points[inliers] - centre).T, correction=0))
-    return axes[:, 0], variances.clamp(min=0).sqrt(), ((points - centre) @ axes[:, 0]).abs()
+    large = variances[1] >= MIN_WIDTH**2 and inliers.double().mean() >= MIN_INLIERS
+    return normal if clear and large and normal @ up > least else None

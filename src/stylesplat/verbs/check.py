@@ -41,7 +41,6 @@ def check(capture: Capture) -> CaptureReport:
             diagnostics.diagnose_heights(coverage),
             diagnostics.diagnose_distances(coverage),
             *diagnostics.diagnose_photos(photos, cameras.names),
-            diagnostics.diagnose_lenses(capture.full_cameras),
         ),
         blurred=tuple(cameras.names[row] for row in diagnostics.blurred_rows(photos)),
         weak=tuple(diagnostics.weakly_connected(figures.shared) if figures else ()),

@@ -30,20 +30,12 @@ SCHEMA = "stylesplat-comparison-1"
 
 
 @dataclass(frozen=True)
-class Compared(SceneColumn):
-    """A scene with its column of the comparison."""
-
-    scene: Scene
-    """The scene."""
-
-
-@dataclass(frozen=True)
 class Comparison:
     """Scenes side by side; the first is what others are compared with."""
 
     views: tuple[str, ...]
     """The photos' names of the pictures."""
-    scenes: tuple[Compared, ...]
+    scenes: tuple[SceneColumn, ...]
     """In the order in which they were given."""
     notes: tuple[str, ...] = ()
     """What makes numbers less comparable, in sentences."""
@@ -97,7 +89,7 @@ def compare(
         for name, scene in others
         if {*scene.held_out} != {*one.held_out}
     ]
-    found = list[Compared]()
+    found = list[SceneColumn]()
     for name, scene in scenes.items():
         metrics: dict[str, Any] = {}
         try:
@@ -111,7 +103,7 @@ def compare(
         base = found[0] if found else None
         differences = metric_differences(metrics, base.metrics if base else metrics)
         from_first = picture_differences(pictures, base.pictures if base else pictures)
-        found.append(Compared(name, metrics, differences, from_first, pictures, scene))
+        found.append(SceneColumn(name, scene, metrics, differences, from_first, pictures))
     for note in notes:
         say(note)
     return Comparison(names, tuple(found), tuple(notes))

@@ -10,10 +10,10 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.argument_kinds import check_arguments
+from stylesplat.errors import StyleSplatError
 from stylesplat.figures.best_views import close_up
-from stylesplat.figures.grid import draw_grid
+from stylesplat.figures.grid import GridPicture, Row, draw_grid
 from stylesplat.figures.pictures import to_uint8
-from stylesplat.figures.style_sheet import caption_rows, plan_sheet
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.cameras import Cameras
@@ -24,11 +24,13 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.config import Network
 from stylesplat.stylization.paint import check_targets
+from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_image import Picture
 from stylesplat.stylization.target import PaintTarget
-from stylesplat.verbs.stylize import stylize_unmeasured
+from stylesplat.verbs.stylize import stylize
 
 CELL = 512  # pixels along a cell: strokes of a normal painting can be told apart
+FIELDS = {"stroke_size": "scale"}  # options of `stylize` that settings call otherwise
 
 
 @dataclass(frozen=True)
@@ -85,29 +87,93 @@ def sheet(
     Example:
         >>> sheet(scene, "vase", ["wave.jpg"], vary={"stroke_size": (1, 2, 4)})  # doctest: +SKIP
     """
-    several = [(s,) if isinstance(s, str | Path | Tensor) else tuple(s) for s in styles]
-    variations = [(key, tuple(values)) for key, values in (vary or {}).items()]
-    plan = plan_sheet(several, variations, settings=settings)
-    runs, picked = plan.runs(), find_object(scene, name)
-    jobs = [PaintTarget(name, picked, style.read(), style.config) for style, _ in runs]
+    grid = sheet_rows(styles, vary or {}, settings)
+    runs = dict[object, tuple[Style, list[tuple[int, int, float]]]]()
+    for row, (_, cells) in enumerate(grid):
+        for column, (_, style) in enumerate(cells):
+            config = replace(style.config, intensity=1.0)
+            full = Style(*style.pictures, config=config, preset=style.preset)
+            same = (*map(id, style.pictures), config, style.network)  # colours cannot be hashed
+            place = row, column, style.config.intensity
+            runs.setdefault(same, (full, []))[1].append(place)
+    picked = find_object(scene, name)
+    jobs = [PaintTarget(name, picked, style.read(), style.config) for style, _ in runs.values()]
     check_targets(jobs[:1])
     splats = scene.splats.to(pick_device(device))
     cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
     camera = close_up(splats, cameras, picked.to(splats.device), side=CELL)
     # The paint that the object has stays in its place of the stack, without a message about it
     bare = replace(with_strengths(scene, {name: 0.0}), path=scene.path)
-    how = {"features": features, "weights": weights, "device": device}
-    pictures = {}
-    for style, cells in track(runs, name, unit="painting"):
-        painted = stylize_unmeasured(bare, {name: style}, **how).scene
-        for cell in cells:
-            intensity = {name: cell.style.config.intensity}
-            blended = with_strengths(painted, intensity).splats.to(splats.device)
-            pictures[cell.row, cell.column] = _picture(blended, camera)
-    grid = draw_grid(caption_rows(plan, pictures, _picture(splats, camera)))
-    return StyleSheet(grid, camera.names[0], len(pictures), len(runs))
+    how = {"features": features, "weights": weights, "device": device, "measured": False}
+    pictures = dict[tuple[int, int], GridPicture]()
+    for style, places in track(runs.values(), name, unit="painting", total=len(runs)):
+        painted = stylize(bare, {name: style}, **how)
+        for row, column, intensity in places:
+            blended = with_strengths(painted, {name: intensity}).splats
+            pictures[row, column] = _picture(blended.to(splats.device), camera)
+    rows, last = list[Row](), ()
+    for row, (label, cells) in enumerate(grid):
+        captioned = [
+            (pictures[row, column], f"{row + 1},{column + 1}: {caption}")
+            for column, (caption, _) in enumerate(cells)
+        ]
+        own = cells[0][1].pictures
+        is_new = [*map(id, own)] != [*map(id, last)]  # style pictures lead where they change
+        leading = [to_uint8(image) for image in Style(*own).read()] if is_new else []
+        before = None if rows else (_picture(splats, camera), "before")
+        rows.append(Row([before, *captioned], label, leading))
+        last = own
+    return StyleSheet(draw_grid(rows), camera.names[0], len(pictures), len(runs))
+
+
+def sheet_rows(
+    styles: Sequence[Picture | Sequence[Picture]],
+    vary: Mapping[str, Sequence[Any]],
+    settings: Mapping[str, Any],
+) -> list[tuple[str, list[tuple[str, Style]]]]:
+    """The label of each row of a sheet, and the captions and styles of its cells.
+
+    Raises:
+        StyleSplatError: If there is more than rows and columns can show, or a value is out of
+            range.
+    """
+    if not styles:
+        raise StyleSplatError("A sheet shows at least one style. Pass --style OBJECT=IMAGE.")
+    if len(vary) > (1 if len(styles) > 1 else 2):
+        raise StyleSplatError(
+            f"Got {len(styles)} styles and --vary {', '.join(vary)}. A sheet has rows and columns: "
+            "one style and up to two --vary, or several styles and one."
+        )
+    columns, lines = (_choices([*vary.items()][part]) for part in (slice(1), slice(1, 2)))
+    rows = []
+    for style in styles:
+        pictures = (style,) if isinstance(style, str | Path | Tensor) else tuple(style)
+        files = (Path(p).stem if isinstance(p, str | Path) else "picture" for p in pictures)
+        title = " + ".join(files)
+        for label, changed in lines:
+            cells = [
+                (caption or "styled", Style(*pictures, **{**settings, **changed, **more}))
+                for caption, more in columns
+            ]
+            rows.append((label or title, cells))
+    return rows
+
+
+def _choices(vary: Sequence[tuple[str, Sequence[Any]]]) -> list[tuple[str, dict[str, Any]]]:
+    """Captions and settings by value of a setting that varies; one without any if none does."""
+    return [
+        (f"{key.replace('_', ' ')} {_value_text(value)}", {FIELDS.get(key, key): value})
+        for key, values in vary
+        for value in values
+    ] or [("", {})]
+
+
+def _value_text(value: Any) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(map(_value_text, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 @torch.no_grad()
-def _picture(splats: Splats, camera: Cameras) -> UInt8[Tensor, "_ _ 3"]:
+def _picture(splats: Splats, camera: Cameras) -> GridPicture:
     return to_uint8(render(splats, camera)[0]).cpu()

@@ -2,8 +2,8 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from stylesplat.scene.compose import (
     with_strengths,
     without_layers,
 )
-from stylesplat.scene.layer import Layer
+from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Network
@@ -41,53 +41,34 @@ from stylesplat.stylization.target import (
 )
 from stylesplat.stylization.views import Box
 
-ADDED = ("steps", "changed_gaussians", "painted_gaussians", "changed_outside")  # over networks
+ContextOf = Callable[[Splats, PaintTask], PaintContext]
 
 
-@dataclass(frozen=True)
-class Unmeasured:
-    """A painted scene whose metrics contain times and steps only."""
+def context_maker(
+    scene: Scene, tasks: Sequence[PaintTask], max_memory: float, device: torch.device
+) -> ContextOf:
+    """Returns a function that makes the context for painting or measuring a task on some splats.
 
-    scene: Scene
-    """As `stylize` returns it, but for the metrics that take measuring."""
-    measures: Sequence[Callable[[Scene], dict[str, Any]]]
-    """Functions that measure the objects of each network."""
+    It loads each network once, as deep as the tasks need it.
+    """
+    training, held_out = scene.working_views()
 
-    def measured(self) -> Scene:
-        """The scene with all of its metrics; see `stylize`."""
-        figures = {}
-        for measure in self.measures:
-            figures = _joined(figures, measure(self.scene))
-        return replace(self.scene, metrics={**self.scene.metrics, **figures})
+    @cache
+    def network(features: Network, weights: Source | None) -> FeatureNetwork:
+        same = [task for task in tasks if (task.features, task.weights) == (features, weights)]
+        return load_network([task.style for task in same], features, weights)
 
-
-@dataclass(frozen=True)
-class PaintContexts:
-    """The paint contexts of all tasks of a scene, which share networks."""
-
-    scene: Scene
-    tasks: Sequence[PaintTask]
-    max_memory: float
-    """GiB for prepared views."""
-    device: torch.device
-    networks: "dict[Any, FeatureNetwork]"
-    """Loaded networks by name and file."""
-
-    def of(self, splats: Splats, task: PaintTask) -> PaintContext:
-        """The context for painting or measuring one object on splats."""
-        training, held_out = self.scene.working_views()
-        key = task.features, task.weights
-        if key not in self.networks:
-            styles = [each.style for each in self.tasks if (each.features, each.weights) == key]
-            self.networks[key] = load_network(styles, *key)
+    def context_of(splats: Splats, task: PaintTask) -> PaintContext:
         return paint_context(
-            splats.to(self.device),
+            splats.to(device),
             training,
-            self.networks[key],
+            network(task.features, task.weights),
             held_out=held_out,
-            max_memory=self.max_memory,
+            max_memory=max_memory,
             precision=task.precision,
         )
+
+    return context_of
 
 
 @check_arguments
@@ -99,6 +80,8 @@ def stylize(
     weights: Path | str | None = None,
     max_memory: float = MAX_MEMORY,
     device: str = "auto",
+    on_painted: Callable[[Scene], None] | None = None,
+    measured: bool = True,
 ) -> Scene:
     """Repaint objects of a scene, each in the style of one or more pictures.
 
@@ -115,6 +98,8 @@ def stylize(
         weights: The network's file; VGG's are else downloaded, once.
         max_memory: GiB for prepared views; what does not fit takes longer.
         device: Where to compute.
+        on_painted: Called with the scene before it is measured, for example to save it.
+        measured: Whether to measure the result. If not, its metrics are times and steps only.
 
     Returns:
         The scene with its layers. Its metrics are `seconds`, `steps`, `precision`, what
@@ -128,27 +113,14 @@ def stylize(
         >>> stylize(scene, {"vase": "wave.jpg", "pot": Style("night.jpg", scale=2)})
         ... # doctest: +SKIP
     """
-    rest = {"features": features, "weights": weights, "max_memory": max_memory, "device": device}
-    return stylize_unmeasured(scene, styles, **rest).measured()
-
-
-def stylize_unmeasured(
-    scene: Scene,
-    styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe,
-    *,
-    features: Network | None = None,
-    weights: Path | str | None = None,
-    max_memory: float = MAX_MEMORY,
-    device: str = "auto",
-) -> Unmeasured:
-    """As `stylize`, but the scene can be saved before it is measured."""
     start, before, recipe = time.perf_counter(), scene, as_recipe(styles)
     tasks = paint_tasks(recipe, scene, features, weights)
-    contexts = PaintContexts(scene, tasks, max_memory, pick_device(device), {})
+    torch_device = pick_device(device)
+    context_of = context_maker(scene, tasks, max_memory, torch_device)
     if len(tasks) > 1:  # so that no object is painted in vain
         for task in tasks:
             under, _ = beneath(scene, task.name)
-            context = contexts.of(under.splats, task)
+            context = context_of(under.splats, task)
             check_visible(context, task.target(family(under)).to(context.splats))
     shown = {layer.object for layer in scene.layers if layer.is_shown}
     anew = [task.name for task in tasks if task.name in shown]
@@ -159,7 +131,7 @@ def stylize_unmeasured(
     for task in tasks:
         began = time.perf_counter()
         under, place = beneath(scene, task.name)
-        context, rows = contexts.of(under.splats, task), family(under).to(contexts.device)
+        context, rows = context_of(under.splats, task), family(under).to(torch_device)
         target = task.target(rows.cpu()).to(context.splats)
         layer, crop, surveys[task.name] = paint_layer(context, target, rows)
         precision = context.precision_name
@@ -177,11 +149,13 @@ def stylize_unmeasured(
         "seconds_by_object": {each.name: seconds[each.name] for each in recipe.objects},
         "train": before.metrics.get("train", before.metrics),
     }
-    groups = dict[Any, list[PaintTask]]()
-    for task in tasks:
-        groups.setdefault((task.features, task.weights, task.precision), []).append(task)
-    measures = [partial(_measure, contexts, each, crops, surveys) for each in groups.values()]
-    return Unmeasured(replace(scene, metrics=metrics), measures)
+    scene = replace(scene, metrics=metrics)
+    if on_painted is not None:
+        on_painted(scene)
+    if not measured:
+        return scene
+    found = _measure(context_of, tasks, scene, crops, surveys)
+    return replace(scene, metrics=metrics | found)
 
 
 stylise = stylize
@@ -202,38 +176,27 @@ def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _measure(
-    contexts: PaintContexts,
+    context_of: ContextOf,
     tasks: Sequence[PaintTask],
+    scene: Scene,
     crops: Mapping[str, SceneCrop],
     surveys: Mapping[str, Sequence[Box]],
-    scene: Scene,
 ) -> dict[str, Any]:
-    """Measure objects that were painted, in comparison with the scene before, with flat metrics."""
+    """Compare the painted objects with the scene before, as flat metrics."""
     names = [task.name for task in tasks]
     before = without_layers(scene, names)
     rows = family(before)
-    context = contexts.of(before.splats, tasks[0])
+    contexts = [context_of(before.splats, task) for task in tasks]
     splats, after = canvases_last(scene, names)
     _, held_out = scene.working_views()
     return flat_metrics(
         measure_painted(
-            context,
+            contexts,
             [task.target(rows) for task in tasks],
-            splats.to(contexts.device),
+            splats.to(contexts[0].splats.device),
             held_out=held_out,
             surveys=surveys,
             cuts=crops,
             families=(rows, after),
         )
     )
-
-
-def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
-    """Join the metrics of two networks: objects are united, counts added, others replaced."""
-    joined = {**earlier, **later}
-    for name, value in earlier.items():
-        if isinstance(value, dict):
-            joined[name] = value | later.get(name, {})
-        elif name in ADDED:
-            joined[name] = value + later.get(name, 0)
-    return joined

@@ -15,7 +15,7 @@ from stylesplat.stylization.optimize import PaintState, paint_steps
 from stylesplat.stylization.paint import layer_of
 from stylesplat.stylization.style import Style, as_recipe
 from stylesplat.stylization.target import MAX_MEMORY, PaintTarget, PaintTask, paint_tasks
-from stylesplat.verbs.stylize import PaintContexts, with_layer
+from stylesplat.verbs.stylize import context_maker, with_layer
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,8 @@ def stylize_live(
     """
     (task,) = tasks = paint_tasks(as_recipe({name: style}), scene, features, weights)
     under, place = beneath(scene, name)
-    context = PaintContexts(scene, tasks, max_memory, pick_device(device), {}).of(
-        under.splats, task
-    )
+    context_of = context_maker(scene, tasks, max_memory, pick_device(device))
+    context = context_of(under.splats, task)
     target = task.target(family(under)).to(context.splats)
     for state in paint_steps(context, target, preview=True):
         yield Live(state, scene, under, place, task, target, context.precision_name)

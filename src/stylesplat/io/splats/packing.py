@@ -105,7 +105,7 @@ def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
     """
     count = min(FIRST_CLUSTERS, math.isqrt(most))
     sample = np.random.default_rng(0).permutation(len(rows))[:SAMPLE]
-    labels, distances = vq(rows, _kmeans(rows[sample], count)[0])
+    labels, distances = vq(rows, kmeans(rows[sample], count)[0])
     sizes, errors = np.bincount(labels), np.bincount(labels, distances**2)
     counts = np.minimum(sizes, 1)
     for _ in range(KMEANS_ROUNDS):  # what a small cluster cannot take goes to the others
@@ -116,16 +116,16 @@ def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
     clusters = np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
     for cluster, count in zip(clusters, counts.tolist(), strict=True):
         if len(cluster):
-            own, inner = _kmeans(rows[cluster], count)
+            own, inner = kmeans(rows[cluster], count)
             found[cluster] = sum(map(len, centres)) + inner
             centres.append(own)
     return np.concatenate(centres), found
 
 
-def _kmeans(rows: Rows, count: int) -> tuple[Centres, Labels]:
+def kmeans(rows: Rows, count: int, *, rounds: int = KMEANS_ROUNDS) -> tuple[Centres, Labels]:
     """At most `count` centres that have rows, and the centre of each row."""
     with warnings.catch_warnings(action="ignore"):  # of equal rows, which leave centres empty
         chosen = np.random.default_rng(0).permutation(len(rows))[:count]
-        centres, labels = kmeans2(rows, rows[chosen], iter=KMEANS_ROUNDS, minit="matrix")
+        centres, labels = kmeans2(rows, rows[chosen], iter=rounds, minit="matrix")
     used, labels = np.unique(labels, return_inverse=True)
     return centres[used], labels
