@@ -52,10 +52,9 @@ def coco(tmp_path: Path, *, add: dict | None = None, **changes: object) -> Path:
 
 @pytest.mark.parametrize("mask", [LARGE, SMALL, ~SMALL, LARGE & False, SMOOTH])
 def test_run_lengths(mask: torch.Tensor):
-    counts = runs(mask)
-    plain = {"size": list(mask.shape), "counts": counts}
-    assert torch.equal(decode_rle(plain, Path("a.json")), mask)
-    assert torch.equal(decode_rle({**plain, "counts": packed(counts)}, Path("a.json")), mask)
+    for counts in (runs(mask), packed(runs(mask))):
+        found = decode_rle({"size": list(mask.shape), "counts": counts}, Path("a.json"))
+        assert torch.equal(found, mask)
 
 
 @pytest.mark.parametrize(
@@ -91,6 +90,10 @@ def test_an_object_is_a_track_or_else_a_category(id: object, tmp_path: Path):
     assert torch.equal(tracked.maps["002.png"].read(), 7 * LARGE.long()) and not tracked.names
 
 
+IMAGES = [{"id": 5, "file_name": "cam1/001.jpg"}, {"id": 6, "file_name": "001.jpg"}]
+FOLDERS = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
+
+
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
@@ -113,10 +116,8 @@ def test_annotations_that_are_damaged(tmp_path: Path, changes: dict, expected: s
     assert "a.json" in str(caught.value)
 
 
-def test_coco_of_photos_in_folders(tmp_path: Path):
-    cameras = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
-    images = {"images": [{"id": 5, "file_name": "cam1/001.jpg"}, {"id": 6, "file_name": "001.jpg"}]}
-    maps = import_label_maps(coco(tmp_path, add=images), cameras).maps
+def test_photos_in_folders_are_told_by_their_paths(tmp_path: Path):
+    maps = import_label_maps(coco(tmp_path, add={"images": IMAGES}), FOLDERS).maps
     assert maps.keys() == {"cam1/001.jpg"}, "nothing is drawn on the other"
     with pytest.raises(StyleSplatError, match=r"001 may be of cam0/001\.jpg or of cam1"):
-        import_label_maps(coco(tmp_path, image_id=6, add=images), cameras)
+        import_label_maps(coco(tmp_path, image_id=6, add={"images": IMAGES}), FOLDERS)

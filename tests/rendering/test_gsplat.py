@@ -36,9 +36,21 @@ def drawn(backend: Backend, count: int, moves: bool):
     return image, alphas, info, gradients
 
 
-@pytest.mark.parametrize("moves", [True, False])
-@pytest.mark.parametrize("count", [0, 1, 16, 40])
-def test_images_and_gradients_are_the_references(calls: Calls, count: int, moves: bool):
+@pytest.mark.parametrize(
+    ("count", "moves", "passes"),
+    [
+        (0, True, [3]),
+        (0, False, [3]),
+        (1, True, [4]),
+        (16, False, [3, 16]),
+        (16, True, [32]),  # 19 are padded to the next that is compiled
+        (40, False, [3, 32, 8]),
+        (40, True, [32, 16]),
+    ],
+)
+def test_images_and_gradients_are_the_references_and_each_channel_is_blended_once(
+    calls: Calls, count: int, moves: bool, passes: list[int]
+):
     *expected, projected, gradients = drawn("reference", count, moves)
     *found, given_info, others = drawn("cuda", count, moves)
     for wanted, given in zip(expected, found, strict=True):
@@ -50,23 +62,7 @@ def test_images_and_gradients_are_the_references(calls: Calls, count: int, moves
         other = others[name]
         assert gradient is not None and other is not None, name
         assert (gradient - other).norm() < ROUNDING * (1 + gradient.norm()), name
-    assert calls.projections == calls.sorts == 1
-
-
-@pytest.mark.parametrize(
-    "count, moves, passes",
-    [
-        (0, True, [3]),
-        (0, False, [3]),
-        (16, False, [3, 16]),
-        (16, True, [32]),
-        (40, False, [3, 32, 8]),
-    ],
-)
-def test_each_channel_is_blended_once(calls: Calls, count: int, moves: bool, passes: list[int]):
-    drawn("cuda", count, moves)
-    assert calls.blended_channels == passes  # 19 are padded to 32, the next that is compiled
-    assert calls.projections == calls.sorts == 1
+    assert calls.blended_channels == passes and calls.projections == calls.sorts == 1
 
 
 @pytest.mark.parametrize("moves", [True, False])
