@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from scenes import rand
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.coco import decode_rle
 from stylesplat.masks.import_masks import import_label_maps
@@ -14,7 +15,7 @@ NAMES = ("001.png", "002.png", "003.png")
 SHAPE = (6, 8)
 LARGE, SMALL = torch.zeros(2, *SHAPE, dtype=torch.bool)
 LARGE[1:5, 1:7], SMALL[2:3, 2:5] = True, True
-SMOOTH = torch.rand(1, 200, 300, generator=torch.Generator().manual_seed(0))
+SMOOTH = rand(1, 200, 300)
 SMOOTH = torch.nn.functional.avg_pool2d(SMOOTH, 9, 1)[0] > 0.5
 HUGE = 2**62
 
@@ -63,15 +64,13 @@ def test_run_lengths(mask: torch.Tensor):
         {"size": [2, 2], "counts": [HUGE, HUGE, HUGE, HUGE, 4]},  # 4 in 64 bits
         {"size": [2, 2], "counts": packed([HUGE, HUGE, HUGE, HUGE, 4])},
         {"size": [2, 2], "counts": packed([5, 0, 0]) + "O"},  # ends with -1
-        {"size": [2, 2], "counts": ["4"]},
         {"size": [2, 2], "counts": "o" * 10**6},  # one run of millions of bits
         {"size": [2, 2], "counts": "\ud800\xff~"},
-        {"size": [-2, -2], "counts": [4]},
         {"size": [2**14, 2**14], "counts": [2**28]},
         {"size": [1e400, 3], "counts": [6]},
         None,
     ],
-    ids=range(10),
+    ids=range(8),
 )
 def test_run_lengths_that_are_none(rle: object):
     """The first wrote out of bounds: its runs were added up, and wrapped, in 64 bits."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from scenes import BACKENDS, leaf, random_splats, two_cameras
+from scenes import BACKENDS, leaf, random_splats, two_cameras, weigh_and_backward
 from stylesplat.rendering import cpu
 from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
@@ -35,10 +35,7 @@ def draw(
     colors, alphas, info = rasterize(
         splats, cameras, features=features, background=BACKGROUND, backend=backend, **options
     )
-    generator = torch.Generator().manual_seed(1)
-    for image in (colors, alphas):
-        weights = torch.randn(image.shape, generator=generator, dtype=torch.float64)
-        (image * weights.to(image)).sum().backward(retain_graph=True)
+    weigh_and_backward(colors, alphas)
     return splats, colors.detach().cpu(), alphas.detach().cpu(), info
 
 
@@ -119,6 +116,8 @@ HARD: dict[str, tuple[Callable[[], Splats], Cameras]] = {
         lambda: replace(random_splats(), opacities=random_splats().opacities - 6), view(40, 30)
     ),
     "no bands": (lambda: random_splats(sh_degree=0), view(40, 30)),
+    "one band": (lambda: random_splats(sh_degree=1), view(40, 30)),
+    "two bands": (lambda: random_splats(sh_degree=2), view(40, 30)),
 }  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from scenes import leaf, random_splats, two_cameras
+from scenes import leaf, randn, random_splats, two_cameras
 from stylesplat.rendering.linear import Contributions, contributions
 from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.splats import SH_C0, Splats
@@ -30,14 +30,6 @@ def reference(splats: Splats, picked: torch.Tensor) -> tuple[torch.Tensor, torch
         splats, CAMERA, features=picked[:, None].to(splats.means), backend="reference"
     )
     return image[0, ..., :3], image[0, ..., 3]
-
-
-def painted(seed: int) -> Splats:
-    """The scene with other colours of the half."""
-    other = random_splats(seed=seed)
-    mask = HALF[:, None, None]
-    sh0, shN = torch.where(mask, other.sh0, SPLATS.sh0), torch.where(mask, other.shN, SPLATS.shN)
-    return replace(SPLATS, sh0=sh0, shN=shN)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +68,7 @@ def test_the_picked_and_the_others_make_the_whole(half: Contributions):
 
 
 def test_gradients_match_the_reference(half: Contributions):
-    weights = torch.randn(half.background.shape, generator=torch.Generator().manual_seed(3))
+    weights = randn(*half.background.shape, seed=3)
     expected, found = leaf(SPLATS, torch.float64), leaf(SPLATS, torch.float32)
     image, _ = reference(expected, HALF)
     (image * weights.double()).sum().backward()
@@ -110,7 +102,7 @@ def test_fixed_bands_give_the_same_image(half: Contributions):
     brighter = replace(SPLATS, sh0=SPLATS.sh0 + 0.3 * HALF[:, None, None])
     for splats in (SPLATS, brighter):
         torch.testing.assert_close(fixed.render(splats), half.render(splats), atol=2e-6, rtol=0)
-    weights = torch.randn(half.background.shape, generator=torch.Generator().manual_seed(5))
+    weights = randn(*half.background.shape, seed=5)
     gradients = []
     for view in (half, fixed):
         splats = leaf(brighter, torch.float32)

@@ -6,7 +6,7 @@ import torch
 from scipy.sparse import csr_array
 
 from balls import BALLS, CAMERAS, PLAIN, SPLATS
-from scenes import cloud
+from scenes import cloud, rand
 from stylesplat.rendering import shares
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import (
@@ -59,7 +59,7 @@ def test_votes_of_many_labels_are_those_of_each_alone(side: int):
 
 
 def test_the_largest_shown_is_that_of_all_shown():
-    shares = torch.rand(len(PLAIN), 40, generator=torch.Generator().manual_seed(0))
+    shares = rand(len(PLAIN), 40)
     shares *= shares > 0.8
     most, column = largest_shown(PLAIN, CAMERAS[1], csr_array(shares.numpy()))
     expected = render_shares(PLAIN, CAMERAS[1], shares).max(dim=-1)
@@ -69,7 +69,7 @@ def test_the_largest_shown_is_that_of_all_shown():
 
 
 def test_shares_are_rendered_in_any_number():
-    shares = torch.rand(len(PLAIN), 20, generator=torch.Generator().manual_seed(0))
+    shares = rand(len(PLAIN), 20)
     shown = render_shares(PLAIN, CAMERAS[1], shares)
     assert shown.shape == (36, 48, 20)
     for column in (0, 15, 16, 19):

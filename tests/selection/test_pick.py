@@ -63,6 +63,7 @@ FIRST_VIEW = {"camera": CAMERAS[0]}
 @pytest.mark.parametrize(
     ("ways", "fact"),
     [
+        ({"object_id": 3, "threshold": 1.5}, "1.5 is no probability"),
         ({"object_id": 3, "threshold": 1.0}, r"No Gaussian is object 3 .*Lower the threshold"),
         *(
             ({"object_id": id}, rf"Object {id} does not exist.*: 3, 7, 300\.")

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from balls import BALLS, CAMERAS, SPLATS, enlarged
+from balls import RED as BALL
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats
@@ -20,7 +21,6 @@ from stylesplat.selection.soft_picks import (
 )
 
 VIEWS = enlarged(CAMERAS, 4)
-BALL = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)
 
 
 def solid_ball(*, haze: bool) -> Splats:
