@@ -92,3 +92,6 @@ def test_nothing_else_changes_beside_a_canvas(studio: PaintContext, stripes: tor
     assert job.mask[styled.family[count:]].all()
     for name, before in studio.splats.tensors().items():
         assert torch.equal(styled.splats.tensors()[name][:count][~job.mask], before[~job.mask])
+    cut = cut_to(studio, BALL)
+    after = styled.splats[cut.of_base(torch.arange(count)).rows_in(styled.family)]
+    assert len(after) == len(cut.rows) + len(styled.splats) - count
