@@ -11,7 +11,9 @@ from PIL import Image
 from torch import Tensor
 from torch.nn import functional as F
 
+from scenes import cloud, randn
 from stylesplat.io import scene_folder
+from stylesplat.metrics.iou import mask_iou
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import mask_of
 from stylesplat.scene.framing import ring_cameras
@@ -40,7 +42,7 @@ CLASSIFIER = Classifier(
 )
 
 
-def _viewmat(position: tuple[float, float, float]) -> torch.Tensor:
+def viewmat_from(position: tuple[float, float, float]) -> torch.Tensor:
     """World to camera, OpenCV axes, looking at the origin with z up."""
     origin = torch.tensor(position)
     forward = -origin / origin.norm()
@@ -55,7 +57,7 @@ def _viewmat(position: tuple[float, float, float]) -> torch.Tensor:
 def _cameras() -> Cameras:
     """Eight cameras on a circle of radius 3 at height 1.5, 48x36 pixels."""
     angles = [2 * math.pi * i / 8 for i in range(8)]
-    viewmats = [_viewmat((-3 * math.sin(a), -3 * math.cos(a), 1.5)) for a in angles]
+    viewmats = [viewmat_from((-3 * math.sin(a), -3 * math.cos(a), 1.5)) for a in angles]
     K = torch.tensor([[50.0, 0.0, 24.0], [0.0, 50.0, 18.0], [0.0, 0.0, 1.0]])
     return Cameras(
         viewmats=torch.stack(viewmats),
@@ -84,20 +86,24 @@ def _splats() -> Splats:
         colors.append(torch.tensor(color).expand(80, 3))
         classes.append(torch.full((80,), float(number)))
     labels = torch.cat(classes).long()
-    count = len(labels)
-    return Splats(
-        means=torch.cat(means),
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        scales=torch.full((count, 3), math.log(0.07)),
-        opacities=torch.full((count,), 3.0),
+    return replace(
+        cloud(torch.cat(means), 0.07, opacity=3.0),
         sh0=sh0_from_rgb(torch.cat(colors))[:, None],
-        shN=torch.zeros(count, 0, 3),
         identities=torch.eye(IDENTITY_SIZE)[labels],
         classifier=CLASSIFIER,
     )
 
 
 SPLATS, CAMERAS = _splats(), _cameras()
+ROWS = torch.arange(len(SPLATS))
+TABLE, BALL = 200, 80  # Gaussians before the balls, and of each
+
+
+def ball(number: int) -> torch.Tensor:
+    return (ROWS >= TABLE + BALL * number) & (ROWS < TABLE + BALL * (number + 1))
+
+
+RED, GREEN, BLUE = ball(0), ball(1), ball(2)
 
 
 def class_probabilities(splats: Splats) -> Tensor:
@@ -113,86 +119,44 @@ VIEWS = ring_cameras(SPLATS, torch.tensor([0.0, 0.0, 1.0])).downscale(8)  # 120x
 BARE = Scene(PLAIN, VIEWS)
 
 
+def box_around(mask: Tensor, margin: int) -> tuple[float, float, float, float]:
+    """The edges of a box around a mask, some pixels apart, within the picture."""
+    places = mask.nonzero()
+    low = (places.amin(dim=0) - margin).clamp(min=0)
+    high = torch.minimum(places.amax(dim=0) + 1 + margin, torch.tensor(mask.shape))
+    return float(low[1]), float(low[0]), float(high[1]), float(high[0])
+
+
 def around(id: int, view: str) -> tuple[str, tuple[float, float, float, float]]:
     """A box around a ball in a view."""
-    labels = render_labels(SPLATS, VIEWS[VIEWS.index(view)])
-    y, x = (labels == id).nonzero().T.float()
-    low, high = (float(x.min()) - 3, float(y.min()) - 3), (float(x.max()) + 4, float(y.max()) + 4)
-    return view, (*low, *high)
-
-
-def of_ball(id: int) -> torch.Tensor:
-    start = 200 + 80 * [*BALLS].index(id)
-    return (torch.arange(len(SPLATS)) >= start) & (torch.arange(len(SPLATS)) < start + 80)
+    return view, box_around(render_labels(SPLATS, VIEWS[VIEWS.index(view)]) == id, 3)
 
 
 def agreement(picked: torch.Tensor, id: int) -> float:
-    return float((picked & of_ball(id)).sum() / (picked | of_ball(id)).sum())
+    return mask_iou(picked, ball([*BALLS].index(id)))
 
 
 # The still life with a ball of small Gaussians in its midst, finer than what is painted on it.
 
 COUNT = 1500  # Gaussians of the ball
 CENTRE = torch.tensor([0.0, 0.0, 0.4])
-WAYS = F.normalize(torch.randn(COUNT, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+WAYS = F.normalize(randn(COUNT, 3), dim=1)
 LIGHT = 0.5 + 0.2 * WAYS[:, 2:].expand(-1, 3)  # from above
 PICKED = torch.arange(len(SPLATS) + COUNT) >= len(SPLATS)
 
 
 def dense_ball(colors: Tensor) -> Splats:
     """The still life with the ball in some colours, one for each of its Gaussians."""
-    rows = torch.arange(len(SPLATS)).repeat(4)[:COUNT]
-    tensors = SPLATS[rows].tensors() | {
-        "means": 0.4 * WAYS + CENTRE,
-        "scales": torch.full((COUNT, 3), 0.02).log(),
-        "sh0": sh0_from_rgb(colors)[:, None],
-    }
-    both = {name: torch.cat([t, tensors[name]]) for name, t in SPLATS.tensors().items()}
-    return replace(SPLATS, **both)
-
-
-# The still life with Gaussians in one ball that are much larger than strokes.
-
-TABLE, BALL = 200, 80  # Gaussians before the balls, and of each
-LARGE = 40  # of the first ball's, which are stretched
-# What discs hide may let through what reaches pixels that it had finished: below MIN_TRANSMITTANCE
-UNSEEN = 1e-4
-
-
-def stretched(*, seed: int = 0) -> Splats:
-    """The still life with large, long Gaussians of any direction in the first ball."""
-    generator = torch.Generator().manual_seed(seed)
-    scales, quats = SPLATS.scales.clone(), SPLATS.quats.clone()
-    large = slice(TABLE, TABLE + LARGE)
-    scales[large] = torch.tensor([0.2, 0.1, 0.02]).log() + 0.2 * torch.randn(
-        LARGE, 3, generator=generator
-    )
-    quats[large] = torch.randn(LARGE, 4, generator=generator)
-    opacities = 2 * torch.randn(len(SPLATS), generator=generator) + 1
-    shN = 0.1 * torch.randn(len(SPLATS), 3, 3, generator=generator)
-    confidence = torch.rand(len(SPLATS), generator=generator)
-    return replace(
-        SPLATS, scales=scales, quats=quats, opacities=opacities, shN=shN, confidence=confidence
-    )
-
-
-SCENE = stretched()
-ROWS = torch.arange(len(SCENE))
-STRETCHED_PICKED = (ROWS >= TABLE) & (ROWS < TABLE + BALL)
+    alike = SPLATS[ROWS.repeat(4)[:COUNT]]
+    scales = torch.full((COUNT, 3), 0.02).log()
+    means, sh0 = 0.4 * WAYS + CENTRE, sh0_from_rgb(colors)[:, None]
+    return Splats.cat([SPLATS, replace(alike, means=means, scales=scales, sh0=sh0)])
 
 
 # The balls with colours that depend on the view, and how one of them is quickly painted.
 
 FAST = StyleConfig(steps=12, layers=(2,), scale=1.5, object_size=24, quality="draft")
-BANDS = 0.1 * torch.randn(len(SPLATS), 3, 3, generator=torch.Generator().manual_seed(0))
-STRIPED_SCENE = replace(SPLATS, shN=BANDS)
-STRIPED_TABLE = 200  # Gaussians before the balls' 80 each
-
-
-def ball(number: int) -> torch.Tensor:
-    picked = torch.zeros(len(STRIPED_SCENE), dtype=torch.bool)
-    picked[STRIPED_TABLE + 80 * number : STRIPED_TABLE + 80 * (number + 1)] = True
-    return picked
+STRIPED_SCENE = replace(SPLATS, shN=0.1 * randn(len(SPLATS), 3, 3))
 
 
 def same(one: Splats, other: Splats) -> bool:
@@ -215,16 +179,12 @@ def with_settings(job: PaintTarget, **settings) -> PaintTarget:
 # The balls with named objects, and quick ways to paint them.
 
 PAINTED_FAST = StyleConfig(steps=3, layers=(1,), object_size=30, intensity=0.6)
-PAINTED_ROWS = torch.arange(len(SPLATS))
-RED, GREEN, BLUE = (
-    (PAINTED_ROWS >= start) & (PAINTED_ROWS < start + 80) for start in (200, 280, 360)
-)
 PICKS = {"red": RED, "green": GREEN, "blue": BLUE, "both": RED | GREEN}
 TRAINED = Scene(
     splats=replace(
         SPLATS,
-        shN=0.1 * torch.randn(len(SPLATS), 15, 3, generator=torch.Generator().manual_seed(0)),
-        confidence=PAINTED_ROWS / len(SPLATS),
+        shN=0.1 * randn(len(SPLATS), 15, 3),
+        confidence=ROWS / len(SPLATS),
     ),
     cameras=CAMERAS,
     held_out=CAMERAS.names[:1],

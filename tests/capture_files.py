@@ -14,7 +14,7 @@ import torch
 from PIL import ExifTags, Image
 from torch import Tensor
 
-from balls import CAMERAS, SPLATS, enlarged
+from balls import CAMERAS, PLAIN, SPLATS, box_around, enlarged
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.captures.sfm_file import SfmRecord
@@ -23,6 +23,7 @@ from stylesplat.io.label_maps import write_label_map
 from stylesplat.masks import from_boxes as mask_boxes
 from stylesplat.masks import quick_splat as working
 from stylesplat.masks.grabcut import Box
+from stylesplat.metrics.iou import mask_iou
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.capture import Capture
@@ -119,16 +120,11 @@ def write_cut_outs(folder: Path, cameras: Cameras = CAMERAS) -> Path:
 
 HALF = enlarged(CAMERAS, 2)  # that `mask` works at
 LARGE = enlarged(CAMERAS, 4)  # the photos; worked on at half of that
-PLAIN = replace(SPLATS, identities=None, classifier=None)
 
 
 def box(id: int, row: int) -> Box:
-    """Around a ball in the pixels of a photo, some pixels apart."""
-    y, x = ((render_labels(SPLATS, LARGE[row]) == id).nonzero().T).float()
-    (width, height), margin = LARGE.size, 4.0
-    left, top = max(0.0, float(x.min()) - margin), max(0.0, float(y.min()) - margin)
-    right, bottom = float(x.max()) + 1 + margin, float(y.max()) + 1 + margin
-    return left, top, min(float(width), right), min(float(height), bottom)
+    """Around a ball in the pixels of a photo."""
+    return box_around(render_labels(SPLATS, LARGE[row]) == id, 4)
 
 
 VASE = ("0001.jpg", box(3, 1))
@@ -144,8 +140,7 @@ def agreement(masked: Capture, id: int, ball: int) -> list[float]:
         labels, truth = masked.label_maps[row], render_labels(SPLATS, HALF[row]) == ball
         assert labels is not None
         assert labels.shape == masked.cameras[row].size[::-1]
-        mask = resize_labels(labels, truth.shape) == id
-        ious.append(float((mask & truth).sum() / (mask | truth).sum()))
+        ious.append(mask_iou(resize_labels(labels, truth.shape) == id, truth))
     return ious
 
 

@@ -48,6 +48,22 @@ def two_cameras() -> Cameras:
     return Cameras(viewmats, K.repeat(2, 1, 1), sizes, ("first.png", "second.png"))
 
 
+def rand(*shape: int, seed: int = 0) -> torch.Tensor:
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+def randn(*shape: int, seed: int = 0) -> torch.Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+def weigh_and_backward(*images: torch.Tensor) -> None:
+    """Gradients of a loss that weighs every number of some images."""
+    generator = torch.Generator().manual_seed(1)
+    for image in images:
+        weights = torch.randn(image.shape, generator=generator, dtype=torch.float64)
+        (image * weights.to(image)).sum().backward(retain_graph=True)
+
+
 def leaf(splats: Splats, dtype: torch.dtype) -> Splats:
     """Copies of the tensors that collect gradients."""
     tensors = {k: t.to(dtype, copy=True).requires_grad_() for k, t in splats.tensors().items()}
@@ -83,16 +99,8 @@ def joined(*splats: Splats) -> Splats:
 
 def box(count: int, low: list[float], high: list[float], seed: int = 0) -> torch.Tensor:
     """Points within a box."""
-    generator = torch.Generator().manual_seed(seed)
     corner, opposite = torch.tensor(low), torch.tensor(high)
-    return corner + (opposite - corner) * torch.rand(count, 3, generator=generator)
-
-
-def shell(count: int, radius: float, seed: int = 0) -> torch.Tensor:
-    """Points on a sphere around the origin."""
-    generator = torch.Generator().manual_seed(seed)
-    normals = torch.randn(count, 3, generator=generator)
-    return radius * torch.nn.functional.normalize(normals, dim=1)
+    return corner + (opposite - corner) * rand(count, 3, seed=seed)
 
 
 def guitar() -> Splats:
@@ -207,7 +215,7 @@ COUNT = 6
 
 
 def random(*shape: int) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(sum(shape)))
+    return randn(*shape, seed=sum(shape))
 
 
 def plain_scene(dtype: torch.dtype = torch.float32) -> Scene:

@@ -1,7 +1,10 @@
-"""The figures of `benchmarks/looks.py`, on pictures for which they are known."""
+"""The figures of `benchmarks/looks.py` and `strokes.py` where they are known."""
 
 from dataclasses import replace
+from itertools import pairwise
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from judge import (
@@ -11,16 +14,18 @@ from judge import (
     painting_features,
     spill_and_missed,
 )
+from strokes import detail_length
 from target_2d import target_2d
 
 from balls import CAMERAS
+from scenes import rand
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
 
 SIZE = 96
 SHARE = torch.zeros(SIZE, SIZE)
 SHARE[8:-8, 8:-8] = 1
-BEFORE = torch.rand(SIZE, SIZE, 3, generator=torch.Generator().manual_seed(0))
+BEFORE = rand(SIZE, SIZE, 3)
 SIGHT = Sight(CAMERAS[0], (slice(0, SIZE), slice(0, SIZE)), BEFORE, SHARE, 80)
 YS, XS = torch.meshgrid(torch.arange(160), torch.arange(160), indexing="ij")
 PALETTE = torch.tensor([[0.9, 0.8, 0.1], [0.1, 0.1, 0.6], [0.8, 0.2, 0.1]])
@@ -84,3 +89,20 @@ def test_free_pixels_come_closer_and_leave_the_rest(compact: FeatureNetwork):
     )
     assert after < 0.8 * before
     assert found[SHARE > 0].mean(dim=0) == pytest.approx(STRIPES.mean(dim=(0, 1)), abs=0.1)
+
+
+def blobs(size: float) -> torch.Tensor:
+    """Grey noise blurred to a size in pixels."""
+    noise = np.random.default_rng(0).standard_normal((SIZE, SIZE)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), size)
+    grey = torch.from_numpy(0.5 + 0.15 * smooth / smooth.std())
+    return grey[..., None].expand(SIZE, SIZE, 3)
+
+
+def test_the_length_of_strokes_doubles_when_they_do_and_is_that_of_nothing_else():
+    before = 0.4 + 0.2 * BEFORE
+    lengths = [detail_length(before, blobs(size), SHARE > 0, 80) for size in (1, 2, 4)]
+    ratios = [b / a for a, b in pairwise(lengths)]
+    assert ratios == pytest.approx([2, 2], rel=0.25)  # as far as its file says it holds
+    recoloured = before.flip(-1) * 0.5 + 0.3 + 0.3 * (blobs(4) - 0.5)
+    assert detail_length(before, recoloured, SHARE > 0, 80) > 4, "of the strokes, not the pattern"

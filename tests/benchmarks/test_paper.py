@@ -1,23 +1,22 @@
 """The figures and claims of the paper on three balls, whose selection and changes are known."""
 
-from collections.abc import Mapping
-from dataclasses import replace
-from itertools import product
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from paper_figures import figure2, figure3, figure5, figure6, official, segmenting
+from paper_figures import figure2, figure3, figure5, official, segmenting
 from paper_figures.book import Book, Cell, Outcome, Result, work_through
 from paper_figures.claims import verdicts
 from paper_figures.foreword import Run, foreword
 from paper_figures.masked_change import changed_share, masked_psnr, strength
 from paper_figures.story import Figure, Points, Row, Table, Text, markdown_page
-from paper_figures.subject import Effort, Subject, shown
+from paper_figures.subject import Effort, Subject
 
 from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
+from scenes import rand
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.weights import load_weights
@@ -25,7 +24,7 @@ from stylesplat.verbs.load import load
 
 LARGE = CAMERAS.downscale(1 / 4)
 EFFORT = Effort(2, 3, 192, whole_grid=False, trained=False, draft=True, judged=2, training_steps=12)
-PICTURE = torch.rand(30, 40, 3, generator=torch.Generator().manual_seed(0))
+PICTURE = rand(30, 40, 3)
 MASK = torch.zeros(30, 40, dtype=torch.bool)
 MASK[5:15, 10:20] = True
 
@@ -39,7 +38,7 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
     scene = Scene(
         SPLATS, LARGE, held_out=held_out, objects={"red": red}, info=info, metrics=metrics
     )
-    style = torch.rand(96, 96, 3, generator=torch.Generator().manual_seed(0))
+    style = rand(96, 96, 3)
     styles = {"noise": style, "other": style.flip(-1)}
     return Subject("balls", scene, photos, photos, styles, load_weights("compact", depth=3), EFFORT)
 
@@ -128,36 +127,18 @@ def test_an_edit_counts_on_its_side_of_the_mask_only():
     assert changed_share(black, 1 - black, none) == 0 == strength(black, 1 - black, none)
 
 
-def test_a_scene_against_itself_leaks_nothing(subject: Subject):
-    found = figure2.leakage(subject, SPLATS, SPLATS, 3)
-    assert found.pop("outside_psnr") == pytest.approx(120)
-    assert len(found) == 4 and {*found.values()} == {0}
-
-
-def test_what_the_edge_cuts_off_is_shown_worse():
-    whole, cut = torch.zeros(20, 20, dtype=torch.long), torch.zeros(20, 20, dtype=torch.long)
-    whole[5:15, 5:15], cut[:12, :12] = 1, 1
-    assert (shown(whole, 1), shown(cut, 1), shown(cut, 2)) == (100, 144 / 25, 0)
-
-
-def test_masks_without_error_are_exact_and_more_error_is_more(subject: Subject):
-    shares = []
-    for level in (0.0, 1.0, 2.0):
-        noisy, exact = figure2.with_errors(subject, level).label_maps, subject.capture.label_maps
-        assert noisy is not None and exact is not None
-        pairs = zip(noisy, exact, strict=True)
-        shares.append(sum(float((a != b).float().mean()) for a, b in pairs if a is not None))
-    assert 0 == shares[0] < shares[1] < shares[2]
+def measured(cells: list[Cell], keys: Iterable[str], folder: Path) -> dict[str, Mapping[str, Any]]:
+    """The numbers of some cells."""
+    book, some = Book(folder, {}), [cell for cell in cells if cell.key in {*keys}]
+    assert len([*work_through(book, some)]) == len(some) > 0
+    (found,) = book.results(some).values()
+    return {key: outcome.numbers for key, outcome in found.items()}
 
 
 def test_selection_in_3d_changes_its_gaussians_alone(subject: Subject, tmp_path: Path):
-    by_key = {cell.key: cell for cell in figure2.cells(subject)}
     keys = [f"{way} at 1" for way in (figure2.MASKED, figure2.STRICT, figure2.LIFTED)]
-    some = [by_key[key] for key in ("initial", *keys)]
-    book = Book(tmp_path, {})
-    assert len([*work_through(book, some)]) == 4
-    found = book.results(some)["figure2"]
-    masked, strict, lifted = (found[key].numbers for key in keys)
+    found = measured(figure2.cells(subject), ["initial", *keys], tmp_path)
+    masked, strict, lifted = (found[key] for key in keys)
     assert lifted["changed_gaussians"] <= int(subject.picked(subject.ids[0]).sum())
     assert masked["changed_gaussians"] > strict["changed_gaussians"] > lifted["changed_gaussians"]
     assert lifted["outside_psnr"] > masked["outside_psnr"]
@@ -169,34 +150,15 @@ def test_exact_identities_select_what_is_there(subject: Subject):
 
 
 def test_two_objects_together_are_the_two_alone(subject: Subject, tmp_path: Path):
-    some = [cell for cell in figure5.cells(subject) if cell.key.endswith("paper")]
-    book = Book(tmp_path, {})
-    assert len([*work_through(book, some)]) == len(some) > 0
-    for outcome in book.results(some)["figure5"].values():
-        assert outcome.numbers["changed_elsewhere"] == 0
-        assert {*outcome.numbers["differing"].values()} == {0}
-
-
-def test_an_axis_is_averaged_over_the_others_or_goes_through_their_middle(subject: Subject):
-    """A stroke of 10 times the scale and one more by group."""
-    grid = [
-        {"group": g, "scale": s, "rate": r, "stroke": 10 * s + g, "strength": r, "content_ssim": 1}
-        for g, s, r in product(figure6.GROUPS, figure6.SCALES, figure6.RATES)
-    ]
-    whole = figure6.by_axis(grid, "scale", whole=True)
-    assert [n["stroke"] for n in whole.values()] == pytest.approx([4.5, 7, 9.5])
-    line = figure6.by_axis(grid, "layers", whole=False)
-    assert [n["stroke"] for n in line.values()] == pytest.approx([6, 7, 8])
-    assert figure6.follows(line, "scale", "stroke").endswith("it grows.")
-    assert len(figure6.cells(subject)) == 1 + 7
-    assert len(figure6.cells(replace(subject, effort=replace(EFFORT, whole_grid=True)))) == 1 + 27
+    cells = figure5.cells(subject)
+    keys = [cell.key for cell in cells if cell.key.endswith("paper")]
+    for numbers in measured(cells, keys, tmp_path).values():
+        assert numbers["changed_elsewhere"] == 0
+        assert {*numbers["differing"].values()} == {0}
 
 
 def test_joint_training_is_measured(subject: Subject, tmp_path: Path):
-    some = [cell for cell in segmenting.cells(subject) if cell.key == "joint"]
-    book = Book(tmp_path, {})
-    assert len([*work_through(book, some)]) == 1
-    numbers = book.results(some)["segmenting"]["joint"].numbers
+    numbers = measured(segmenting.cells(subject), ["joint"], tmp_path)["joint"]
     assert numbers["steps"] == 12 and numbers["by_hand"] is None and numbers["lifting"] >= 0
 
 
@@ -206,9 +168,6 @@ def test_faults_of_the_official_code_are_what_they_are_called(subject: Subject, 
     small = official.bicubic_labels(labels, (30, 20))
     assert {*small.unique().tolist()} - {0, 200}, "ids that were not there"
     assert official.squashed(torch.rand(50, 50, 3), (32, 18)).shape == (32, 18, 3)
-    keys = ("none", official.BLACK)
-    some = [cell for cell in official.cells(subject) if cell.key in keys]
-    book = Book(tmp_path, {})
-    assert len([*work_through(book, some)]) == 2
-    plain, black = (book.results(some)["official"][key].numbers for key in keys)
+    found = measured(official.cells(subject), ["none", official.BLACK], tmp_path)
+    plain, black = found["none"], found[official.BLACK]
     assert plain["mask_iou"] == black["mask_iou"] and plain["strength"] != black["strength"]

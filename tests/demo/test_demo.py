@@ -1,8 +1,8 @@
 """The demo: the capture that ships, and the whole run on a few small photos of it."""
 
 import json
+import shutil
 import subprocess
-import zipfile
 from contextlib import nullcontext
 from dataclasses import replace
 from html import escape
@@ -16,7 +16,6 @@ from browser import as_url, launched, needs_chromium
 from stylesplat.demo import demo_run
 from stylesplat.demo.demo_run import (
     ARCHIVE,
-    STYLES,
     TRAINING,
     copy_capture,
     run_demo,
@@ -38,29 +37,17 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def archive(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The capture with few small photos."""
-    content = json.loads((capture / "transforms.json").read_text())
+    small = shutil.copytree(capture, tmp_path_factory.mktemp("small") / "small")
+    content = json.loads((small / "transforms.json").read_text())
     content["frames"] = [content["frames"][row] for row in ROWS]
     for frame in content["frames"]:
         frame |= {key: frame[key] / SMALLER for key in ("fl_x", "fl_y", "cx", "cy")}
         frame |= {key: frame[key] // SMALLER for key in ("w", "h")}
-    path = tmp_path_factory.mktemp("small") / "small.zip"
-    with zipfile.ZipFile(path, "w") as bundle:
-        bundle.writestr("transforms.json", json.dumps(content))
-        for source in (
-            "points.ply",
-            "object_names.json",
-            *(f"styles/{s}.jpg" for s in STYLES.values()),
-        ):
-            bundle.write(capture / source, source)
-        for row in ROWS:
-            with (
-                Image.open(capture / f"images/{row:03d}.jpg") as photo,
-                bundle.open(f"images/{row:03d}.jpg", "w") as file,
-            ):
-                photo.reduce(SMALLER).save(file, "JPEG")
-            for maps in ("object_mask", "object_mask_exact"):
-                bundle.write(capture / maps / f"{row:03d}.png", f"{maps}/{row:03d}.png")
-    return path
+    (small / "transforms.json").write_text(json.dumps(content))
+    for path in (small / "images").iterdir():
+        with Image.open(path) as photo:
+            photo.reduce(SMALLER).save(path)
+    return Path(shutil.make_archive(str(small), "zip", small))
 
 
 def test_the_shipped_capture_is_small_and_whole(capture: Path):

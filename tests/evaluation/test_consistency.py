@@ -4,7 +4,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import _viewmat
+from balls import viewmat_from
+from scenes import cloud, joined, rand, randn
 from stylesplat.evaluation.consistency import (
     OCCLUDED,
     ObjectRender,
@@ -29,10 +30,6 @@ def wall(viewmat: torch.Tensor, colors: torch.Tensor) -> ObjectRender:
     return ObjectRender(camera(viewmat), colors, surface)
 
 
-def noise() -> torch.Tensor:
-    return torch.rand(SIDE, SIDE, 6, generator=torch.Generator().manual_seed(0))
-
-
 def shifted(pixels: float) -> torch.Tensor:
     """A camera moved to the right, in which a wall appears that many pixels to the left."""
     viewmat = torch.eye(4)
@@ -47,21 +44,17 @@ def ball() -> Splats:
     z, turn = 1 - 2 * index / COUNT, index * math.pi * (1 + 5**0.5)
     ring = (1 - z * z).sqrt()
     means = 0.5 * torch.stack([ring * turn.cos(), ring * turn.sin(), z], dim=1)
-    return Splats(
-        means=means,
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(COUNT, 1),
-        scales=torch.full((COUNT, 3), math.log(0.02)),
-        opacities=torch.full((COUNT,), 4.0),
-        sh0=sh0_from_rgb(0.5 + 0.6 * means)[:, None],
-        shN=torch.zeros(COUNT, 3, 3),
-    )
+    colors = sh0_from_rgb(0.5 + 0.6 * means)[:, None]
+    return replace(cloud(means, 0.02, opacity=4.0), sh0=colors, shN=torch.zeros(COUNT, 3, 3))
 
 
 @pytest.fixture(scope="module")
 def arc() -> Cameras:
     """Ten views 5 degrees apart, 64x64 pixels."""
     angles = [math.radians(5 * i) for i in range(10)]
-    viewmats = torch.stack([_viewmat((-3 * math.sin(a), -3 * math.cos(a), 0.5)) for a in angles])
+    viewmats = torch.stack(
+        [viewmat_from((-3 * math.sin(a), -3 * math.cos(a), 0.5)) for a in angles]
+    )
     K = torch.tensor([[120.0, 0.0, 32.0], [0.0, 120.0, 32.0], [0.0, 0.0, 1.0]]).repeat(10, 1, 1)
     return Cameras(viewmats, K, torch.full((10, 2), 64), tuple(f"{i}" for i in range(10)))
 
@@ -72,7 +65,7 @@ def everything(splats: Splats) -> torch.Tensor:
 
 def test_a_shifted_wall_matches_itself():
     pixels = 3
-    colors = noise()
+    colors = rand(SIDE, SIDE, 6)
     moved = wall(shifted(pixels), colors.roll(-pixels, dims=1))
     found = warped_difference(wall(torch.eye(4), colors), moved)
     assert found.shape == (SIDE * (SIDE - 3), 6)  # three columns have left the image
@@ -80,7 +73,7 @@ def test_a_shifted_wall_matches_itself():
 
 
 def test_what_is_not_the_same_surface_is_left_out():
-    colors = noise()
+    colors = rand(SIDE, SIDE, 6)
     a, b = (wall(torch.eye(4), colors) for _ in range(2))
     a.surface[0] *= 0.4  # a row that the object hardly covers
     a.surface[1, :, 1] *= 1 + 1.5 * OCCLUDED
@@ -105,12 +98,8 @@ def test_a_matte_ball_is_consistent_and_a_glossy_one_is_not(ball: Splats, arc: C
 def test_the_rest_of_the_scene_does_not_count(ball: Splats, arc: Cameras):
     """A second ball stands beside the first and glitters."""
     beside = replace(ball, means=ball.means * 0.1 + torch.tensor([0.0, 0.0, -0.8]))
-    generator = torch.Generator().manual_seed(0)
-    glitter = replace(beside, shN=10 * torch.randn(ball.shN.shape, generator=generator))
-    base, styled = (
-        replace(ball, **{k: torch.cat([t, other.tensors()[k]]) for k, t in ball.tensors().items()})
-        for other in (beside, glitter)
-    )
+    glitter = replace(beside, shN=10 * randn(*ball.shN.shape))
+    base, styled = joined(ball, beside), joined(ball, glitter)
     mine = torch.arange(len(base)) < COUNT
     found = view_consistency(base, styled, arc[:5], mine)
     assert found["short_range_rmse"] == pytest.approx(found["short_range_rmse_base"], rel=1e-4)

@@ -6,16 +6,16 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
+from balls import RED as PICKED
+from scenes import rand, randn
 from stylesplat.evaluation.statistics import TOLERANCE, content_ssim, off_palette
 from stylesplat.metrics.lab import PIXELS
 from stylesplat.scene.splats import Splats
 
-PICKED = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)  # the first ball
-
 
 def repainted(mask: torch.Tensor) -> Splats:
     """The scene with other colours of some Gaussians."""
-    noise = torch.randn(SPLATS.sh0.shape, generator=torch.Generator().manual_seed(0))
+    noise = randn(*SPLATS.sh0.shape)
     return replace(SPLATS, sh0=SPLATS.sh0 + noise * mask[:, None, None])
 
 
@@ -37,12 +37,8 @@ def test_content_is_the_luminance_of_the_object():
     assert content_ssim(SPLATS, SPLATS, CAMERAS[:2], PICKED & False) is None, "it shows nowhere"
 
 
-def colors(count: int, seed: int = 0) -> torch.Tensor:
-    return torch.rand(count, 3, generator=torch.Generator().manual_seed(seed))
-
-
 def test_a_picture_is_on_its_own_palette():
-    picture = colors(3 * PIXELS)
+    picture = rand(3 * PIXELS, 3)
     assert off_palette(picture, picture) == 0
     grey = torch.linspace(0, 1, 256)[:, None].expand(256, 3)
     assert off_palette(torch.tensor([[1.0, 0.0, 0.0]]), grey) == 1

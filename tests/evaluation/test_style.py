@@ -9,6 +9,7 @@ import torch
 
 from balls import CAMERAS, FAST, ball, with_settings
 from balls import STRIPED_SCENE as SCENE
+from scenes import rand
 from stylesplat.evaluation import style
 from stylesplat.evaluation.style import measure_painted, object_nnfm, own_nnfm
 from stylesplat.rendering.render import rasterize
@@ -18,7 +19,7 @@ from stylesplat.stylization.paint import Painted, paint_context, paint_objects
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import ObjectView
 
-NOISE = torch.rand(48, 48, 3, generator=torch.Generator().manual_seed(0))
+NOISE = rand(48, 48, 3)
 
 
 def measured(
@@ -41,13 +42,6 @@ def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def job(stripes: torch.Tensor) -> PaintTarget:
     return PaintTarget("ball", ball(0), (stripes,), FAST)
-
-
-def test_nothing_changes_outside_the_object(job: PaintTarget, network: FeatureNetwork):
-    job = with_settings(job, published=True, object_size=None, color="free")
-    _, metrics = measured([job], network)
-    assert 0 < metrics["changed_gaussians"] <= 80
-    assert (metrics["outside_psnr"], metrics["outside_max_difference"]) == (120, 0)
 
 
 @pytest.mark.parametrize(("color", "quality"), [("blend", "draft"), ("free", "normal")])

@@ -6,10 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS, enlarged
+from balls import CAMERAS, SPLATS, box_around, enlarged
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.box_propagation import Images, grabcut_images, propagate_boxes
-from stylesplat.masks.grabcut import Box, cut_box
+from stylesplat.masks.grabcut import cut_box
+from stylesplat.metrics.iou import mask_iou
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -23,18 +24,6 @@ def photographed(splats: Splats, cameras: Cameras) -> Images:
     images = [rasterize(splats, cameras[row])[0][0] for row in range(len(cameras))]
     photos = [(255 * image.clamp(0, 1)).round().to(torch.uint8) for image in images]
     return grabcut_images(splats, Capture(cameras=cameras, photos=photos))
-
-
-def box(mask: torch.Tensor) -> Box:
-    height, width = mask.shape
-    y, x = (places.float() for places in mask.nonzero().T)
-    left, top = max(0.0, float(x.min()) - MARGIN), max(0.0, float(y.min()) - MARGIN)
-    right, bottom = float(x.max()) + 1 + MARGIN, float(y.max()) + 1 + MARGIN
-    return left, top, min(float(width), right), min(float(height), bottom)
-
-
-def iou(one: torch.Tensor, other: torch.Tensor) -> float:
-    return float((one & other).sum() / (one | other).sum())
 
 
 LARGE = enlarged(CAMERAS, 2)
@@ -52,14 +41,14 @@ def seen() -> Images:
 )
 def test_one_box_gives_masks_in_all_views(seen: Images, id: int, row: int, bound: float):
     truth = [labels == id for labels in LABELS]
-    found = propagate_boxes(SPLATS, LARGE, seen, [(row, box(truth[row]))])
-    agreement = [iou(*each) for each in zip(found, truth, strict=True)]
+    found = propagate_boxes(SPLATS, LARGE, seen, [(row, box_around(truth[row], MARGIN))])
+    agreement = [mask_iou(*each) for each in zip(found, truth, strict=True)]
     assert min(agreement) > bound, agreement
 
 
 def test_the_same_box_gives_the_same_masks(seen: Images, monkeypatch: pytest.MonkeyPatch):
     """Also with other numbers of threads, which GrabCut's random numbers must not notice."""
-    places = [(1, box(LABELS[1] == 3))]
+    places = [(1, box_around(LABELS[1] == 3, MARGIN))]
     first = propagate_boxes(SPLATS, LARGE, seen, places)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 3)
     again = propagate_boxes(SPLATS, LARGE, seen, places)
@@ -68,9 +57,9 @@ def test_the_same_box_gives_the_same_masks(seen: Images, monkeypatch: pytest.Mon
 
 def test_boxes_in_two_photos(seen: Images):
     truth = [labels == 3 for labels in LABELS]
-    places = [(row, box(truth[row])) for row in (0, 4)]
+    places = [(row, box_around(truth[row], MARGIN)) for row in (0, 4)]
     found = propagate_boxes(SPLATS, LARGE, seen, places)
-    assert min(iou(*each) for each in zip(found, truth, strict=True)) > 0.7  # measured: 0.76
+    assert min(mask_iou(*each) for each in zip(found, truth, strict=True)) > 0.7  # measured: 0.76
     for row, place in places:
         assert torch.equal(found[row], cut_box(seen(row), place, "")[1]), "as it was cut"
 
@@ -84,7 +73,7 @@ def test_where_an_object_does_not_show_its_mask_is_empty():
         names=("0.jpg", "1.jpg", "away.jpg"),
     )
     found = propagate_boxes(
-        SPLATS, cameras, photographed(SPLATS, cameras), [(1, box(LABELS[1] == 3))]
+        SPLATS, cameras, photographed(SPLATS, cameras), [(1, box_around(LABELS[1] == 3, MARGIN))]
     )
     assert [bool(mask.any()) for mask in found] == [True, True, False]
 

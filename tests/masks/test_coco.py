@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from scenes import rand
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.coco import decode_rle
 from stylesplat.masks.import_masks import import_label_maps
@@ -14,7 +15,7 @@ NAMES = ("001.png", "002.png", "003.png")
 SHAPE = (6, 8)
 LARGE, SMALL = torch.zeros(2, *SHAPE, dtype=torch.bool)
 LARGE[1:5, 1:7], SMALL[2:3, 2:5] = True, True
-SMOOTH = torch.rand(1, 200, 300, generator=torch.Generator().manual_seed(0))
+SMOOTH = rand(1, 200, 300)
 SMOOTH = torch.nn.functional.avg_pool2d(SMOOTH, 9, 1)[0] > 0.5
 HUGE = 2**62
 
@@ -52,10 +53,9 @@ def coco(tmp_path: Path, *, add: dict | None = None, **changes: object) -> Path:
 
 @pytest.mark.parametrize("mask", [LARGE, SMALL, ~SMALL, LARGE & False, SMOOTH])
 def test_run_lengths(mask: torch.Tensor):
-    counts = runs(mask)
-    plain = {"size": list(mask.shape), "counts": counts}
-    assert torch.equal(decode_rle(plain, Path("a.json")), mask)
-    assert torch.equal(decode_rle({**plain, "counts": packed(counts)}, Path("a.json")), mask)
+    for counts in (runs(mask), packed(runs(mask))):
+        found = decode_rle({"size": list(mask.shape), "counts": counts}, Path("a.json"))
+        assert torch.equal(found, mask)
 
 
 @pytest.mark.parametrize(
@@ -64,15 +64,13 @@ def test_run_lengths(mask: torch.Tensor):
         {"size": [2, 2], "counts": [HUGE, HUGE, HUGE, HUGE, 4]},  # 4 in 64 bits
         {"size": [2, 2], "counts": packed([HUGE, HUGE, HUGE, HUGE, 4])},
         {"size": [2, 2], "counts": packed([5, 0, 0]) + "O"},  # ends with -1
-        {"size": [2, 2], "counts": ["4"]},
         {"size": [2, 2], "counts": "o" * 10**6},  # one run of millions of bits
         {"size": [2, 2], "counts": "\ud800\xff~"},
-        {"size": [-2, -2], "counts": [4]},
         {"size": [2**14, 2**14], "counts": [2**28]},
         {"size": [1e400, 3], "counts": [6]},
         None,
     ],
-    ids=range(10),
+    ids=range(8),
 )
 def test_run_lengths_that_are_none(rle: object):
     """The first wrote out of bounds: its runs were added up, and wrapped, in 64 bits."""
@@ -89,6 +87,10 @@ def test_an_object_is_a_track_or_else_a_category(id: object, tmp_path: Path):
     assert found.names == {7: "pot"}
     tracked = import_label_maps(coco(tmp_path, track_id=id, category_id=None), NAMES)
     assert torch.equal(tracked.maps["002.png"].read(), 7 * LARGE.long()) and not tracked.names
+
+
+IMAGES = [{"id": 5, "file_name": "cam1/001.jpg"}, {"id": 6, "file_name": "001.jpg"}]
+FOLDERS = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
 
 
 @pytest.mark.parametrize(
@@ -113,10 +115,8 @@ def test_annotations_that_are_damaged(tmp_path: Path, changes: dict, expected: s
     assert "a.json" in str(caught.value)
 
 
-def test_coco_of_photos_in_folders(tmp_path: Path):
-    cameras = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
-    images = {"images": [{"id": 5, "file_name": "cam1/001.jpg"}, {"id": 6, "file_name": "001.jpg"}]}
-    maps = import_label_maps(coco(tmp_path, add=images), cameras).maps
+def test_photos_in_folders_are_told_by_their_paths(tmp_path: Path):
+    maps = import_label_maps(coco(tmp_path, add={"images": IMAGES}), FOLDERS).maps
     assert maps.keys() == {"cam1/001.jpg"}, "nothing is drawn on the other"
     with pytest.raises(StyleSplatError, match=r"001 may be of cam0/001\.jpg or of cam1"):
-        import_label_maps(coco(tmp_path, image_id=6, add=images), cameras)
+        import_label_maps(coco(tmp_path, image_id=6, add={"images": IMAGES}), FOLDERS)

@@ -1,5 +1,6 @@
 """`mask` with boxes on the balls, with their scene given so that nothing is trained."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from capture_files import (
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks import quick_splat as working
-from stylesplat.masks.grabcut import Box, Stroke
+from stylesplat.masks.grabcut import Stroke
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.training.state import State
@@ -45,11 +46,6 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def balls(photos: Path) -> Capture:
     return load(photos)
-
-
-@pytest.fixture
-def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    fail_at_work(monkeypatch)
 
 
 def test_boxes_become_label_maps_with_names(balls: Capture):
@@ -87,7 +83,8 @@ def test_a_splat_is_trained_where_there_is_none(
     assert agreement(masked, 1, 3)[1] > 0.7, "too short for more than the photo with the box"
 
 
-def test_a_scene_of_other_photos(balls: Capture, no_work: None):
+def test_a_scene_of_other_photos(balls: Capture, monkeypatch: pytest.MonkeyPatch):
+    fail_at_work(monkeypatch)
     names = tuple(f"other_{name}" for name in CAMERAS.names)
     other = Scene(PLAIN, replace(CAMERAS, names=names))
     with pytest.raises(StyleSplatError, match=r"scene of other photos: it has no view 0000\.jpg"):
@@ -99,64 +96,49 @@ def test_a_scene_of_other_photos(balls: Capture, no_work: None):
         mask(balls, boxes={"vase": VASE}, scene=other, device="cpu")
 
 
-NAN, INF = float("nan"), float("inf")
+def box_in(view: str, *edges: float) -> dict[str, Any]:
+    return {"boxes": {"cup": CUP, "vase": (view, edges)}}
 
 
-@pytest.mark.parametrize(
-    ("place", "expected"),
-    [
-        ((-20.0, 0.0, 9.0, 9.0), r"Box -20,0,9,9 is empty or reaches outside 0001\.jpg.*192x144"),
-        ((20.0, 10.0, 10.0, 20.0), "empty"),
-        ((NAN, 10.0, 10.0, 20.0), "Box nan,10,10,20 is empty"),
-        ((0.0, 0.0, 9.0, INF), "outside"),
-        ((0.0, 0.0, 192.0, 144.0), r"box in 0001\.jpg is too small, or leaves too little"),
-        ((50.0, 50.0, 54.0, 54.0), "too small"),
-    ],
-    ids=str,
-)
-def test_boxes_that_are_none(balls: Capture, no_work: None, place: Box, expected: str):
-    with pytest.raises(StyleSplatError, match=expected) as refused:
-        mask(balls, boxes={"cup": CUP, "vase": ("0001.jpg", place)})
-    assert "\n" not in str(refused.value)
-
-
-def test_other_boxes_that_say_nothing(balls: Capture, no_work: None):
-    for nothing in ({}, {"vase": []}):
-        with pytest.raises(StyleSplatError, match=r"what to mask.*--box NAME=VIEW:x0.*--from"):
-            mask(balls, boxes=nothing)
-    with pytest.raises(StyleSplatError, match=r"No view is called 'lost\.jpg'"):
-        mask(balls, boxes={"vase": ("lost.jpg", VASE[1])})
-    with pytest.raises(StyleSplatError, match=r"several boxes around 'vase' in 0001\.jpg"):
-        mask(balls, boxes={"vase": [VASE, ("0001", CUP[1])], "cup": CUP})
-    with pytest.raises(StyleSplatError, match="Cannot call an object"):
-        mask(balls, boxes={"a/b": VASE})
+def stroke(view: str, *points: tuple[float, float]) -> dict[str, Any]:
+    return {"boxes": {"vase": VASE}, "strokes": {"vase": (view, Stroke(points, over_object=True))}}
 
 
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
+        (
+            box_in("0001.jpg", -20.0, 0.0, 9.0, 9.0),
+            r"Box -20,0,9,9 is empty or reaches outside 0001\.jpg.*192x144",
+        ),
+        (box_in("0001.jpg", 20.0, 10.0, 10.0, 20.0), "empty"),
+        (box_in("0001.jpg", math.nan, 10.0, 10.0, 20.0), "Box nan,10,10,20 is empty"),
+        (box_in("0001.jpg", 0.0, 0.0, 9.0, math.inf), "outside"),
+        (box_in("0001.jpg", 0.0, 0.0, 192.0, 144.0), r"box in 0001\.jpg is too small, or leaves"),
+        (box_in("0001.jpg", 50.0, 50.0, 54.0, 54.0), "too small"),
+        (box_in("lost.jpg", *VASE[1]), r"No view is called 'lost\.jpg'"),
+        ({"boxes": {}}, r"what to mask.*--box NAME=VIEW:x0.*--from"),
+        ({"boxes": {"vase": []}}, r"what to mask.*--box NAME=VIEW:x0.*--from"),
+        (
+            {"boxes": {"vase": [VASE, ("0001", CUP[1])], "cup": CUP}},
+            r"several boxes around 'vase' in 0001\.jpg",
+        ),
+        ({"boxes": {"a/b": VASE}}, "Cannot call an object"),
         ({"method": "files"}, "Say with --from where the masks are; in Python, with `source`"),
         ({"source": "a", "boxes": {"vase": VASE}}, "`boxes` means nothing with .* `files`"),
         ({"source": "a", "scene": BALLS}, "`scene` means nothing with"),
         ({"method": "grabcut", "source": "a"}, "`source` means nothing with .* `grabcut`"),
         ({"method": "sam2", "boxes": {"vase": VASE}}, "`boxes` means nothing with .* `sam2`"),
         ({"boxes": {"vase": VASE}, "model": "a"}, "`model` means nothing with"),
+        (stroke("0002.jpg", (5.0, 5.0)), r"no box around it there.*--box vase=0002\.jpg"),
+        (stroke(VASE[0], (5.0, 5.0), (999.0, 5.0)), "point 999,5 is outside"),
     ],
+    ids=range(19),
 )
-def test_what_would_change_nothing(balls: Capture, no_work: None, given: dict, expected: str):
-    with pytest.raises(StyleSplatError, match=expected):
+def test_what_cannot_be_masked_is_refused_before_any_work(
+    balls: Capture, monkeypatch: pytest.MonkeyPatch, given: dict, expected: str
+):
+    fail_at_work(monkeypatch)
+    with pytest.raises(StyleSplatError, match=expected) as refused:
         mask(balls, **given)
-
-
-@pytest.mark.parametrize(
-    ("stroke", "expected"),
-    [
-        (("vase", "0002.jpg", ((5.0, 5.0),)), r"no box around it there.*--box vase=0002\.jpg"),
-        (("vase", VASE[0], ((5.0, 5.0), (999.0, 5.0))), "point 999,5 is outside"),
-    ],
-)
-def test_strokes_that_say_nothing(balls: Capture, no_work: None, stroke, expected: str):
-    name, view, points = stroke
-    with pytest.raises(StyleSplatError, match=expected):
-        strokes = {name: (view, Stroke(points, over_object=True))}
-        mask(balls, boxes={"vase": VASE}, strokes=strokes)
+    assert "\n" not in str(refused.value)

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from scenes import randn
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.grabcut import (
     GrabCutImage,
@@ -11,6 +12,7 @@ from stylesplat.masks.grabcut import (
     grabcut_image,
     refine_mask,
 )
+from stylesplat.metrics.iou import mask_iou
 
 HEIGHT, WIDTH = 60, 80
 PHOTO = "a.jpg"
@@ -31,16 +33,12 @@ def painted(*masks: torch.Tensor, wall: float = 120.0) -> torch.Tensor:
     photo = torch.full((HEIGHT, WIDTH, 3), wall)
     for mask in masks:
         photo[mask] = torch.tensor([200.0, 40.0, 40.0])
-    noise = torch.randn(photo.shape, generator=torch.Generator().manual_seed(0))
+    noise = randn(*photo.shape)
     return (photo + 4 * noise).round().clamp(0, 255).to(torch.uint8)
 
 
 def seen(photo: torch.Tensor, nearness: torch.Tensor | None = None) -> GrabCutImage:
     return grabcut_image(photo, torch.ones(HEIGHT, WIDTH) if nearness is None else nearness)
-
-
-def iou(one: torch.Tensor, other: torch.Tensor) -> float:
-    return float((one & other).sum() / (one | other).sum())
 
 
 NOWHERE, EVERYWHERE = torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)
@@ -49,7 +47,7 @@ NOWHERE, EVERYWHERE = torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)
 def test_a_box_gives_what_stands_out_in_it():
     photo = seen(painted(DISC))
     channels, mask = cut_box(photo, BOX, PHOTO)
-    assert iou(mask, DISC) > 0.98  # colours this far apart leave some rim pixels to smoothness
+    assert mask_iou(mask, DISC) > 0.98  # colours this far apart leave some rim pixels to smoothness
     cut_box(seen(painted(disc(20, 20, 9))), (8.0, 8.0, 33.0, 33.0), PHOTO)  # uses up random numbers
     again = cut_box(photo, BOX, PHOTO)
     assert again[0] == channels and torch.equal(again[1], mask)
@@ -58,7 +56,7 @@ def test_a_box_gives_what_stands_out_in_it():
 def test_what_colours_do_not_show_nearness_does():
     nearness = torch.where(DISC, 1.0, 0.2)
     _, mask = cut_box(seen(painted(), nearness), BOX, PHOTO)
-    assert iou(mask, DISC) > 0.98
+    assert mask_iou(mask, DISC) > 0.98
 
 
 def test_strays_and_what_hangs_on_by_a_thread_are_left_out():
@@ -66,7 +64,7 @@ def test_strays_and_what_hangs_on_by_a_thread_are_left_out():
     thread[9:18, 40] = True
     for photo in (painted(DISC, crumb), painted(DISC, crumb, thread)):
         _, mask = cut_box(seen(photo), (24.0, 3.0, 57.0, 47.0), PHOTO)
-        assert iou(mask, DISC) > 0.98 and not (mask & crumb).any()
+        assert mask_iou(mask, DISC) > 0.98 and not (mask & crumb).any()
 
 
 def test_a_box_that_holds_nothing():
@@ -78,7 +76,7 @@ def test_a_box_that_holds_nothing():
 def test_a_contour_moves_to_the_edge_nearby():
     rough = 0.7 * disc(41, 31, 14).float()  # a pixel off to either side
     mask = refine_mask(seen(painted(DISC)), rough, NOWHERE, LOOK)
-    assert iou(mask, DISC) > 0.98 > iou(rough > 0.5, DISC)
+    assert mask_iou(mask, DISC) > 0.98 > mask_iou(rough > 0.5, DISC)
 
 
 def test_colours_decide_on_surfaces_that_come_into_view():
@@ -88,7 +86,7 @@ def test_colours_decide_on_surfaces_that_come_into_view():
     right = EVERYWHERE.clone()
     right[:, :40] = 0
     photo = seen(painted(DISC))
-    assert iou(refine_mask(photo, half.float(), NOWHERE, LOOK), half) > 0.9, "no news"
+    assert mask_iou(refine_mask(photo, half.float(), NOWHERE, LOOK), half) > 0.9, "no news"
     mask = refine_mask(photo, half.float(), right, LOOK)
     reach = disc(40, 30, 14) & (torch.arange(WIDTH) < 40 + 8)  # AROUND of the diagonal
     assert (mask & reach).sum() > 0.95 * reach.sum()

@@ -3,14 +3,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import BALLS, CAMERAS, SPLATS
-from right_ids import right_ids
+from balls import BALLS, CAMERAS, PLAIN, SPLATS
+from right_ids import right_pixels
 from stylesplat.masks.repair import connected_parts, map_labels, repair_ids
 from stylesplat.scene.labels import resize_labels
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 
-PLAIN = replace(SPLATS, identities=None, classifier=None)
 TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
 RED, GREEN, BLUE = BALLS
 
@@ -20,7 +19,7 @@ def repaired(maps: list[torch.Tensor], splats: Splats = PLAIN) -> list[torch.Ten
 
 
 def right(maps: list[torch.Tensor]) -> float:
-    return right_ids(maps, TRUTH).right_pixels
+    return right_pixels(maps, TRUTH)
 
 
 def changed(rows: range | list[int], **ids: int) -> list[torch.Tensor]:
@@ -123,4 +122,4 @@ def test_no_view_has_a_say_in_its_own_labels(row: int):
     for labels in (maps, truth):
         labels[row] = resize_labels(labels[row], (36 * factor, 48 * factor))
     found = repair_ids(PLAIN, replace(CAMERAS, Ks=Ks, sizes=sizes), maps)
-    assert right_ids(maps, truth).right_pixels < 0.65 < 0.9 < right_ids(found, truth).right_pixels
+    assert right_pixels(maps, truth) < 0.65 < 0.9 < right_pixels(found, truth)

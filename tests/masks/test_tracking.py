@@ -108,16 +108,6 @@ def tracked(segmenter: Segmenter, count: int) -> tuple[list[torch.Tensor], Track
     return [maps[row] for row in range(count)], state
 
 
-def test_ids_survive_along_the_path():
-    truth = sliding(23)
-    maps, state = tracked(scripted(truth), 23)
-    for labels, exact in zip(maps, truth, strict=True):
-        names = {int(labels[exact == id].unique()): id for id in (3, 7)}
-        assert {*names} == {1, 2} and names == {1: int(truth[0][maps[0] == 1][0]), 2: names[2]}
-        assert not labels[exact == 0].any()
-    assert state.next_id == 3 and state.missed == {1: 0, 2: 0}
-
-
 def keys(count: int) -> list[int]:
     return [part[0] for part in split_clips(along_a_line([float(i) for i in range(count)]))]
 

@@ -112,26 +112,22 @@ def test_offline(no_cache: Path, monkeypatch: pytest.MonkeyPatch):
 HEADER = json.dumps({"x": {"dtype": "I64", "shape": [1], "data_offsets": [0, 8]}}).encode()
 
 
+INTEGERS = len(HEADER).to_bytes(8, "little") + HEADER + bytes(8)
+
+
 @pytest.mark.parametrize(
-    ("content", "match"),
+    ("content", "name", "ranges", "match"),
     [
-        (save(tensors())[:-9], "the connection broke off"),
-        (b"<html>not found, but politely</html>", "Cannot download from"),
-        (b"\2" + b"\0" * 9, "Cannot download from"),
-        (len(HEADER).to_bytes(8, "little") + HEADER + bytes(8), r"lacks features\.2\.weight"),
+        (save(tensors())[:-9], "features.2.weight", True, "the connection broke off"),
+        (b"<html>not found, but politely</html>", "x", True, "Cannot download from"),
+        (b"\2" + b"\0" * 9, "x", True, "Cannot download from"),
+        (INTEGERS, "features.2.weight", True, r"lacks features\.2\.weight"),
+        (INTEGERS, "x", True, "Cannot download from"),
+        (INTEGERS, "x", False, "the server sends whole files only"),
     ],
-    ids=range(4),
+    ids=range(6),
 )
-def test_files_that_are_damaged(server: Server, content: bytes, match: str):
-    server.content = content
+def test_what_cannot_be_read(server: Server, content: bytes, name: str, ranges: bool, match: str):
+    server.content, server.ranges = content, ranges
     with pytest.raises(StyleSplatError, match=match):
-        fetch_tensors(server.url, ["features.2.weight"], title="test")
-
-
-def test_what_cannot_be_read(server: Server):
-    server.content = len(HEADER).to_bytes(8, "little") + HEADER + bytes(8)
-    with pytest.raises(StyleSplatError, match="Cannot download from"):
-        fetch_tensors(server.url, ["x"], title="test")  # integers
-    server.ranges = False
-    with pytest.raises(StyleSplatError, match="the server sends whole files only"):
-        fetch_tensors(server.url, ["x"], title="test")
+        fetch_tensors(server.url, [name], title="test")

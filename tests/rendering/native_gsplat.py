@@ -39,17 +39,11 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
             assert cuts == [EPS2D, NEAR_PLANE, FAR_PLANE, 0.0]
             calls.projections += 1
             gaussians = Gaussians(means, quats, scales, opacities)
-            if means.is_meta:
-                count = len(viewmats), len(means)
-                seen = Projected(
-                    *(means.new_empty(*count, *more) for more in ((2,), (3,), (), (2,)))
-                )
-            else:
-                each = [
-                    reference.project_gaussians(gaussians, View(viewmat, K, width, height))
-                    for viewmat, K in zip(viewmats, Ks, strict=True)
-                ]
-                seen = Projected(*(torch.stack(tensors) for tensors in zip(*each, strict=True)))
+            each = [
+                reference.project_gaussians(gaussians, View(viewmat, K, width, height))
+                for viewmat, K in zip(viewmats, Ks, strict=True)
+            ]
+            seen = Projected(*(torch.stack(tensors) for tensors in zip(*each, strict=True)))
             return seen.radii, seen.means2d, seen.depths, seen.conics, None
 
     class Blending:
@@ -90,9 +84,6 @@ def intersect_tile(
 ):
     """Which Gaussians reach which tiles, tile by tile and front to back."""
     assert image_ids is None and gaussian_ids is None
-    if means2d.is_meta:
-        ids = torch.empty(7, dtype=torch.int64, device="meta")
-        return radii[..., 0], ids, ids
     low, high = ((means2d - radii) / tile).floor(), ((means2d + radii) / tile).ceil()  # [I, N, 2]
     y, x = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
     places = torch.stack([x, y], dim=-1).reshape(1, 1, -1, 2)
@@ -108,8 +99,6 @@ def intersect_tile(
 
 def intersect_offset(tiles: Tensor, images: int, columns: int, rows: int) -> Tensor:
     """Where each tile's list begins."""
-    if tiles.is_meta:
-        return tiles.new_empty(images, rows, columns)
     every = torch.arange(images * rows * columns)
     return torch.searchsorted(tiles, every).reshape(images, rows, columns)
 
@@ -119,9 +108,6 @@ def blend_tiles(projected: Projected, opacities: Tensor, colors: Tensor, rest):
     width, height, tile, offsets, flatten_ids, absgrad = rest
     assert not absgrad
     images, channels = len(colors), colors.shape[-1]
-    if colors.is_meta:
-        made = colors.new_empty(images, height, width, channels + 1)
-        return made[..., :-1], made[..., -1:]
     means2d, conics = projected.means2d.flatten(0, 1), projected.conics.flatten(0, 1)
     opacities, colors = opacities.flatten(), colors.flatten(0, 1)
     ends = torch.cat([offsets.flatten()[1:], offsets.new_tensor([len(flatten_ids)])])

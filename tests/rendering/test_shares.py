@@ -5,7 +5,8 @@ import pytest
 import torch
 from scipy.sparse import csr_array
 
-from balls import BALLS, CAMERAS, SPLATS
+from balls import BALLS, CAMERAS, PLAIN, SPLATS
+from scenes import cloud, rand
 from stylesplat.rendering import shares
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import (
@@ -21,7 +22,6 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 
-PLAIN = replace(SPLATS, identities=None, classifier=None)
 TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
 PICKED = torch.arange(len(PLAIN)) % 3 == 0
 ROUNDING = 1e-4  # float32 sums of the same weights in another order
@@ -59,7 +59,7 @@ def test_votes_of_many_labels_are_those_of_each_alone(side: int):
 
 
 def test_the_largest_shown_is_that_of_all_shown():
-    shares = torch.rand(len(PLAIN), 40, generator=torch.Generator().manual_seed(0))
+    shares = rand(len(PLAIN), 40)
     shares *= shares > 0.8
     most, column = largest_shown(PLAIN, CAMERAS[1], csr_array(shares.numpy()))
     expected = render_shares(PLAIN, CAMERAS[1], shares).max(dim=-1)
@@ -69,16 +69,12 @@ def test_the_largest_shown_is_that_of_all_shown():
 
 
 def test_shares_are_rendered_in_any_number():
-    shares = torch.rand(len(PLAIN), 20, generator=torch.Generator().manual_seed(0))
+    shares = rand(len(PLAIN), 20)
     shown = render_shares(PLAIN, CAMERAS[1], shares)
     assert shown.shape == (36, 48, 20)
     for column in (0, 15, 16, 19):
         one, _, _ = rasterize(PLAIN, CAMERAS[1], features=shares[:, column, None], sh_degree=0)
         torch.testing.assert_close(shown[..., column], one[0, ..., 3], atol=1e-4, rtol=0)
-
-
-def alphas_of(camera: Cameras) -> torch.Tensor:
-    return rasterize(PLAIN, camera)[1][0, ..., 0]
 
 
 def test_contributed_is_the_transpose_of_the_render():
@@ -88,14 +84,6 @@ def test_contributed_is_the_transpose_of_the_render():
     by_pixels = (image * wanted).sum()
     by_gaussians = (contributed(PLAIN, CAMERAS[2], wanted) * carried).sum()
     assert float(by_gaussians) == pytest.approx(float(by_pixels), rel=ROUNDING)
-
-
-def test_what_hides_an_object_lessens_its_coverage():
-    camera = CAMERAS[0]
-    alone = coverage(PLAIN[PICKED], camera, torch.ones(int(PICKED.sum()), dtype=torch.bool))
-    among = coverage(PLAIN, camera, PICKED)
-    assert (among <= alone + ROUNDING).all()
-    assert (among < alone - 0.1).any()
 
 
 @pytest.mark.parametrize("row", range(2))
@@ -121,16 +109,8 @@ def wall(depth: float) -> tuple[Splats, Cameras]:
     """A dense wall of opaque Gaussians across the right half of a camera's view."""
     y, x = torch.meshgrid(torch.linspace(-1, 1, 40), torch.linspace(0.1, 1, 20), indexing="ij")
     means = depth * torch.stack([x, y, torch.ones_like(x)], dim=-1).reshape(-1, 3)
-    count = len(means)
-    splats = Splats(
-        means=means,
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        scales=torch.full((count, 3), 0.05 * depth).log(),
-        opacities=torch.full((count,), 6.0),
-        sh0=torch.zeros(count, 1, 3),
-        shN=torch.zeros(count, 0, 3),
-    )
-    return splats, replace(CAMERAS[0], viewmats=torch.eye(4)[None])
+    camera = replace(CAMERAS[0], viewmats=torch.eye(4)[None])
+    return cloud(means, 0.05 * depth, opacity=6.0), camera
 
 
 @pytest.mark.parametrize("depth", [0.5, 3.0, 40.0])

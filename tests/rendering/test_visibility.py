@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from scenes import random_splats, two_cameras
+from scenes import joined, random_splats, two_cameras
 from stylesplat.rendering import render as rendering
 from stylesplat.rendering import visibility
 from stylesplat.rendering.gaussians import activated
@@ -30,9 +30,7 @@ def walled() -> Splats:
     """The cloud behind a wall that nothing shows through, but for what is nearer."""
     wall = replace(random_splats(1), means=torch.tensor([[0.0, 0.0, -1.0]]))
     wall = replace(wall, scales=torch.full((1, 3), 4.0), opacities=torch.full((1,), 20.0))
-    walls = [wall, wall, wall]  # one lets a thousandth through
-    tensors = [each.tensors() for each in (*walls, SPLATS)]
-    return replace(SPLATS, **{k: torch.cat([t[k] for t in tensors]) for k in SPLATS.tensors()})
+    return joined(wall, wall, wall, SPLATS)  # one lets a thousandth through
 
 
 @pytest.mark.usefixtures("part")

@@ -1,9 +1,12 @@
+import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 import torch
 
 from balls import BALL_RADIUS, BALLS, CAMERAS, SPLATS
+from scenes import cloud
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
@@ -37,38 +40,13 @@ def test_surface_point_lies_on_what_shows():
     assert (seen[:2] / seen[2] - torch.tensor([int(x) + 0.5, int(y) + 0.5])).norm() < 1e-3
 
 
-def test_nothing_there():
-    zero, one = torch.zeros(3), torch.ones(3)
-    with pytest.raises(StyleSplatError, match=r"is empty\. Give the lower corner first"):
-        in_box(SPLATS, one, zero)
-    with pytest.raises(StyleSplatError, match="No Gaussian lies in the box from 50,50,50"):
-        in_box(SPLATS, one * 50, one * 51)
-    with pytest.raises(StyleSplatError, match="The splat reaches from -1"):
-        in_sphere(SPLATS, one * 50, 1.0)
-    with pytest.raises(StyleSplatError, match=r"radius 0\. Give more than 0"):
-        in_sphere(SPLATS, one, 0.0)
-    with pytest.raises(StyleSplatError, match=r"is outside 0000\.jpg, which is 48x36"):
-        surface_point(SPLATS, CAMERAS[0], (48.0, 3.0))
-    with pytest.raises(StyleSplatError, match=r"Nothing solid shows at 0,0 .* Choose another"):
-        surface_point(SPLATS, CAMERAS[0], (0.0, 0.0))
-
-
 SOLID, GHOST = 3.0, -6.0  # logits of opacity
 
 
 def lattice(opacity: float = SOLID) -> Splats:
     """Centres one apart along x, from 0 to 20."""
-    count = 21
-    means = torch.zeros(count, 3)
-    means[:, 0] = torch.arange(count)
-    return Splats(
-        means=means,
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        scales=torch.full((count, 3), -1.0),
-        opacities=torch.full((count,), opacity),
-        sh0=torch.zeros(count, 1, 3),
-        shN=torch.zeros(count, 0, 3),
-    )
+    means = torch.arange(21)[:, None] * torch.tensor([1, 0, 0])
+    return cloud(means, math.exp(-1), opacity)
 
 
 ROW = lattice()
@@ -80,12 +58,6 @@ def places(picked: torch.Tensor) -> list[int]:
     return picked.nonzero()[:, 0].tolist()
 
 
-def with_opacity(row: int, opacity: float) -> Splats:
-    opacities = ROW.opacities.clone()
-    opacities[row] = opacity
-    return replace(ROW, opacities=opacities)
-
-
 def test_as_far_as_the_share_says():
     for steps in (1, 2, 3):
         share = steps / SIZE
@@ -95,19 +67,35 @@ def test_as_far_as_the_share_says():
 
 
 def test_what_hardly_shows_takes_nothing_away_and_nothing_in():
-    assert places(shrink(with_opacity(4, GHOST), MIDDLE, 1 / SIZE)) == [*range(5, 15)]
-    assert places(grow(with_opacity(15, GHOST), MIDDLE, 1.3 / SIZE)) == [*range(4, 16)]
+    def with_ghost(row: int) -> Splats:
+        return replace(ROW, opacities=ROW.opacities.index_fill(0, torch.tensor([row]), GHOST))
+
+    assert places(shrink(with_ghost(4), MIDDLE, 1 / SIZE)) == [*range(5, 15)]
+    assert places(grow(with_ghost(15), MIDDLE, 1.3 / SIZE)) == [*range(4, 16)]
     faint = lattice(GHOST)
     assert torch.equal(grow(faint, MIDDLE, 1 / SIZE), grow(ROW, MIDDLE, 1 / SIZE)), "all it has"
 
 
-@pytest.mark.parametrize("share", [0.0, -0.1, 1.01, float("nan"), float("inf")])
-def test_no_share(share: float):
-    for change in (grow, shrink):
-        with pytest.raises(StyleSplatError, match="Give more than 0 and at most 1"):
-            change(ROW, MIDDLE, share)
+ZERO, ONE = torch.zeros(3), torch.ones(3)
 
 
-def test_nothing_left():
-    with pytest.raises(StyleSplatError, match="leaves nothing of the object"):
-        shrink(ROW, MIDDLE, 1.0)
+@pytest.mark.parametrize(
+    ("shape", "arguments", "fact"),
+    [
+        (in_box, (SPLATS, ONE, ZERO), r"is empty\. Give the lower corner first"),
+        (in_box, (SPLATS, ONE * 50, ONE * 51), "No Gaussian lies in the box from 50,50,50"),
+        (in_sphere, (SPLATS, ONE * 50, 1.0), "The splat reaches from -1"),
+        (in_sphere, (SPLATS, ONE, 0.0), r"radius 0\. Give more than 0"),
+        (surface_point, (SPLATS, CAMERAS[0], (48.0, 3.0)), r"is outside 0000\.jpg, which is 48x36"),
+        (surface_point, (SPLATS, CAMERAS[0], (0.0, 0.0)), r"Nothing solid shows at 0,0 .* another"),
+        *(
+            (change, (ROW, MIDDLE, share), "Give more than 0 and at most 1")
+            for change in (grow, shrink)
+            for share in (0.0, -0.1, 1.01, math.nan, math.inf)
+        ),
+        (shrink, (ROW, MIDDLE, 1.0), "leaves nothing of the object"),
+    ],
+)
+def test_nothing_there(shape: Callable, arguments: tuple, fact: str):
+    with pytest.raises(StyleSplatError, match=fact):
+        shape(*arguments)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from balls import BALLS, CAMERAS, SPLATS, enlarged
+from balls import RED as BALL
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats
@@ -20,7 +21,6 @@ from stylesplat.selection.soft_picks import (
 )
 
 VIEWS = enlarged(CAMERAS, 4)
-BALL = (torch.arange(len(SPLATS)) >= 200) & (torch.arange(len(SPLATS)) < 280)
 
 
 def solid_ball(*, haze: bool) -> Splats:
@@ -72,25 +72,15 @@ def test_what_no_view_shows_takes_after_its_neighbours():
     assert not own_shares(faint, torch.arange(len(splats)) == 0, VIEWS).any()
 
 
-@pytest.fixture
-def large(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The balls' scene counts as large."""
+def test_shares_in_a_large_scene_are_those_in_the_whole(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(surveying, "LARGE", 0)
-
-
-@pytest.mark.usefixtures("large")
-def test_shares_are_those_in_the_whole_scene():
     found = OwnShares(SPLATS, CAMERAS)
     for _, picked in each_object(SPLATS, [*BALLS]):
         assert torch.equal(found.of(picked), own_shares(SPLATS, picked, CAMERAS))
     nobody = torch.zeros(len(SPLATS), dtype=torch.bool)
     assert not found.of(nobody).any()
-
-
-@pytest.mark.usefixtures("large")
-def test_what_is_not_near_and_does_not_show_is_left_out():
     means = SPLATS.means.clone()
-    means[:50, 2] += 1e4  # of the table
+    means[:50, 2] += 1e4  # of the table: neither near nor visible
     scene = replace(SPLATS, means=means)
     seen = survey(scene, sampled_views(CAMERAS))
     assert seen is not None

@@ -45,54 +45,50 @@ def votes(*views: Detections) -> dict[int, float]:
     return count_votes((labels(), view) for view in views)
 
 
-def test_a_box_votes_with_its_score_for_what_it_fits():
-    assert votes(found((VASE_BOX, 0.75))) == {VASE: 0.75}
-    loose = (8.0, 4.0, 22.0, 27.0)
-    assert votes(found((loose, 0.5), (CUP_BOX, 0.25))) == {VASE: 0.5, CUP: 0.25}
+ONE, OTHER = found((VASE_BOX, 0.5)), found((CUP_BOX, 1.0))
+LOOSE, AGAIN = (8.0, 4.0, 22.0, 27.0), (10.0, 5.0, 21.0, 25.0)
 
 
-def test_boxes_around_one_object_are_one_vote():
-    again = (10.0, 5.0, 21.0, 25.0)
-    assert votes(found((VASE_BOX, 0.5), (again, 0.75), (VASE_BOX, 0.25))) == {VASE: 0.75}
+@pytest.mark.parametrize(
+    ("views", "expected"),
+    [
+        ([found((VASE_BOX, 0.75))], {VASE: 0.75}),
+        ([found((LOOSE, 0.5), (CUP_BOX, 0.25))], {VASE: 0.5, CUP: 0.25}),
+        ([found((VASE_BOX, 0.5), (AGAIN, 0.75), (VASE_BOX, 0.25))], {VASE: 0.75}),  # one object
+        ([ONE, ONE, ONE, OTHER], {VASE: 0.375, CUP: 0.25}),
+        ([ONE, NOTHING], {VASE: 0.25}),  # a view that shows nothing counts
+        ([NOTHING], {}),
+        ([], {}),
+    ],
+)
+def test_a_box_votes_with_its_score_for_what_it_fits(
+    views: list[Detections], expected: dict[int, float]
+):
+    assert votes(*views) == expected
+    assert count_votes((0 * labels(), view) for view in views) == {}
 
 
-def test_views_vote_together():
-    one, other = found((VASE_BOX, 0.5)), found((CUP_BOX, 1.0))
-    assert votes(one, one, one, other) == {VASE: 0.375, CUP: 0.25}
-    assert votes(one, NOTHING) == {VASE: 0.25}, "a view that shows nothing counts"
-
-
-def test_without_boxes_or_objects_or_views():
-    assert votes(NOTHING) == {}
-    empty = torch.zeros(40, 60, dtype=torch.int64)
-    assert count_votes([(empty, found((VASE_BOX, 1.0)))]) == {}
-    assert count_votes([]) == {}
-
-
-def test_a_clear_winner():
+def test_a_clear_winner_is_no_chance_of_one_view():
     assert clear_winner({7: 0.5}, "ball") == 7
     assert clear_winner({7: 0.5, 3: 0.39, 9: 0.1}, "ball") == 7
-
-
-def test_rivals_are_listed():
-    with pytest.raises(
-        StyleSplatError, match=r"'ball' may mean .*: 7 \(0\.50\), 3 \(0\.40\), 9 \(0\.10\)\. .*--id"
-    ):
-        clear_winner({7: 0.5, 3: 0.4, 9: 0.1}, "ball")
-
-
-def test_a_box_in_one_view_may_be_chance():
     assert clear_winner(votes(*[found((VASE_BOX, 0.32))] * 2, *[NOTHING] * 6), "vase") == VASE
     assert clear_winner(votes(found((VASE_BOX, 0.7)), *[NOTHING] * 7), "vase") == VASE
-    with pytest.raises(StyleSplatError, match=r"Hardly any view .* 'vase'.*: 2 \(0\.06\)\. .*--id"):
-        clear_winner(votes(found((VASE_BOX, 0.5)), *[NOTHING] * 7), "vase")
 
 
-def test_nothing_fits():
-    with pytest.raises(StyleSplatError, match=r"No object of the scene fits 'owl'\. .*--id"):
-        clear_winner({}, "owl")
-    with pytest.raises(StyleSplatError, match="`stylesplat objects 'my garden'`"):
-        clear_winner({}, "owl", folder=Path("my garden"))
+@pytest.mark.parametrize(
+    ("scores", "fact"),
+    [
+        (votes(ONE, *[NOTHING] * 7), r"Hardly any view .* 'owl'.*: 2 \(0\.06\)\. .*--id"),
+        (
+            {7: 0.5, 3: 0.4, 9: 0.1},
+            r"'owl' may mean .*: 7 \(0\.50\), 3 \(0\.40\), 9 \(0\.10\)\. .*--id",
+        ),
+        ({}, r"No object of the scene fits 'owl'\. .*`stylesplat objects 'my garden'`.*--id"),
+    ],
+)
+def test_without_a_clear_winner_the_rivals_are_listed(scores: dict[int, float], fact: str):
+    with pytest.raises(StyleSplatError, match=fact):
+        clear_winner(scores, "owl", folder=Path("my garden"))
 
 
 def test_no_view_is_taken_twice():
@@ -128,16 +124,7 @@ def test_real_architectures(kind: str, tiny_model: Models):
     assert 0 < len(sure.scores) < len(all_boxes.scores) and (sure.scores > between).all()
     assert len(replace(detector, min_score=1.0).detect(picture, "Red").boxes) == 0
     assert rank_objects(SPLATS, CAMERAS[:2], "red", detector).keys() <= {3, 7, 300}
-
-
-@pytest.mark.parametrize("kind", ["grounding-dino", "sam3"])
-def test_a_phrase_that_is_too_long(kind: str, tiny_model: Models):
-    detector = load_detector(str(tiny_model(kind)))
-    picture = torch.zeros(40, 60, 3, dtype=torch.uint8)
     with pytest.raises(StyleSplatError, match=r"tokens, the model reads \d+\. Use fewer words"):
         detector.detect(picture, "red " * 40)
-
-
-def test_a_model_that_finds_no_words(tiny_model: Models):
     with pytest.raises(StyleSplatError, match="To find objects by a phrase, pass one of"):
         load_detector(str(tiny_model("sam2")))

@@ -7,21 +7,15 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from scenes import random_splats
+from scenes import joined, random_splats
 from stylesplat.io.splats.splat_files import read_splats, row_order, write_splats
 from stylesplat.scene.frames import SAME, Frame, move_splats
-from stylesplat.scene.splats import Splats
 from stylesplat.selection.transfer_annotations import match_gaussians
 
 KNOWN = replace(random_splats(600), identities=None)  # plain, as files have them
 TURN = torch.from_numpy(Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix())
 FRAME = Frame(TURN, 1.7, torch.tensor([1.0, -2.0, 0.5]).double())
 SOME = torch.randperm(600, generator=torch.Generator().manual_seed(0))[:400]
-
-
-def together(*parts: Splats) -> Splats:
-    columns = {name: [part.tensors()[name] for part in parts] for name in parts[0].tensors()}
-    return replace(parts[0], **{name: torch.cat(each) for name, each in columns.items()})
 
 
 def test_rows_that_are_missing_and_in_another_order():
@@ -31,7 +25,7 @@ def test_rows_that_are_missing_and_in_another_order():
 
 def test_a_motion_of_everything_is_found():
     new = replace(random_splats(50, seed=7), identities=None)
-    frame, rows = match_gaussians(together(move_splats(KNOWN[SOME], FRAME), new), KNOWN)
+    frame, rows = match_gaussians(joined(move_splats(KNOWN[SOME], FRAME), new), KNOWN)
     assert torch.equal(rows[:400], SOME) and (rows[400:] >= 0).sum() <= 2
     assert frame.scale == pytest.approx(1.7, abs=1e-5) and frame.shift is not None
     torch.testing.assert_close(frame.rotation, TURN, atol=1e-5, rtol=0)
@@ -40,7 +34,7 @@ def test_a_motion_of_everything_is_found():
 
 def test_a_part_that_was_moved_is_new():
     moved_part = move_splats(KNOWN[SOME[300:]], FRAME)
-    frame, rows = match_gaussians(together(KNOWN[SOME[:300]], moved_part), KNOWN)
+    frame, rows = match_gaussians(joined(KNOWN[SOME[:300]], moved_part), KNOWN)
     assert frame is SAME and torch.equal(rows[:300], SOME[:300])
     assert (rows[300:] >= 0).sum() <= 2
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, ROWS, SCENE, SPLATS, UNSEEN, enlarged, same
-from balls import STRETCHED_PICKED as PICKED
+from balls import CAMERAS, ROWS, SPLATS, enlarged, same
+from balls import RED as PICKED
 from stylesplat.metrics.images import psnr
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import colors_and_coverage, coverage
@@ -19,12 +19,13 @@ from stylesplat.stylization.confine import confine_canvas
 from stylesplat.stylization.optimize import PaintState
 from stylesplat.stylization.paint import layer_of
 from stylesplat.stylization.strokes import LONG, align_to_strokes
-from stylesplat.stylization.surface import project_to_planes, thin
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import Box, find_boxes
 
 FINE = enlarged(CAMERAS, 4)
 LENGTH, ROOM = 60.0, 1500
+# What discs hide may let through what reaches pixels that it had finished: below MIN_TRANSMITTANCE
+UNSEEN = 1e-4
 SOLID = replace(SPLATS, opacities=torch.full_like(SPLATS.opacities, 6.0))
 
 
@@ -104,21 +105,6 @@ def test_nor_do_discs_along_strokes_show_there(fitted: Canvas, boxes: list[Box])
     assert torch.equal(turned.splats.sh0, fitted.splats.sh0[kept]), "paint is not the canvas's"
 
 
-def test_discs_that_are_dropped_are_told(fitted: Canvas, boxes: list[Box]):
-    """One that is far from the object shows there however small it becomes; no other goes then."""
-    canvas, kept = confine_canvas(fitted, boxes, FINE)
-    assert kept.shape == fitted.parents.shape and kept[: len(SOLID)].all()
-    assert torch.equal(canvas.parents, fitted.parents[kept])
-    assert torch.equal(canvas.splats.means, fitted.splats.means[kept])
-    assert torch.equal(canvas.splats.sh0, fitted.splats.sh0[kept])
-    means = fitted.splats.means.clone()
-    means[-1] = SOLID.means[PICKED].mean(dim=0) + torch.tensor([0.0, 0.0, 0.6])
-    astray = fitted.changed(means=means)
-    _, left = confine_canvas(astray, boxes, FINE)
-    assert not left[-1]
-    assert torch.equal(left[:-1], kept[:-1])
-
-
 def test_others_stay_and_the_objects_rows_only_fade(laid: Canvas):
     for name, before in SOLID.tensors().items():
         after = laid.splats.tensors()[name][: len(SOLID)]
@@ -151,33 +137,16 @@ def test_it_fades_in_as_strongly_as_is_wanted(laid: Canvas):
     torch.testing.assert_close(beyond.sh0[count:], -2 * laid.splats.sh0[count:])
 
 
-def test_the_room_is_kept_and_nearly_used(boxes: list[Box]):
-    canvas = canvas_on(SOLID, boxes, max_discs=300)
-    assert canvas is not None
-    assert 150 < canvas.is_disc.sum() <= 300
-
-
-def test_the_same_seed_gives_the_same_canvas(fitted: Canvas, boxes: list[Box]):
+def test_the_room_is_nearly_used_and_the_seed_decides_how(fitted: Canvas, boxes: list[Box]):
+    small = canvas_on(SOLID, boxes, max_discs=300)
     again, other = canvas_on(SOLID, boxes), canvas_on(SOLID, boxes, seed=1)
-    assert again is not None and other is not None
+    assert small is not None and again is not None and other is not None
+    assert 150 < small.is_disc.sum() <= 300
     assert not same(other.splats, again.splats)
     once, shuffled = (fit_canvas(again, boxes, seed=seed) for seed in (0, 1))
     assert same(once.splats, fitted.splats) and not same(shuffled.splats, fitted.splats)
 
 
 def test_smoke_has_no_surface(boxes: list[Box]):
-    smoke = replace(SCENE, opacities=torch.full_like(SCENE.opacities, -3.0))
+    smoke = replace(SPLATS, opacities=torch.full_like(SPLATS.opacities, -3.0))
     assert canvas_on(smoke, boxes) is None
-
-
-def test_points_are_thinned_and_flattened():
-    """Every point is close to one that is left, and no two of these to each other."""
-    generator = torch.Generator().manual_seed(0)
-    points = torch.rand(3000, 3, generator=generator) * torch.tensor([1.0, 1.0, 0.02])
-    rows = thin(points, 0.1, seed=0)
-    distances = torch.cdist(points, points[rows])
-    assert distances[rows].fill_diagonal_(1.0).min() > 0.1 >= distances.amin(dim=1).max()
-    normals = torch.tensor([0.0, 0.0, 1.0]).expand(3000, 3)
-    flat, up = project_to_planes(points, normals, rows)
-    assert flat[:, 2].std() < 0.4 * points[rows, 2].std()
-    torch.testing.assert_close(up, normals[rows])

@@ -1,4 +1,4 @@
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import pytest
@@ -77,31 +77,33 @@ def test_the_own_pattern_goes_as_far_as_content_is_not_kept():
 
 @pytest.mark.parametrize("quality", PLANS)
 @pytest.mark.parametrize("steps", [1, 2, 3, 300, None])
-def test_stages_use_up_the_steps_and_grow(quality: Quality, steps: int | None):
-    config = StyleConfig(quality=quality, steps=steps)
+@pytest.mark.parametrize("scale", [0.01, 2.0, 100.0])
+def test_stages_use_up_the_steps_and_grow_within_bounds(
+    quality: Quality, steps: int | None, scale: float
+):
+    config = StyleConfig(quality=quality, steps=steps, scale=scale)
     stages = config.stages(500.0)
     assert sum(stage.steps for stage in stages) == config.all_steps == (steps or config.all_steps)
     assert all(stage.steps > 0 for stage in stages)
     lengths = [stage.length for stage in stages]
-    assert lengths == sorted(lengths)
+    assert lengths == sorted(lengths) and min(lengths) >= LEAST and max(lengths) <= 500
+    if quality == "normal" and steps is None:
+        assert lengths[-1] == 500, "large strokes have edges as sharp as others"
+    tiny = replace(config, object_size=20, steps=None).stages(500.0)
+    assert max(stage.length for stage in tiny) == 20
 
 
 def test_qualities_end_at_their_sizes_with_as_many_discs():
     configs = [StyleConfig(quality=quality) for quality in PLANS]
     assert [config.stages(500.0)[-1].length for config in configs] == [160, 500, 500]
+    fine = [configs[-1].stages(length)[-1].length for length in (100.0, 200.0, 4000.0)]
+    assert fine == [160, 200, FINEST], "the photos' length, within bounds"
     steps = [config.all_steps for config in configs]
     assert steps == sorted(steps)
     discs = [config.max_discs(100_000) for config in configs]
     assert discs == [0, (GROWTH - 1) * 100_000, (GROWTH - 1) * 100_000]
     assert StyleConfig().max_discs(MANY_DISCS // 5) == MANY_DISCS
     assert StyleConfig().max_discs(1_000) == (MOST_GROWTH - 1) * 1_000
-
-
-@pytest.mark.parametrize(
-    ("photo_length", "length"), [(100.0, 160.0), (200.0, 200.0), (4000.0, FINEST)]
-)
-def test_fine_stages_follow_the_photos_within_bounds(photo_length: float, length: float):
-    assert StyleConfig(quality="high").stages(photo_length)[-1].length == length
 
 
 def test_sizes_follow_the_scale():
@@ -120,14 +122,3 @@ def test_sizes_follow_the_scale():
     assert usual[0].window is None and usual[-1].window == WINDOW
     assert {stage.window for stage in small} == {WINDOW}, "no step costs more than usual"
     assert [stage.fine for stage in (small[0], small[-1])] == [False, True]
-
-
-@pytest.mark.parametrize("scale", [0.01, 2.0, 100.0])
-def test_sizes_stay_within_bounds_at_any_scale(scale: float):
-    config = StyleConfig(scale=scale)
-    lengths = [stage.length for stage in config.stages(500.0)]
-    assert lengths == sorted(lengths)
-    assert min(lengths) >= LEAST and max(lengths) <= 500
-    assert lengths[-1] == 500, "large strokes have edges as sharp as others"
-    tiny = StyleConfig(scale=scale, object_size=20).stages(500.0)
-    assert max(stage.length for stage in tiny) == 20

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from balls import CAMERAS, LIGHT, PICKED, WAYS, cropped, dense_ball, enlarged
+from scenes import rand
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats
@@ -49,7 +50,7 @@ WITH_EYE = grey(PLAIN - 0.3 * spot(*EYE))
 DOTS = sum(spot(12.0 * i, 12.0 * j, 3.0) for i in range(-6, 7) for j in range(-6, 7))
 DOTTED = grey(PLAIN - 0.3 * torch.as_tensor(DOTS))
 LUMA = torch.tensor([0.2126, 0.7152, 0.0722])  # Rec. 709
-SOME = torch.rand(SIDE, SIDE, 3, generator=torch.Generator().manual_seed(0))
+SOME = rand(SIDE, SIDE, 3)
 NEAR_EYE = spot(*EYE, RADIUS + 2) > 0
 FAR = MASK & (spot(*EYE, 5 * RADIUS) == 0) & (XS.square() + YS.square() < (0.4 * LENGTH) ** 2)
 

@@ -1,15 +1,14 @@
 """The loss, and the compressed search, which finds what the exhaustive one finds, or as good."""
 
-import numpy as np
 import pytest
 import torch
 from torch.nn.functional import normalize
 
+from scenes import randn
 from stylesplat.stylization import matching
 from stylesplat.stylization.matching import (
     build_index,
     cosine_distance,
-    largest_columns,
     most_similar,
     nnfm_loss,
 )
@@ -17,20 +16,16 @@ from stylesplat.stylization.matching import (
 EXACT = 1e-6  # a few roundings of float32
 
 
-def rows(count: int, seed: int, width: int = 8) -> torch.Tensor:
-    return torch.randn(count, width, generator=torch.Generator().manual_seed(seed))
-
-
 def features(count: int, width: int = 96, *, seed: int, rank: int = 200) -> torch.Tensor:
     """Outputs of a random layer: non-negative, with principal directions as networks' have."""
     generator = torch.Generator().manual_seed(seed)
-    layer = torch.randn(rank, width, generator=torch.Generator().manual_seed(99))
+    layer = randn(rank, width, seed=99)
     spectrum = 1 / torch.arange(1, rank + 1).sqrt()
     return (torch.randn(count, rank, generator=generator) * spectrum @ layer + 0.2).relu()
 
 
 def test_the_loss_is_the_distance_to_the_most_similar_row():
-    feats, style = rows(20, 0), rows(30, 1)
+    feats, style = randn(20, 8, seed=0), randn(30, 8, seed=1)
     cosines = torch.cosine_similarity(feats[:, None], style[None], dim=-1)
     loss = nnfm_loss(feats, style)
     torch.testing.assert_close(loss, (1 - cosines.amax(dim=1)).mean())
@@ -43,7 +38,7 @@ def test_the_loss_is_the_distance_to_the_most_similar_row():
 
 
 def test_gradient():
-    feats, style = rows(4, 0).double().requires_grad_(), rows(5, 1).double()
+    feats, style = randn(4, 8, seed=0).double().requires_grad_(), randn(5, 8, seed=1).double()
     assert torch.autograd.gradcheck(lambda x: nnfm_loss(x, style), feats)
 
 
@@ -79,16 +74,3 @@ def test_chunks_do_not_matter(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(matching, "SIMILARITIES_AT_ONCE", 7 * 80)
     assert torch.equal(index.nearest(feats), whole[0])
     assert torch.equal(most_similar(feats, style), whole[1])
-
-
-@pytest.mark.parametrize(("stride", "count"), [(16, 16), (16, 5), (80, 71), (48, 4), (16, 2)])
-def test_largest_columns_are_topks(stride: int, count: int):
-    numbers = np.random.default_rng(0).normal(size=(30, stride)).astype(np.float32)
-    numbers[:, count:] = 99  # beyond the count, never to be taken
-    numbers[0] = -numbers[0] - 200
-    found = np.full((30, 4), 0, np.int64)
-    largest_columns(numbers.ravel(), stride, count, found)
-    several = min(4, count)
-    expected = torch.from_numpy(numbers[:, :count]).topk(several).indices.numpy()
-    assert np.array_equal(found[:, :several], expected)
-    assert found.max() < count

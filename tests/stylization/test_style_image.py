@@ -6,6 +6,7 @@ import pytest
 import torch
 from PIL import ExifTags, Image
 
+from scenes import rand
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization import style_image as pictures
 from stylesplat.stylization.config import USUAL_SCALE
@@ -21,7 +22,7 @@ from stylesplat.stylization.style_image import (
 )
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
-NOISE = torch.rand(120, 120, 3, generator=torch.Generator().manual_seed(0))
+NOISE = rand(120, 120, 3)
 
 
 def save(path: Path, pixels: np.ndarray = PIXELS, **how) -> Path:
@@ -125,32 +126,37 @@ def test_a_region_is_of_the_upright_picture(tmp_path: Path):
     assert read_style(path, region=(0, 0, 40, 60)).shape == (60, 40, 3)
 
 
+SMALL = {"a.png": PIXELS, "flat.png": PIXELS[:31], "narrow.png": PIXELS[:, :31]}
+
+
 @pytest.mark.parametrize(
-    ("region", "message"),
+    ("name", "how", "message"),
     [
-        ((0, 0, 61, 40), r"region 0,0,61,40 of .*a\.png .* reaches outside.* 0,0,60,40"),
-        ((-1, 0, 40, 40), "reaches outside"),
-        ((0, -1, 40, 40), "reaches outside"),
-        ((0, 0, 40, 41), "reaches outside"),
-        ((40, 0, 40, 40), "is empty .* with x0 < x1"),
-        ((0, 40, 40, 0), "is empty"),
-        ((0, 0, 40, 31), r"a\.png is 40x31 pixels, too little .* at least 32x32"),
+        (
+            "a.png",
+            {"region": (0, 0, 61, 40)},
+            r"region 0,0,61,40 of .*a\.png .* reaches outside.* 0,0,60,40",
+        ),
+        ("a.png", {"region": (-1, 0, 40, 40)}, "reaches outside"),
+        ("a.png", {"region": (0, -1, 40, 40)}, "reaches outside"),
+        ("a.png", {"region": (0, 0, 40, 41)}, "reaches outside"),
+        ("a.png", {"region": (40, 0, 40, 40)}, "is empty .* with x0 < x1"),
+        ("a.png", {"region": (0, 40, 40, 0)}, "is empty"),
+        ("a.png", {"region": (0, 0, 40, 31)}, r"a\.png is 40x31 pixels, too little .* at least 32"),
+        ("a.png", {"rotate": 45.0}, r"Turned by 45\.0, .*a\.png is \d+x\d+ pixels"),
+        ("a.png", {"rotate": math.nan}, r"Cannot turn .*a\.png by nan degrees"),
+        ("flat.png", {}, r"flat\.png is 60x31 pixels, too little"),
+        ("narrow.png", {}, r"narrow\.png is 31x40 pixels, too little"),
+        ("none.png", {}, r"There is no image .*none\.png"),
+        ("page.png", {}, r"Cannot read the image .*page\.png"),
     ],
 )
-def test_unfit_regions(tmp_path: Path, region: tuple[int, int, int, int], message: str):
+def test_unfit_pictures_and_regions(tmp_path: Path, name: str, how: dict, message: str):
+    (tmp_path / "page.png").write_text("<html>404</html>")
+    if name in SMALL:
+        save(tmp_path / name, SMALL[name])
     with pytest.raises(StyleSplatError, match=message):
-        read_style(save(tmp_path / "a.png"), region=region)
-
-
-def test_small_pictures(tmp_path: Path):
-    assert read_style(save(tmp_path / "a.png", PIXELS[:32, :32])).shape == (32, 32, 3)
-    for pixels, size in ((PIXELS[:31], "60x31"), (PIXELS[:, :31], "31x40")):
-        with pytest.raises(StyleSplatError, match=rf"b\.png is {size} pixels, too little"):
-            read_style(save(tmp_path / "b.png", pixels))
-    with pytest.raises(StyleSplatError, match=r"Turned by 45\.0, .*a\.png is 22x22 pixels"):
-        read_style(tmp_path / "a.png", rotate=45.0)
-    with pytest.raises(StyleSplatError, match=r"Cannot turn .*a\.png by nan degrees"):
-        read_style(tmp_path / "a.png", rotate=math.nan)
+        read_style(tmp_path / name, **how)
 
 
 def test_huge_pictures_are_scaled_down(tmp_path: Path, said: list[str], capsys, monkeypatch):
@@ -183,14 +189,6 @@ def test_a_phones_photo_with_a_second_picture_inside_is_none(tmp_path: Path):
     flat = np.full((40, 60, 3), 99, np.uint8)
     path = save(tmp_path / "a.jpg", flat, format="MPO", save_all=True, append_images=[depth])
     assert (as_bytes(read_style(path)) == 99).all()
-
-
-def test_files_that_are_no_pictures(tmp_path: Path):
-    with pytest.raises(StyleSplatError, match=r"There is no image .*a\.png"):
-        read_style(tmp_path / "a.png")
-    (tmp_path / "a.png").write_text("<html>404</html>")
-    with pytest.raises(StyleSplatError, match=r"Cannot read the image .*a\.png"):
-        read_style(tmp_path / "a.png")
 
 
 def test_resizing_keeps_the_shape_and_averages(stripes: torch.Tensor):

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import fake_gsplat
+from scenes import randn
 from stylesplat.training import adam
 from stylesplat.training.adam import (
     BETA1,
@@ -26,10 +27,6 @@ def kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
         fake_gsplat.install_training_kernels(monkeypatch)
         monkeypatch.setattr(adam, "adam_cpu", adam_cuda)
     yield request.param
-
-
-def randn(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
 
 
 def leaf() -> torch.Tensor:

@@ -6,7 +6,7 @@ import torch
 
 import fake_gsplat
 from balls import SPLATS
-from scenes import random_splats, two_cameras
+from scenes import randn, random_splats, two_cameras
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
@@ -44,10 +44,6 @@ def rows_of(params: dict[str, torch.Tensor], splats: Splats) -> torch.Tensor:
     """Where each Gaussian came from."""
     same = (params["means"][:, None] == splats.means[None]).all(dim=-1)
     return same.int().argmax(dim=1)
-
-
-def normal(*shape: int) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(0))
 
 
 def test_grows_to_the_count_by_copies_of_living_gaussians():
@@ -93,7 +89,7 @@ def test_refining_keeps_what_a_scene_looks_like():
 
 
 def test_copies_are_as_opaque_together_as_one_was():
-    opacities, scales = torch.sigmoid(normal(200)), normal(200, 3).exp()
+    opacities, scales = torch.sigmoid(randn(200)), randn(200, 3).exp()
     copies = torch.arange(200) % MAX_COPIES + 1
     new, smaller = relocate(opacities, scales, copies)
     torch.testing.assert_close(1 - (1 - new) ** copies, opacities, atol=1e-4, rtol=0)
@@ -117,7 +113,7 @@ def test_noise_follows_the_covariance_of_faint_gaussians():
     params = {n: t.repeat(20_000, *[1] * (t.ndim - 1)) for n, t in one.tensors().items()}
     before = params["means"].clone()
     params["opacities"][-5000:] = 3.0
-    perturb_means(params, 1.0, 1.0, normal(20_000, 3))
+    perturb_means(params, 1.0, 1.0, randn(20_000, 3))
     moved = (params["means"] - before)[:-5000]
     axes = rotation_matrices(one.quats)[0] * one.scales[0].exp()
     sigma = axes @ axes.T
@@ -130,7 +126,7 @@ def test_noise_follows_the_covariance_of_faint_gaussians():
 def test_both_devices_add_the_same_noise(monkeypatch: pytest.MonkeyPatch):
     # The CPU takes noise along a Gaussian's axes, the GPU along the world's.
     fake_gsplat.install_training_kernels(monkeypatch)
-    splats, noise = random_splats(300), normal(300, 3)
+    splats, noise = random_splats(300), randn(300, 3)
     splats.opacities.sub_(5)
     one, other = ({n: t.clone() for n, t in splats.tensors().items()} for _ in range(2))
     turned = (rotation_matrices(splats.quats) @ noise[..., None])[..., 0]
@@ -147,7 +143,7 @@ def test_noise_and_regularizer_do_not_depend_on_the_unit_of_length():
         params["opacities"][:] = -6.0
         params["means"] *= factor
         params["scales"] += math.log(factor)
-        perturb_means(params, factor, 1.0, normal(40, 3))
+        perturb_means(params, factor, 1.0, randn(40, 3))
         return params["means"] / factor, regularizer(params, factor)
 
     for one, other in zip(learned(1.0), learned(100.0), strict=True):

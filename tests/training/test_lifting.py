@@ -4,7 +4,7 @@ import pytest
 import torch
 from scipy.sparse import csr_array
 
-from balls import BALLS, CAMERAS, SPLATS, class_probabilities
+from balls import BALLS, CAMERAS, PLAIN, SPLATS, class_probabilities
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene import splats as nouns
 from stylesplat.scene.capture import Capture
@@ -14,7 +14,6 @@ from stylesplat.selection.pick import THRESHOLD, pick_objects
 from stylesplat.training import lifting
 from stylesplat.training.lifting import REPULSIONS, class_codes, labelled, lift, with_labels_of
 
-PLAIN = replace(SPLATS, identities=None, classifier=None)
 PHOTOS = [torch.zeros(36, 48, 3, dtype=torch.uint8)] * len(CAMERAS)
 TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
 

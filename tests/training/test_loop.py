@@ -1,9 +1,10 @@
 import gc
 import signal
-import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -11,7 +12,10 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 
 import fake_gsplat
+from balls import CAMERAS, enlarged
+from capture_files import write_cut_outs
 from stylesplat.errors import StyleSplatError
+from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.progress import Silence, observed
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
@@ -22,6 +26,7 @@ from stylesplat.training.initialize import first_splats
 from stylesplat.training.loop import deferred_interrupt, fit
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views
+from stylesplat.verbs.load import load
 
 
 def error(splats: Splats, capture: Capture, row: int) -> float:
@@ -130,6 +135,20 @@ def test_a_gpu_takes_the_same_way(capture: Capture, monkeypatch: pytest.MonkeyPa
         assert error < (2e-2 if name == "quats" else 5e-3), name
 
 
+def test_nothing_is_where_cut_out_photos_are_transparent(tmp_path: Path):
+    cut_outs = load(write_cut_outs(tmp_path / "balls", enlarged(CAMERAS, 2)))
+    config = TrainConfig(steps=250, max_gaussians=400, photos_at_once=1)
+    splats = fit(cut_outs, config).splats.detach()
+    _, held_out = split_views(cut_outs, config.test_every)
+    assert evaluate_views(splats, replace(cut_outs, label_maps=None), held_out)["psnr"] > 22
+    for row in range(len(cut_outs)):
+        alpha = cut_outs.alpha(row)
+        assert alpha is not None
+        _, coverage, _ = rasterize(splats, cut_outs.cameras[row])
+        assert coverage[0, ..., 0][alpha == 0].mean() < 0.05
+        assert coverage[0, ..., 0][alpha > 250].mean() > 0.9
+
+
 class Listener(Silence):
     """Remembers what it is told."""
 
@@ -174,14 +193,14 @@ class Heard(Exception):
     """What the handlers of these tests raise."""
 
 
+def raise_heard(*_: object) -> None:
+    raise Heard
+
+
 @pytest.fixture(params=TAKEN, ids=lambda number: number.name)
 def number(request: pytest.FixtureRequest):
     """A signal, with a handler that raises `Heard`."""
-
-    def hear(*_: object) -> None:
-        raise Heard
-
-    before = signal.signal(request.param, hear)
+    before = signal.signal(request.param, raise_heard)
     yield request.param
     signal.signal(request.param, before)
 
@@ -198,23 +217,16 @@ def test_signals_wait_and_then_do_what_they_would_have_done(number: signal.Signa
         assert signal.getsignal(number) is not before
         raise ValueError
     assert signal.getsignal(number) is before
-
-
-def test_what_is_ignored_stays_ignored(number: signal.Signals):
-    signal.signal(number, signal.SIG_IGN)  # nohup
+    signal.signal(number, signal.SIG_IGN)  # nohup: what is ignored stays ignored
     with deferred_interrupt() as interrupted:
         signal.raise_signal(number)
         assert not interrupted()
 
 
 def test_other_threads_handle_no_signals():
-    found: list[bool] = []
-
-    def work() -> None:
+    def work() -> bool:
         with deferred_interrupt() as interrupted:
-            found.append(interrupted())
+            return interrupted()
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert found == [False]
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(work).result() is False

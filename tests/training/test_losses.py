@@ -3,6 +3,7 @@ import math
 import pytest
 import torch
 
+from scenes import rand, randn
 from stylesplat.scene.splats import Classifier
 from stylesplat.training.losses import (
     NEIGHBOR_WEIGHT,
@@ -11,21 +12,15 @@ from stylesplat.training.losses import (
     neighbor_loss,
     photometric_loss,
     photometric_reference,
-    split_render,
 )
 
 CLASSIFIER = Classifier(8 * torch.eye(3, 16), torch.zeros(3), ids=(0, 4, 9))
 
 
-def draw(*shape: int) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(0))
-
-
 @pytest.fixture
 def images() -> tuple[torch.Tensor, torch.Tensor]:
-    generator = torch.Generator().manual_seed(0)
-    image = torch.rand(37, 53, 3, generator=generator)
-    return image, (image + 0.1 * torch.randn(37, 53, 3, generator=generator)).clamp(0, 1)
+    image = rand(37, 53, 3)
+    return image, (image + 0.1 * randn(37, 53, 3)).clamp(0, 1)
 
 
 @pytest.mark.parametrize("size", [(37, 53), (5, 4), (40, 64)])
@@ -50,7 +45,7 @@ def test_identity_loss_rewards_the_right_class_and_a_guess_costs_one():
     assert right < 0.01 < identity_loss(torch.eye(3, 16), classes.roll(1), CLASSIFIER)
     assert identity_loss(torch.zeros(3, 16), classes, CLASSIFIER) == pytest.approx(1)
     alone = Classifier(torch.ones(1, 16), torch.zeros(1), ids=(0,))
-    assert identity_loss(draw(20, 16), torch.zeros(20, dtype=torch.long), alone) == 0
+    assert identity_loss(randn(20, 16), torch.zeros(20, dtype=torch.long), alone) == 0
 
 
 def test_neighbor_loss():
@@ -67,7 +62,7 @@ def test_neighbor_loss():
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
 def test_nearest_neighbors(device: str):
-    means, sample = draw(200, 3), torch.tensor([3, 3, 199, 0])
+    means, sample = randn(200, 3), torch.tensor([3, 3, 199, 0])
     distances = (means[sample][:, None] - means).norm(dim=-1)
     distances[torch.arange(4), sample] = torch.inf
     expected = distances.argsort(dim=1)[:, :4]
@@ -75,15 +70,3 @@ def test_nearest_neighbors(device: str):
     assert torch.equal(found.cpu(), expected)
     twins = torch.zeros(4, 3)
     assert not (nearest_neighbors(twins, torch.arange(4), 2) == torch.arange(4)[:, None]).any()
-
-
-@pytest.mark.parametrize(("offset", "stride"), [((0, 0), 1), ((1, 2), 3), ((4, 0), 5)])
-def test_a_split_render_is_what_slices_are(offset: tuple[int, int], stride: int):
-    render = draw(7, 11, 19).requires_grad_()
-    found = split_render(render, offset, stride)
-    y, x = offset
-    expected = render[..., :3], render[y::stride, x::stride, 3:]
-    assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True))
-    weights = [torch.rand_like(each) for each in expected]
-    gradients = [torch.autograd.grad(each, render, weights)[0] for each in (found, expected)]
-    assert torch.equal(*gradients)

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from processes import interrupt
+from scenes import rand, randn
 from stylesplat.evaluation.photos import NO_FITS, Fits, evaluate_views
 from stylesplat.scene.cameras import Cameras, are_rigid
 from stylesplat.scene.capture import Capture
@@ -22,10 +23,6 @@ from stylesplat.training.per_photo import (
 from stylesplat.training.state import PER_PHOTO, State
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views
-
-
-def rand(*shape: int, seed: int = 0) -> Tensor:
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed))
 
 
 @pytest.fixture
@@ -50,7 +47,7 @@ def with_gains(capture: Capture, gains: Float[Tensor, "C 3"]) -> Capture:
 @pytest.fixture
 def shaken(plain: Capture) -> Capture:
     """Cameras that are a degree and a hundredth of their distance away from where they were."""
-    noise = torch.randn(len(plain), 6, generator=torch.Generator().manual_seed(2))
+    noise = randn(len(plain), 6, seed=2)
     noise = noise / 3**0.5 * torch.tensor([0.02] * 3 + [0.01] * 3)
     return replace(plain, cameras=shift_cameras(plain.cameras, noise, scene_extent(plain.cameras)))
 
@@ -148,7 +145,7 @@ def test_the_color_map_of_a_photo_is_found():
 
 
 def test_shifts_are_of_the_world_in_units(cameras: Cameras):
-    shifts = 0.1 * torch.randn(len(cameras), 6, generator=torch.Generator().manual_seed(0))
+    shifts = 0.1 * randn(len(cameras), 6)
     after = shift_cameras(cameras, shifts, 2.0)
     assert torch.allclose(after.positions, cameras.positions + 2 * shifts[:, 3:], atol=1e-5)
     assert are_rigid(after.viewmats, 1e-5).all()

@@ -116,12 +116,6 @@ def test_all_stay_the_same(capture: Capture, config: TrainConfig):
         assert torch.equal(one.moments.second[name], other.moments.second[name]), name
 
 
-def test_every_photo_is_one_process_s(capture: Capture, config: TrainConfig):
-    (one, state), (other, _) = runs(capture, replace(config, steps=11), 2, 2)
-    found = [[*run.photos(replace(state, step=step))] for step in (0, 4, 8) for run in (one, other)]
-    assert found == [[0, 2], [1, 3], [4, 6], [5, 7], [8, 10], [9, 11]]
-
-
 def test_the_command(tmp_path: Path):
     photos = write_ball_capture(tmp_path / "balls")
     command = [

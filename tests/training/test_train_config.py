@@ -61,6 +61,9 @@ PAPER = {
 def test_each_setting_of_the_paper_has_its_source():
     assert asdict(PRESETS["paper"]) == {name: value for name, (value, _) in PAPER.items()}
     assert SEGMENTS["paper"] == "joint", GROUPING
+    assert DSSIM_WEIGHT == 0.2, f"{GAUSSIANS}: lambda_dssim"
+    term = (NEIGHBOR_EVERY, NEIGHBORS, NEIGHBOR_SAMPLES, NEIGHBOR_WEIGHT)
+    assert term == (5, 5, 1000, 2), "Gaussian Grouping, config/: reg3d_*"
 
 
 def test_the_rates_of_the_paper():
@@ -80,12 +83,6 @@ def test_the_rates_of_the_paper():
     )
     last = learning_rates(PRESETS["paper"], extent * means_decay(1.0))
     assert last["means"] == pytest.approx(extent * 1.6e-6), "position_lr_final"
-
-
-def test_the_losses_of_the_paper():
-    assert DSSIM_WEIGHT == 0.2, f"{GAUSSIANS}: lambda_dssim"
-    term = (NEIGHBOR_EVERY, NEIGHBORS, NEIGHBOR_SAMPLES, NEIGHBOR_WEIGHT)
-    assert term == (5, 5, 1000, 2), "Gaussian Grouping, config/: reg3d_*"
 
 
 SHARES = [i / 100 for i in range(101)]

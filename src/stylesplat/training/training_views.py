@@ -108,8 +108,6 @@ def _read(capture: Capture, row: int, ids: tuple[int, ...]) -> Pixels:
 
 def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
     """The averages of what each pixel covers; of classes the nearest."""
-    if pixels.photo.shape[1::-1] == size:
-        return pixels
     photo, alpha = (
         None if t is None else cv2.resize(t.numpy(), size, interpolation=cv2.INTER_AREA)
         for t in pixels[:2]
