@@ -224,7 +224,7 @@ def test_photos_that_make_no_scene(message: str, tmp_path: Path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from stylesplat.progress import Silence, listen
+from stylesplat.progress import Silence, observed
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
 from stylesplat.structure_from_motion.reconstruct import reconstruct
@@ -235,10 +235,10 @@ class Killer(Silence):
             os.kill(os.getpid(), signal.SIGKILL)
         return super().task(what, *rest)
 
-listen(Killer())
 place, names = Path(sys.argv[1]), tuple(sys.argv[2:])
 prepared = PreparedPhotos(names, ordered=False, origins={}, sharpness={})
-reconstruct(place / "photos", prepared, place / "work", config=SfmConfig(max_features=500))
+with observed(Killer()):
+    reconstruct(place / "photos", prepared, place / "work", config=SfmConfig(max_features=500))
 """
 
 
