@@ -18,11 +18,9 @@ class Task(Protocol):
 
     def advance(self, amount: int | float = 1) -> None:
         """Count what is done."""
-        ...
 
     def note(self, text: str) -> None:
         """Show a few words about the work, such as the loss."""
-        ...
 
 
 @runtime_checkable
@@ -40,61 +38,40 @@ class Observer(Protocol):
             unit: What is counted.
             done: How much of it an earlier run has done.
         """
-        ...
+        return nullcontext(SILENCE)
 
     def say(self, line: str) -> None:
         """Receive a message for the user."""
-        ...
 
 
-class Silence:
+class Silence(Observer, Task):
     """The observer that ignores everything."""
 
-    def task(
-        self, what: str, total: int | float | None, unit: str, done: int | float
-    ) -> AbstractContextManager[Task]:
-        """Count nothing."""
-        return nullcontext(self)
 
-    def advance(self, amount: int | float = 1) -> None:
-        """Count nothing."""
-
-    def note(self, text: str) -> None:
-        """Show nothing."""
-
-    def say(self, line: str) -> None:
-        """Say nothing."""
-
-
-_everywhere: list[Observer] = [Silence()]  # the one of the whole process
-_here: ContextVar[Observer | None] = ContextVar("observer", default=None)
-
-
-def listen(observer: Observer) -> None:
-    """Install an observer for all threads."""
-    _everywhere[:] = [observer]
+SILENCE = Silence()
+_observer: ContextVar[Observer] = ContextVar("observer", default=SILENCE)
 
 
 @contextmanager
 def observed(observer: Observer) -> Iterator[None]:
     """Install an observer within the block; other threads keep theirs."""
-    token = _here.set(observer)
+    token = _observer.set(observer)
     try:
         yield
     finally:
-        _here.reset(token)
+        _observer.reset(token)
 
 
 def say(line: str) -> None:
     """Send the user a message of one line."""
-    (_here.get() or _everywhere[0]).say(line)
+    _observer.get().say(line)
 
 
 def task(
     what: str, total: int | float | None = None, *, unit: str = "step", done: int | float = 0
 ) -> AbstractContextManager[Task]:
     """Report work that is counted by hand; see `Observer.task`."""
-    return (_here.get() or _everywhere[0]).task(what, total, unit, done)
+    return _observer.get().task(what, total, unit, done)
 
 
 def track(

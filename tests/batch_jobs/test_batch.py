@@ -55,14 +55,17 @@ def test_good_and_bad_jobs(scene: Path, tmp_path: Path, capsys):
 
 
 def test_a_folder_of_others_is_left_alone(scene: Path, tmp_path: Path, capsys):
-    jobs = write(scene, "  - render: {}\n")
-    assert "no result of jobs" in complaint(capsys, "batch", jobs, "-o", scene)
-    out = ("-o", tmp_path / "x")
-    assert "at least one worker" in complaint(capsys, "batch", jobs, *out, "--workers", 0)
-    assert "is an address" in complaint(capsys, "batch", jobs, "-o", "s3://bucket/results")
-    assert "is an address" in complaint(capsys, "batch", "gs://bucket/jobs.yaml", *out)
-    assert "No such file" in complaint(capsys, "batch", tmp_path / "no.yaml", *out)
-    assert not (tmp_path / "x").exists()
+    jobs, out = write(scene, "  - render: {}\n"), tmp_path / "x"
+    for call, fault in (
+        ((jobs, "-o", scene), "no result of jobs"),
+        ((jobs, "-o", out, "--workers", 0), "at least one worker"),
+        ((jobs, "-o", out, "--workers", 2, "--ray", "local"), "--workers out"),
+        ((jobs, "-o", "s3://bucket/results"), "is an address"),
+        (("gs://bucket/jobs.yaml", "-o", out), "is an address"),
+        ((tmp_path / "no.yaml", "-o", out), "No such file"),
+    ):
+        assert fault in complaint(capsys, "batch", *call)
+    assert not out.exists()
 
 
 @pytest.fixture

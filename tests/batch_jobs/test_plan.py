@@ -1,13 +1,19 @@
-"""From job files to jobs: products, names, commands, and what is refused before anything runs."""
+"""From job files to jobs and their order, and what is refused before anything runs."""
 
+import os
+import re
 from pathlib import Path
 
 import pytest
 
-from processes import VERBS, planned, write_jobs
+from processes import VERBS, planned, pretend, write_jobs
 from stylesplat.batch_jobs.job_file import plan_batch
 from stylesplat.batch_jobs.job_process import process_command
+from stylesplat.batch_jobs.run_batch import RECORDS, fingerprints, read_records, run_in_order
 from stylesplat.errors import StyleSplatError
+
+DOCS = (Path(__file__).parents[2] / "docs" / "batch.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"```yaml\n(.*?)```", DOCS, re.DOTALL)
 
 CHAIN = """
     scenes: [garden, desk]
@@ -145,27 +151,21 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
             "line 5: Unrecognized options: --scal=1. Did you mean --scale?",
         ),
         (jobs("render: {json: true}"), "json is set by the batch itself"),
-        (jobs("stylize: {output: x}"), "output is set by the batch itself"),
         (jobs("render: {}\n    export: {}"), "line 3: a job has one verb, got render and export"),
-        (jobs("name: x"), "a job has one verb, got none"),
         ("scenes: [gardn]\njobs:\n  - render: {}\n", "There is no scene"),
         ("jobs:\n  - render: {}\n", "line 2: render has no scenes"),
         ("scenes: [garden, ./garden]\njobs: [{render: {}}]\n", "have one name, garden"),
-        ("scenes: [wave.jpg]\njobs: [{render: {}}]\n", "wave.jpg"),
         (jobs("train: {}"), "line 3: train works on captures, not on garden"),
         (jobs("stylize: {style: {a: wav.jpg}}"), "line 3: style: there is no "),
         (
             "scenes:\n  - s3://a/garden\njobs: [{render: {}}]\n",
             "line 2: 's3://a/garden' is an address",
         ),
-        (jobs("stylize: {style: {a: gs://b/wave.jpg}}"), "line 3: 'gs://b/wave.jpg' is an address"),
-        (jobs("stylize: {recipe: no.yaml}"), "line 3: recipe: there is no "),
         (jobs("stylize: {style: a=wave.jpg}"), "line 3: style is a map"),
         (jobs("stylize: {style: {a: []}}"), "line 3: style lists no pictures for a"),
         (jobs("stylize: {scale: fast}"), "line 3: Error parsing --scale/--stroke-size"),
         (jobs("stylize: {scale: [[1, 2]]}"), "line 3: scale takes one value"),
         (jobs("stylize: {region: [0, 0, 9, 9]}"), "line 3: "),
-        (jobs("stylize: {scale: []}"), "scale lists nothing"),
         (jobs("select: {keep-outliers: 3}"), "keep-outliers is true or false, not 3"),
         (jobs("select: {id: 1}"), "--name"),
         (jobs("export: {}"), "line 3: export makes a file in the job's folder. Name it with"),
@@ -181,7 +181,6 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
             "multiply to 39,800 jobs",
         ),
         ("scenes: [garden]\njobs: []\n", "line 2: expected `array` of length >= 1"),
-        (jobs("render: [x]"), "line 3: expected `object | null`, got `array`"),
         ("- render\n", "line 1: expected `object`, got `array`"),
         ("scenes: [garden\n", "is no valid YAML"),
     ],
@@ -192,7 +191,87 @@ def test_what_is_wrong_is_told_before_anything_runs(text: str, fault: str, tmp_p
     assert fault in str(raised.value) and str(tmp_path / "jobs.yaml") in str(raised.value)
 
 
-def test_what_jobs_know_of_verbs():
-    assert "from" in VERBS["mask"].paths and "output" not in VERBS["render"].paths
-    assert VERBS["select"].flags >= {"no-picture", "keep-outliers"}
-    assert "point" in VERBS["select"].several and "name" not in VERBS["select"].several
+@pytest.mark.parametrize(("number", "count"), [(0, 24), (1, 2 * (1 + 1 + 6))])
+def test_an_example_is_planned(number: int, count: int, tmp_path: Path):
+    for folder in ("garden", "desk"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "scene.json").write_text("{}")
+        (tmp_path / "photos" / folder).mkdir(parents=True)
+        (tmp_path / "photos" / folder / "transforms.json").write_text("{}")
+    for name in ("wave.jpg", "starry.jpg", "night.jpg", "desk.ply"):
+        (tmp_path / name).touch()
+    path = tmp_path / "jobs.yaml"
+    path.write_text(EXAMPLES[number])
+    jobs = plan_batch(path, VERBS)
+    assert len(jobs) == count and len(EXAMPLES) == 2 and all(verb in DOCS for verb in VERBS)
+    if number == 0:
+        told = re.findall(r"^results/(garden\S+?)/", DOCS, re.MULTILINE)
+        assert told and {*told} <= {job.name for job in jobs}
+
+
+CHAIN_OF_TWO = """
+    scenes: [garden, desk]
+    jobs:
+      - stylize: {style: {vase: wave.jpg}, scale: 2}
+        then:
+          - export: {output: vase.ply}
+"""
+
+
+@pytest.mark.parametrize("what", ["nothing", "picture", "scene", "drawn", "setting", "object"])
+def test_a_fingerprint_is_of_inputs_and_settings(what: str, tmp_path: Path):
+    jobs = planned(tmp_path, CHAIN_OF_TWO)
+    before = fingerprints([*jobs.values()])
+    if what == "picture":
+        (tmp_path / "wave.jpg").write_text("another")
+    elif what == "scene":
+        os.utime(tmp_path / "garden" / "splats.ply", (1, 1))
+    elif what == "drawn":
+        (tmp_path / "garden" / "objects.png").write_text("drawn later")
+    elif what == "setting":
+        jobs = planned(tmp_path, CHAIN_OF_TWO.replace("2}", "3}"))
+    elif what == "object":
+        jobs = planned(tmp_path, CHAIN_OF_TWO.replace("vase: w", "pot: w"))
+    after = fingerprints([*jobs.values()])
+    changed = {name for name in before if before[name] != after[name]}
+    expected = {"nothing": [], "drawn": [], "scene": [n for n in jobs if n.startswith("garden")]}
+    assert changed == {*expected.get(what, jobs)}
+
+
+def test_a_torn_line_costs_its_job_only(tmp_path: Path):
+    path = tmp_path / RECORDS
+    line = '{"job": "%s", "verb": "render", "status": "%s"}\n'
+    path.write_text(line % ("a", "done") + line % ("b", "done") + line % ("b", "failed"))
+    with path.open("a") as file:
+        file.write('{"job": "c", "sta')
+    assert {n: r.status for n, r in read_records(path).items()} == {"a": "done", "b": "failed"}
+    assert read_records(tmp_path / "nowhere") == {}
+
+
+def run(folder: Path, slots: int, failing: str = "", done: str = "") -> tuple[list[str], dict]:
+    jobs, begun = planned(folder, CHAIN_OF_TWO), list[str]()
+    executor = pretend(slots, begun, lambda name: name == failing)
+    records = run_in_order([j for n, j in jobs.items() if n != done], {done}, executor)
+    return begun, {record.job: record.status for record in records}
+
+
+def test_jobs_follow_the_ones_they_need(tmp_path: Path):
+    begun, statuses = run(tmp_path, 1)
+    assert {*statuses.values()} == {"done"}
+    assert begun == [*planned(tmp_path, CHAIN_OF_TWO)], (
+        "a scene is finished before the next one begins"
+    )
+    begun, _ = run(tmp_path, 2)
+    assert begun[:2] == ["garden-stylize", "desk-stylize"], "two run, each as soon as it can"
+    begun, _ = run(tmp_path, 1, done="garden-stylize")
+    assert begun[0] == "garden-stylize-export"
+
+
+def test_a_failure_costs_what_follows_it_only(tmp_path: Path):
+    _, statuses = run(tmp_path, 2, failing="garden-stylize")
+    assert statuses == {
+        "garden-stylize": "failed",
+        "garden-stylize-export": "skipped",
+        "desk-stylize": "done",
+        "desk-stylize-export": "done",
+    }

@@ -63,20 +63,15 @@ def test_something_else_answers(scene: Path, capsys, monkeypatch):
     assert ": Failed to connect to 10.0.0.1. " in line and "manual" not in line
 
 
-def refused(scene: Path, capsys, address: str, *arguments: object) -> str:
+def refused(scene: Path, capsys, address: str) -> str:
     jobs = scene.with_name("jobs.yaml")
     jobs.write_text("scenes: [scene]\njobs: [{render: {}}]\n")
-    out = scene.with_name("out")
-    return complaint(capsys, "batch", jobs, "-o", out, "--ray", address, *arguments)
+    return complaint(capsys, "batch", jobs, "-o", scene.with_name("out"), "--ray", address)
 
 
 @pytest.mark.parametrize("address", ["localhost:1", "ray://localhost:1", "here"])
 def test_a_cluster_that_is_not_there(address: str, scene: Path, capsys):
     assert f"Cannot reach a Ray cluster at {address}: " in refused(scene, capsys, address)
-
-
-def test_ray_has_no_workers(scene: Path, capsys):
-    assert "--workers out" in refused(scene, capsys, "local", "--workers", 2)
 
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")

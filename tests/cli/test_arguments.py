@@ -81,19 +81,14 @@ def test_what_is_repeated_appends():
     assert parsed(*STYLIZE, "--steps", "1", "--steps", "2").settings == {"steps": 2}
 
 
-def test_settings_are_those_that_were_given():
+def test_commands_hold_what_was_given():
     assert parsed(*STYLIZE).settings == {} and parsed(*STYLIZE).style == ()
     typed = ("--region", "1", "2", "-3", "4", "--intensity", "1")
     assert parsed(*STYLIZE, *typed).settings == {"region": (1, 2, -3, 4), "intensity": 1}
     assert parsed("train", "a", "-o", "b", "--max_seconds", "3").settings == {"max_seconds": 3}
 
-
-@pytest.mark.parametrize("name", ["--stroke-size", "--scale"])
-def test_the_size_of_strokes_has_two_names(name: str):
-    assert parsed(*STYLIZE, name, "3").settings == {"scale": 3}
-
-
-def test_values_are_what_commands_hold():
+    for name in ("--stroke-size", "--scale"):
+        assert parsed(*STYLIZE, name, "3").settings == {"scale": 3}
     mask = parsed("mask", "garden", "--from", "masks.json")
     assert (mask.source, mask.box, mask.json) == (Path("masks.json"), (), False)
     render = parsed("render", "garden", "-o", "a.mp4", "--json")

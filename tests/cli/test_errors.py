@@ -1,13 +1,26 @@
-"""Bad input gets one line on stderr and status 1."""
+"""What ends a command early: one line on stderr, an exit status, and no result that is lost."""
 
+import errno
+import os
+import shlex
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
-from balls import CAMERAS
+from balls import CAMERAS, SPLATS
 from processes import complaint
+from scenes import assert_same
+from stylesplat.cli import main
 from stylesplat.cli.arguments import parse_place, parse_style
+from stylesplat.cli.objects import Objects
+from stylesplat.cli.results import BUG, OUT_OF_MEMORY, new_scene, unused
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import open
+from stylesplat.scene.arguments import pasted
+from stylesplat.scene.scene import Scene
 
 VIEW = CAMERAS.names[0]
 
@@ -57,7 +70,7 @@ def test_one_line_and_status_1(
     assert after == before, "nothing of the user's is changed"
 
 
-def test_places_and_styles_are_parsed():
+def test_places_and_styles_are_parsed(tmp_path: Path):
     box = "VIEW:x0,y0,x1,y1"
     assert parse_place("a:b.jpg:1,2,3,4.5", box) == ("a:b.jpg", (1.0, 2.0, 3.0, 4.5))
     assert parse_place("0,1,2,3", box, "x,y,z,RADIUS") == ("", (0.0, 1.0, 2.0, 3.0))
@@ -65,18 +78,88 @@ def test_places_and_styles_are_parsed():
     for wrong in ("a.jpg:1,2", "a.jpg:1,2,3,b", "1,2,3,4", "a.jpg:1,2,3,nan", ""):
         with pytest.raises(StyleSplatError, match=f"Expected {box}, got '{wrong}'"):
             parse_place(wrong, box)
-    assert parse_style("vase=a=b.jpg") == ("vase", (Path("a=b.jpg"),))
-    assert parse_style("vase=a.jpg,b.jpg") == ("vase", (Path("a.jpg"), Path("b.jpg")))
+    assert parse_style("vase=a=b.jpg,b.jpg") == ("vase", (Path("a=b.jpg"), Path("b.jpg")))
     for wrong in ("=b.jpg", "vase", "vase=", "vase=a.jpg,", "vase=a.jpg,,b.jpg"):
         with pytest.raises(StyleSplatError, match=f"OBJECT=IMAGE.*got '{wrong}'"):
             parse_style(wrong)
-
-
-def test_a_comma_may_belong_to_a_pictures_name(tmp_path: Path):
-    both = tmp_path / "day,night.jpg"
-    split = (tmp_path / "day", Path("night.jpg"))
-    assert parse_style(f"vase={both}") == ("vase", split)
-    both.touch()
-    assert parse_style(f"vase={both}") == ("vase", (both,))
+    (both := tmp_path / "day,night.jpg").touch()
+    assert parse_style(f"vase={both}") == ("vase", (both,)), "a comma may belong to the name"
     many = ",".join(["picture.jpg"] * 99)  # longer than names of files may be
     assert len(parse_style(f"vase={many}")[1]) == 99
+
+
+def failing(error: Exception):
+    def fail(*_: object) -> None:
+        raise error
+
+    return fail
+
+
+@pytest.mark.parametrize(
+    ("fail", "expected"),
+    [
+        (lambda: np.empty(2**58, np.uint8), OUT_OF_MEMORY),
+        (lambda: torch.empty(2**58, dtype=torch.uint8), OUT_OF_MEMORY),
+        (failing(torch.OutOfMemoryError("CUDA out of memory. Tried to ...")), OUT_OF_MEMORY),
+        (failing(OSError(errno.ENOSPC, "No space", "a")), "Disk full: a. Free some space"),
+        (failing(PermissionError(errno.EACCES, "Not allowed", "a")), "Not allowed: a. Mend"),
+        (failing(OSError("image file is truncated\nmore")), "image file is truncated. Mend"),
+    ],
+)
+def test_a_machine_that_is_too_small(fail, expected: str, monkeypatch: pytest.MonkeyPatch, capsys):
+    monkeypatch.setattr(Objects, "run", lambda _: fail())
+    assert expected in complaint(capsys, "objects", "x")
+
+
+def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(Objects, "run", failing(ValueError("what")))
+    with pytest.raises(ValueError) as caught:
+        main(["objects", "x"])
+    assert caught.value.__notes__ == [BUG]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
+def test_results_that_nobody_takes(scene: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    def ends(stdout: int) -> int:
+        status = -1
+        with suppress(OSError), os.fdopen(stdout, "w") as closed:  # raised once more at the end
+            monkeypatch.setattr("sys.stdout", closed)
+            status = main(["export", str(scene), str(scene / "x.splat"), "--json", "--overwrite"])
+        return status
+
+    reader, writer = os.pipe()
+    os.close(reader)
+    assert ends(writer) == 141, "as `stylesplat ... | head` may"
+    assert ends(os.open("/dev/full", os.O_WRONLY)) == 1
+    assert capsys.readouterr().err == "stylesplat: Disk full. Free some space and try again.\n"
+
+
+def test_a_scene_is_saved_elsewhere_in_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
+    with new_scene(tmp_path / "scene", overwrite=False) as save:
+        save(Scene(SPLATS, CAMERAS))
+    assert (tmp_path / "scene" / "scene.json").is_file() and not [*elsewhere.iterdir()]
+    garden = tmp_path / "garden"
+    with pytest.raises(StyleSplatError, match="is a file") as raised:  # since the scene was begun
+        with new_scene(garden, overwrite=False) as save:
+            garden.touch()
+            save(Scene(SPLATS, CAMERAS))
+    (place,) = elsewhere.iterdir()
+    assert f"The scene is in {place / 'garden'}: move it from there." in str(raised.value)
+    assert_same(open(place / "garden"), open(tmp_path / "scene"))
+
+
+def test_places_that_are_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    scene = tmp_path / "garden"
+    scene.mkdir()
+    assert unused(scene, ".ply") == tmp_path / "garden.ply"
+    (tmp_path / "garden.ply").touch()
+    (tmp_path / "garden-2.ply").touch()
+    assert unused(scene, ".ply") == tmp_path / "garden-3.ply"
+    (tmp_path / "garden-it's").mkdir()
+    command = pasted("export", "my garden", unused(scene, "-it's"))
+    assert shlex.split(command)[1:] == ["export", "my garden", f"{tmp_path}/garden-it's-2"]
+    monkeypatch.chdir(scene)
+    assert unused(Path(), ".spz") == tmp_path / "garden.spz"

@@ -1,9 +1,7 @@
-"""The verb `evaluate`: of styled scenes the numbers of `stylize` again, of several a page."""
+"""The verb `evaluate`: of a scene whose photos may have moved, of a styled one, of several."""
 
-import json
 import re
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,58 +10,16 @@ from PIL import Image
 
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
-from processes import QUICK, complaint, result, run
+from capture_files import write_ball_capture
+from processes import complaint, result, run
+from stylesplat.io.captures.capture_folder import EXACT
 from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.scene_folder import revise
 from stylesplat.stylization.features import weights
 
-PER_RUN = ("seconds", "seconds_by_object", "steps", "precision", "train")
+PER_RUN = {"seconds", "seconds_by_object", "steps", "precision", "train"}
 NEEDS_STYLE = {"nnfm_before", "nnfm_after"}
-NEEDS_NONE = {"content_ssim", "short_range_rmse", "outside_psnr", "changed_gaussians"}
-
-
-@pytest.fixture(scope="module")
-def quickly(quick_painting: None) -> Iterator[None]:
-    """Objects are compared with their styles at a size that has room for a way."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stylesplat.evaluation.style.LENGTH", 72.0)
-        yield
-
-
-@pytest.fixture(scope="module")
-def once(quickly: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two balls with the colours of a gradient, and two views held out: consistency takes two."""
-    folder = tmp_path_factory.mktemp("once")
-    ss.save(
-        ss.Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:2], metrics={"psnr": 30.0}),
-        folder / "scene",
-    )
-    styles = []
-    for id in ("3", "7"):
-        Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(folder / f"{id}.png")
-        styles += ["--style", f"{id}={folder / f'{id}.png'}"]
-    stylize = ("stylize", folder / "scene", "-o", folder / "styled", "--steps", 2)
-    assert run(*stylize, *styles, *QUICK) == 0
-    return folder / "styled"
-
-
-@pytest.fixture
-def styled(once: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(once, tmp_path / "styled")
-
-
-@pytest.fixture
-def evaluate(capture: Path, capsys: pytest.CaptureFixture[str]):
-    """Evaluate a scene; the numbers, and what is said of objects that cannot be compared."""
-
-    def evaluate(scene: Path) -> tuple[dict, list[str]]:
-        capsys.readouterr()
-        assert run("evaluate", scene, "--capture", capture, "--device", "cpu", "--json") == 0
-        captured = capsys.readouterr()
-        numbers = json.loads(captured.out)
-        assert read_json(scene / "metrics.json")["evaluate"] == numbers
-        return numbers, [line for line in captured.err.splitlines() if "not compared" in line]
-
-    return evaluate
+NEEDS_NONE = {"content_ssim", "outside_psnr", "changed_gaussians"}
 
 
 def test_evaluate_compares_with_the_capture(capture: Path, scene: Path, capsys):
@@ -71,26 +27,37 @@ def test_evaluate_compares_with_the_capture(capture: Path, scene: Path, capsys):
     assert metrics["psnr"] > 30  # all but the losses of JPEG
     assert metrics["iou"] == {"3": 1, "7": 1, "300": 1}
     assert ss.open(scene).metrics == {"psnr": 30.0, "evaluate": metrics}
-    other = capture / "object_mask"
-    assert result(capsys, "evaluate", scene, "--capture", capture, "--masks", other) == metrics
+    exact = shutil.copytree(capture, scene.with_name("exact"))  # exact label maps are preferred
+    (exact / "object_mask").rename(exact / EXACT)
+    other = ("--capture", exact)
+    assert result(capsys, "evaluate", scene, *other)["iou"] == metrics["iou"]
+    wrong = shutil.copytree(exact / EXACT, exact / "object_mask")
+    for file in wrong.glob("*.png"):
+        Image.new("L", (48, 36)).save(file)
+    assert result(capsys, "evaluate", scene, *other)["iou"] == metrics["iou"]
+    assert result(capsys, "evaluate", scene, *other, "--masks", wrong)["iou"] != metrics["iou"]
 
 
-def test_a_styled_scene_gets_the_numbers_of_stylize(styled: Path, evaluate):
-    metrics = read_json(styled / "metrics.json")
-    numbers, said = evaluate(styled)
-    assert not said
-    measured = {name: value for name, value in metrics.items() if name not in PER_RUN}
-    assert {"nnfm_before", "nnfm_after", "outside_psnr", "changed_gaussians"} <= set(measured)
-    assert NEEDS_STYLE | NEEDS_NONE | set(measured) <= set(numbers)
-    for name, value in measured.items():
-        assert numbers[name] == pytest.approx(value, rel=0.01), name
+def test_a_styled_scene_gets_the_numbers_of_stylize(
+    styled: Path, capture: Path, tmp_path: Path, quick_painting: None, capsys
+):
+    before = read_json(styled / "metrics.json")
+    capsys.readouterr()
+    numbers = result(capsys, "evaluate", styled, "--capture", capture, "--device", "cpu")
+    assert {*before} - PER_RUN | NEEDS_STYLE | NEEDS_NONE <= {*numbers}
     assert numbers["psnr"] > 0 and numbers["iou"]
-    assert {"train", *metrics} <= set(read_json(styled / "metrics.json"))
+    kept = before | {"evaluate": numbers}
+    assert read_json(styled / "metrics.json") == kept
+    file = tmp_path / "numbers.json"
+    found = result(capsys, "evaluate", styled, "-o", file, "--device", "cpu")
+    assert read_json(file) == found and NEEDS_NONE <= found.keys()
+    assert read_json(styled / "metrics.json") == kept, "a file of its own has them"
+    assert "--overwrite" in complaint(capsys, "evaluate", styled, "-o", file)
 
 
 @pytest.mark.parametrize("file", [None, "lost.pth"])
 def test_nothing_is_downloaded(
-    file: str | None, styled: Path, evaluate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    file: str | None, styled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
@@ -99,20 +66,12 @@ def test_nothing_is_downloaded(
     for how in stack["layers"]:
         how |= {"features": "vgg16", "weights": file and {"path": file, "sha256": None}}
     write_json(stack, styled / "layers.json")
-    numbers, said = evaluate(styled)
+    capsys.readouterr()
+    assert run("evaluate", styled, "-o", tmp_path / "a.json", "--device", "cpu") == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "not compared" in line]
     assert len(said) == 2 and all((file or "vgg16") in line for line in said)
-    assert set(numbers) >= NEEDS_NONE and not NEEDS_STYLE & set(numbers)
-
-
-def test_numbers_in_a_file_of_their_own(
-    styled: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    before = (styled / "metrics.json").read_bytes()
-    numbers = tmp_path / "numbers.json"
-    found = result(capsys, "evaluate", styled, "-o", numbers, "--device", "cpu")
-    assert read_json(numbers) == found and NEEDS_NONE <= found.keys()
-    assert (styled / "metrics.json").read_bytes() == before
-    assert "--overwrite" in complaint(capsys, "evaluate", styled, "-o", numbers)
+    numbers = read_json(tmp_path / "a.json")
+    assert {*numbers} >= NEEDS_NONE and not NEEDS_STYLE & {*numbers}
 
 
 @pytest.fixture
@@ -124,7 +83,8 @@ def darker(scene: Path) -> Path:
 
 def test_one_page_and_one_schema(capture: Path, scene: Path, darker: Path, tmp_path: Path, capsys):
     page, before = tmp_path / "page.html", (scene / "metrics.json").read_bytes()
-    found = result(capsys, "evaluate", scene, darker, "--compare", "-o", page, "--capture", capture)
+    compare = ("evaluate", scene, darker, "--compare", "-o", page, "--capture", capture)
+    found = result(capsys, *compare)
     assert found["schema"] == "stylesplat-comparison-1" and found["page"] == str(page)
     one, other = found["scenes"]
     assert [one["name"], other["name"]] == ["scene", "darker & others"]
@@ -139,20 +99,13 @@ def test_one_page_and_one_schema(capture: Path, scene: Path, darker: Path, tmp_p
     psnr = other["metrics"]["psnr"], other["differences"]["psnr"]
     assert f"<td>{psnr[0]:.4g} ({psnr[1]:+.3g})</td>" in text
     assert (scene / "metrics.json").read_bytes() == before
-
-
-def test_it_is_said_in_words(
-    capture: Path, scene: Path, darker: Path, tmp_path: Path, capsys, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    call = ("evaluate", "--compare", scene, darker, "-o", "p.html", "--capture", capture)
-    assert run(*call) == 0
+    assert "page.html exists" in complaint(capsys, *compare)
+    assert run(*compare, "--overwrite") == 0
     *_, second, last = capsys.readouterr().err.strip().splitlines()
     assert re.fullmatch(
-        r"darker & others: PSNR .* \(-.*\), SSIM .*, IoU .* % of its pixels differ\.", second
+        r"darker & others: PSNR .* \(-.*\), SSIM .*, IoU .* % of .* differ\.", second
     )
-    assert last == "Page: p.html, with all numbers and 1 views of each."
-    assert "p.html exists" in complaint(capsys, *call)
+    assert last == f"Page: {page}, with all numbers and 1 views of each."
 
 
 def test_wrong_mixes_are_refused(scene: Path, darker: Path, capsys):
@@ -163,9 +116,45 @@ def test_wrong_mixes_are_refused(scene: Path, darker: Path, capsys):
         ((scene, darker, "--compare", "-o", "p.json"), "got p.json as its place."),
     ):
         assert line in complaint(capsys, "evaluate", *arguments)
-
-
-def test_without_photos_there_are_pictures(scene: Path, darker: Path, tmp_path: Path, capsys):
-    page = ("-o", tmp_path / "p.html")
-    found = result(capsys, "evaluate", scene, darker, "--compare", *page)
+    page = ("--compare", "-o", scene.parent / "p.html")  # without photos it has pictures
+    found = result(capsys, "evaluate", scene, darker, *page)
     assert [each["metrics"] for each in found["scenes"]] == [{}, {}] and len(found["notes"]) == 2
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A folder with a capture and a scene of it, two of whose views are held out."""
+    capture = write_ball_capture(tmp_path / "project/capture")
+    scene = ss.Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:2], capture=capture)
+    ss.save(scene, tmp_path / "project/scenes/balls")
+    return tmp_path / "project"
+
+
+def test_both_are_moved_together(project: Path, capsys: pytest.CaptureFixture[str]):
+    before = ss.open(project / "scenes/balls")
+    revise(before, replace(before, info={"more": 1}), project / "scenes/balls")
+    moved = project.rename(project.with_name("elsewhere"))
+    scene = ss.open(moved / "scenes/balls")
+    assert scene.capture == moved / "capture" and scene.info == {"more": 1}
+    assert result(capsys, "evaluate", moved / "scenes/balls")["psnr"] > 30
+    ss.save(scene, moved / "copy")
+    assert read_json(moved / "copy/scene.json")["capture"] == str(moved / "capture")
+    assert read_json(moved / "copy/scene.json")["capture_relative"] == "../capture"
+
+
+def test_photos_that_are_gone_are_asked_for(project: Path, tmp_path: Path, capsys):
+    gone = project / "capture"
+    moved = gone.rename(tmp_path / "garden")
+    line = complaint(capsys, "evaluate", project / "scenes/balls")
+    assert f"no longer in {gone}" in line and "--capture" in line
+    numbers = result(capsys, "evaluate", project / "scenes/balls", "--capture", moved)
+    assert numbers["psnr"] > 30
+
+
+def test_held_out_photos_may_be_missing(project: Path, capsys: pytest.CaptureFixture[str]):
+    scene, photos = project / "scenes/balls", project / "capture/images"
+    whole = result(capsys, "evaluate", scene)
+    (photos / CAMERAS.names[0]).unlink()
+    assert result(capsys, "evaluate", scene)["psnr"] != whole["psnr"]
+    (photos / CAMERAS.names[1]).unlink()
+    assert "None of the 2 held-out photos" in complaint(capsys, "evaluate", scene)

@@ -1,8 +1,9 @@
-"""The verb `export`."""
+"""The verbs `export` and `import`."""
 
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -11,14 +12,16 @@ from processes import complaint, result, run
 from stylesplat.io.splats.splat_ply import read_splat_ply
 
 
-def test_export_keeps_every_bit(scene: Path, tmp_path: Path):
+def test_export_keeps_every_bit(scene: Path, tmp_path: Path, capsys):
     assert run("export", scene, tmp_path / "out.ply") == 0
     exported = read_splat_ply(tmp_path / "out.ply")
     assert torch.equal(exported.means, SPLATS.means)
     assert torch.equal(exported.sh0, SPLATS.sh0)
     assert run("export", scene, tmp_path / "out.ply") == 1, "never overwrites by itself"
     assert run("export", scene, tmp_path / "out.ply", "--overwrite") == 0
-    assert run("export", scene, tmp_path / "out.splat") == 0
+    assert run("export", scene, "-o", tmp_path / "out.splat") == 0
+    for both in ((), ("a.ply", "-o", "b.ply")):
+        assert "Name one file" in complaint(capsys, "export", scene, *both)
 
 
 def test_export_makes_a_page(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -38,7 +41,6 @@ def test_export_cuts_objects_out(scene: Path, tmp_path: Path, capsys: pytest.Cap
     capsys.readouterr()
     assert run("export", scene, "--each", tmp_path / "parts") == 0
     assert "parts: 3.ply, 7.ply" in capsys.readouterr().err
-    assert "Name one file" in complaint(capsys, "export", scene)
     both = ("--each", tmp_path / "more", "--object", 3)
     assert "--each writes every object" in complaint(capsys, "export", scene, *both)
 
@@ -69,3 +71,28 @@ def test_what_another_program_made_of_a_scene(scene: Path, tmp_path: Path, capsy
     assert "Leave the capture" in complaint(capsys, *again, "--labels", scene, "-o", tmp_path / "c")
     folder = ("import", tmp_path / "part.ply", "--like", tmp_path)
     assert "not a scene" in complaint(capsys, *folder, "-o", tmp_path / "c")
+
+
+def test_import_and_select_by_shape(scene: Path, capture: Path, tmp_path: Path, capsys):
+    splat, out = tmp_path / "balls.ply", tmp_path / "imported"
+    assert run("export", scene, splat) == 0
+    metrics = result(capsys, "import", splat, capture, "-o", out, "--device", "cpu")
+    assert metrics["psnr"] > 30
+    found = result(capsys, "select", out, "--name", "red", "--box3d=-1.1,-0.4,0.02,-0.3,0.4,0.7")
+    assert found["gaussians"] >= 79
+    less = result(capsys, "select", out, "--name", "rest", "--id", 3, 7, "--minus", "red")
+    assert 0 < less["gaussians"] <= 81
+
+
+def test_import_with_labels(scene: Path, tmp_path: Path, capsys):
+    splat, out = tmp_path / "balls.ply", tmp_path / "imported"
+    assert run("export", scene, splat) == 0
+    np.save(tmp_path / "labels.npy", [0] * 200 + [3] * 240)
+    labels = ("--labels", tmp_path / "labels.npy")
+    metrics = result(capsys, "import", splat, *labels, "-o", out, "--up", "z")
+    assert metrics["label_ids"] == 1 and metrics["unlabelled_gaussians"] == 200
+    assert result(capsys, "select", out, "--name", "it", "--id", 3)["gaussians"] > 220
+    bad = ("import", splat, "--labels", tmp_path / "lost.npy", "-o", tmp_path / "other")
+    assert "lost.npy" in complaint(capsys, *bad) and not (tmp_path / "other").exists()
+    both = ("import", splat, scene, *labels, "--masks", tmp_path, "-o", tmp_path / "other")
+    assert "Pass one of them" in complaint(capsys, *both)

@@ -9,7 +9,7 @@ import pytest
 from balls import BALLS, BARE, CAMERAS, SPLATS, agreement, around
 from capture_files import write_ball_capture
 from processes import QUICK, complaint, result, run
-from stylesplat.cli.objects import selection_file
+from stylesplat.cli.results import selection_file
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.selection.identities import render_labels

@@ -1,13 +1,12 @@
 """The verb `sheet`: what its cells show, and what it refuses."""
 
-import json
 import shlex
 from pathlib import Path
 
 import pytest
 import torch
 
-from processes import complaint, run
+from processes import complaint, result, run
 from stylesplat.figures.grid import CAPTION, HEAD, MARGIN
 from stylesplat.io.images import read_image
 from stylesplat.stylization.config import PRESETS
@@ -19,18 +18,6 @@ PAINT = "stylesplat.verbs.sheet.stylize"
 FAST = ("--features", "compact", "--steps", 2, "--device", "cpu")
 
 
-@pytest.fixture
-def draw(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Draw a sheet of the scene; the answer, and the picture."""
-
-    def draw(*arguments: object) -> tuple[dict, torch.Tensor]:
-        out = tmp_path / "sheet.png"
-        assert run("sheet", scene, "-o", out, *FAST, *arguments, "--json", "--overwrite") == 0
-        return json.loads(capsys.readouterr().out), read_image(out)
-
-    return draw
-
-
 def cell(sheet: torch.Tensor, row: int, column: int) -> torch.Tensor:
     """Column 0 holds the object as it is."""
     top = MARGIN + row * (CELL + CAPTION + MARGIN)
@@ -38,20 +25,13 @@ def cell(sheet: torch.Tensor, row: int, column: int) -> torch.Tensor:
     return sheet[top : top + CELL, left : left + CELL].float()
 
 
-def size(sheet: torch.Tensor) -> tuple[int, int]:
-    """Rows and columns."""
-    height, width, _ = sheet.shape
-    rows = (height - MARGIN) / (CELL + CAPTION + MARGIN)
-    columns = (width - HEAD - 2 * MARGIN) / (CELL + MARGIN)
-    assert rows.is_integer() and columns.is_integer()
-    return int(rows), int(columns)
-
-
-def test_columns_and_rows_are_settings(draw, scene: Path, style: Path):
+def test_columns_and_rows_are_settings(scene: Path, style: Path, tmp_path: Path, capsys):
     before = {p.name: p.read_bytes() for p in scene.iterdir()}
     vary = ("--vary", "quality=draft", "--vary", "intensity=0,0.5,1")
-    shown, sheet = draw("--style", f"3={style}", *vary)
-    assert size(sheet) == (3, 2)
+    call = ("sheet", scene, "-o", tmp_path / "sheet.png", "--style", f"3={style}", *FAST, *vary)
+    shown, sheet = result(capsys, *call), read_image(tmp_path / "sheet.png")
+    rows, columns = 3 * (CELL + CAPTION + MARGIN), 2 * (CELL + MARGIN)
+    assert sheet.shape == (rows + MARGIN, columns + HEAD + 2 * MARGIN, 3)
     assert (shown["cells"], shown["repainted"]) == (3, 1), "intensities are blends of one result"
     assert before == {p.name: p.read_bytes() for p in scene.iterdir()}
     whole = cell(sheet, 0, 0)

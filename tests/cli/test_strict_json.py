@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from balls import TRAINED, painted, write_pictures
-from stylesplat.cli import main
-from stylesplat.io import scene_folder
+import stylesplat as ss
+from processes import run
 from stylesplat.io.json_files import strict_json
 
-pytestmark = pytest.mark.usefixtures("quick_painting")
 MEASURED = {"psnr": math.inf, "rmse": math.nan, "by": {"vase": -math.inf}, "all": [math.nan, 1.5]}
 WRITTEN = {"psnr": None, "rmse": None, "by": {"vase": None}, "all": [None, 1.5]}
 
@@ -27,15 +25,13 @@ def strictly(text: str) -> Any:
     return json.loads(text, parse_constant=refuse)
 
 
-def test_what_commands_print(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    styled = painted(TRAINED, "red", write_pictures(tmp_path)[0])
-    scene_folder.save(styled, tmp_path / "scene")
+def test_what_commands_print(scene: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    scene_with_photos = ("evaluate", scene, "--capture", scene.parent, "--json")
+    monkeypatch.setattr("stylesplat.load", lambda *_, **__: None)
     monkeypatch.setattr("stylesplat.evaluate", lambda *_, **__: MEASURED)
-    assert main(["evaluate", str(tmp_path / "scene"), "--json"]) == 0
+    assert run(*scene_with_photos) == 0
     assert strictly(capsys.readouterr().out) == WRITTEN
-    assert scene_folder.open(tmp_path / "scene").metrics["evaluate"] == WRITTEN
+    assert ss.open(scene).metrics["evaluate"] == WRITTEN
 
 
 @pytest.mark.parametrize("make", [float, np.float32, torch.tensor, np.array])

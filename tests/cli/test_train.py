@@ -10,6 +10,7 @@ import torch
 import stylesplat as ss
 from balls import CAMERAS
 from processes import complaint, result, run
+from stylesplat.cli.train import Train
 from stylesplat.training.loop import fit
 
 STOP = 5  # steps after which Ctrl-C is pressed
@@ -92,6 +93,8 @@ def test_restart_begins_anew_and_deletes_what_is_ours_only(
     other = ("train", capture, "-o", out, "--steps", 30, "--seed", 3)
     assert "another steps, seed" in complaint(capsys, *other)
     assert (partial / "checkpoint_lift.pt").exists()
+    command = Train(capture, out, restart=True)
+    assert command.after_interruption.startswith("Without `--restart`")
     assert run(*other, "--restart") == 0
     assert "Continuing" not in capsys.readouterr().err
     assert ss.open(out).metrics["steps"] == 30

@@ -1,16 +1,17 @@
-"""What the command line says of itself."""
+"""What the command line says of itself, and what it loads before it knows what is asked for."""
 
+import os
 import re
 import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
 import stylesplat as ss
-from processes import complaint, run
+from processes import complaint
 from stylesplat.cli import VERBS, main
-from stylesplat.io.splats.splat_files import read_splats
 
 README = Path(__file__).parents[2] / "README.md"
 
@@ -38,20 +39,6 @@ def test_both_spellings(scene: Path, capsys):
     assert ss.stylise is ss.stylize
 
 
-def test_export_takes_its_file_either_way(scene: Path, tmp_path: Path, capsys):
-    assert run("export", scene, tmp_path / "a.ply") == 0
-    assert run("export", scene, "-o", tmp_path / "b.ply") == 0
-    assert len(read_splats(tmp_path / "a.ply")) == len(read_splats(tmp_path / "b.ply"))
-    assert "Name one file" in complaint(capsys, "export", scene)
-    assert "Name one file" in complaint(capsys, "export", scene, "a.ply", "-o", "b.ply")
-
-
-def test_the_sheet_of_objects_goes_where_it_is_told(scene: Path, tmp_path: Path, capsys):
-    assert run("objects", scene, "-o", tmp_path / "sheet.png") == 0
-    assert (tmp_path / "sheet.png").is_file() and not (scene / "objects.png").exists()
-    assert "--overwrite" in complaint(capsys, "objects", scene, "-o", tmp_path / "sheet.png")
-
-
 def test_bash_completes(tmp_path: Path):
     script = tmp_path / "completion.bash"
     with pytest.raises(SystemExit):
@@ -72,3 +59,31 @@ def test_the_readme_counts_the_verbs():
     assert f"{len(VERBS)} verbs" in text
     missing = [verb for verb in VERBS if f"stylesplat {verb}" not in text]
     assert not missing
+
+
+PARSE = """
+import contextlib, sys
+from stylesplat.cli import main
+with contextlib.suppress(SystemExit):
+    main({arguments!r})
+heavy = {{"torch", "numba", "cv2", "torchvision", "starlette"}}
+print(*sorted(heavy & sys.modules.keys()))
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ("stylize --help", []),
+        # Neither kernels nor what only detectors need
+        ("select {scene} --name red --id 3 --no-picture", ["torch"]),
+    ],
+)
+def test_slow_modules_are_loaded_when_they_are_needed(arguments: str, expected: list, scene: Path):
+    script = PARSE.format(arguments=arguments.format(scene=scene).split())
+    environment = {**os.environ, "PYTHONPATH": str(Path(ss.__file__).parents[1])}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].split() == expected

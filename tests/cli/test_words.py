@@ -2,16 +2,13 @@
 
 import re
 import shlex
-import shutil
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
-from capture_files import write_ball_capture
 from processes import run
 from stylesplat.figures.grid import CAPTION, MARGIN
-from stylesplat.io.captures.capture_folder import EXACT
 
 
 @pytest.fixture
@@ -76,27 +73,3 @@ def test_import_shows_a_photo_or_a_view(scene: Path, capture: Path, tmp_path: Pa
     (again,) = (line.removeprefix(start) for line in lines if line.startswith(start))
     assert again.endswith(" --up z --overwrite")
     assert not any(line.startswith(start) for line in said(*shlex.split(again)))
-
-
-def test_a_scene_is_there_without_its_picture(scene: Path, tmp_path: Path, monkeypatch, said):
-    def fail(*_: object, **__: object) -> None:
-        raise RuntimeError("CUDA out of memory")
-
-    monkeypatch.setattr("stylesplat.figures.sheets.one_view", fail)
-    lines = said("import", scene / "splats.ply", "-o", tmp_path / "alone", "--device", "cpu")
-    assert any("There is no picture: Out of memory." in line for line in lines)
-    assert not any(line.startswith("Picture:") for line in lines)
-    assert (tmp_path / "alone" / "scene.json").is_file()
-
-
-def test_exact_label_maps_are_what_is_compared_with(scene: Path, tmp_path: Path, said):
-    capture = write_ball_capture(tmp_path / "capture")
-    shutil.copytree(capture / "object_mask", capture / EXACT)
-    for wrong in (capture / "object_mask").glob("*.png"):
-        with Image.open(wrong) as labels:
-            labels.point(lambda _: 0).save(wrong)
-    lines = said("evaluate", scene, "--capture", capture)
-    assert any(str(capture / EXACT) in line for line in lines)
-    assert any("IoU 1.00" in line for line in lines)
-    wrong = said("evaluate", scene, "--capture", capture, "--masks", capture / "object_mask")
-    assert not any("IoU 1.00" in line for line in wrong)

@@ -4,22 +4,19 @@ import sys
 from collections.abc import Sequence
 from contextlib import closing
 
-from stylesplat.cli.adjust import Adjust
 from stylesplat.cli.arguments import read_arguments
 from stylesplat.cli.batch import Batch
-from stylesplat.cli.check import Check
 from stylesplat.cli.demo import Demo
 from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
-from stylesplat.cli.objects import Delete, Objects, Rename
+from stylesplat.cli.objects import Delete, Objects, Rename, Select
 from stylesplat.cli.render import Render
 from stylesplat.cli.results import exit_status
-from stylesplat.cli.select import Select
-from stylesplat.cli.sfm import Sfm
+from stylesplat.cli.sfm import Check, Sfm
 from stylesplat.cli.sheet import Sheet
-from stylesplat.cli.stylize import Stylize
+from stylesplat.cli.stylize import Adjust, Stylize
 from stylesplat.cli.train import Train
 from stylesplat.cli.view import StudioCommand, ViewCommand
 from stylesplat.progress import observed, write_lines

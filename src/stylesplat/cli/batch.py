@@ -17,9 +17,9 @@ from stylesplat.cli.arguments import read_command
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
+from stylesplat.cli.objects import Select
 from stylesplat.cli.options import CONTINUES, NAMES, Command, Output
 from stylesplat.cli.render import Render
-from stylesplat.cli.select import Select
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
 from stylesplat.cli.train import Train

@@ -8,7 +8,7 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Device, Flag, MakingCommand, OptionalOutput
+from stylesplat.cli.options import Device, Flag, MakingCommand, OptionalOutput, SceneFolder
 from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
@@ -30,8 +30,7 @@ class Evaluate(MakingCommand):
     Example: stylesplat evaluate garden-scene --masks exact-masks
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
+    scene: SceneFolder
     others: Positional[tuple[Path, ...]] = ()
     """Folders of scenes of the same photos, with --compare."""
     output: OptionalOutput = None

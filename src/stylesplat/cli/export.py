@@ -8,7 +8,7 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.options import Flag, MakingCommand, OptionalOutput
+from stylesplat.cli.options import Flag, MakingCommand, OptionalOutput, SceneFolder
 from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
@@ -21,8 +21,7 @@ class Export(MakingCommand):
     Example: stylesplat export garden-wave garden.html
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
+    scene: SceneFolder
     file: Positional[Path | None] = None
     """File to make: .ply keeps every bit; .compressed.ply, .spz, .splat and .sog are smaller; .glb
     and .gltf are glTF; .html is a page for any browser, with before and

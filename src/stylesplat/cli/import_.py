@@ -9,14 +9,8 @@ from tyro.conf import Positional
 
 import stylesplat as ss
 from stylesplat.cli.options import Device, MakingCommand, Output
-from stylesplat.cli.results import (
-    describe_scene,
-    new_scene_lines,
-    pasted,
-    save_or_rescue,
-)
+from stylesplat.cli.results import describe_scene, new_scene, new_scene_lines, pasted
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import changing, refuse_occupied
 
 
 @dataclass(frozen=True)
@@ -50,8 +44,6 @@ class Import(MakingCommand):
     device: Device = "auto"
 
     def run(self) -> dict[str, Any]:
-        from stylesplat.io.kinds import SCENE
-
         if self.capture is None and (self.masks is not None or self.frame != "capture"):
             raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
         if self.labels is not None and self.masks is not None:
@@ -60,8 +52,7 @@ class Import(MakingCommand):
             raise StyleSplatError(
                 "--like has views and labels. Leave the capture and --labels out."
             )
-        with changing(self.output):
-            refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
+        with new_scene(self.output, overwrite=self.overwrite) as save:
             capture = self.capture and ss.load(self.capture, masks=self.masks)
             scene = ss.import_(
                 self.splat,
@@ -72,7 +63,7 @@ class Import(MakingCommand):
                 like=self.like and ss.open(self.like),
                 device=self.device,
             )
-            save_or_rescue(scene, self.output, overwrite=self.overwrite)
+            save(scene)
             described = describe_scene(scene, capture, self.output, device=self.device)
         return {**scene.metrics, **described}
 

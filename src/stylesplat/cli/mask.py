@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -12,19 +11,18 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import stylesplat as ss
 from stylesplat.cli.arguments import parse_place
-from stylesplat.cli.objects import selection_file
 from stylesplat.cli.options import CONTINUES, Device, MakingCommand, OptionalOutput, refuse_given
 from stylesplat.cli.results import (
     next_lines,
     optional_picture,
     pasted,
-    save_or_rescue,
+    rewrite_scene,
     stylize_command,
     unused,
 )
 from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished, view_of_photo
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import changing, partial_of, refuse_occupied, refuse_unwritable
+from stylesplat.io.atomic import changing, partial_of, refuse_occupied
 from stylesplat.io.files import is_file
 from stylesplat.signals import WHOLE
 
@@ -96,8 +94,8 @@ class Mask(MakingCommand):
         boxes, strokes = self._drawn(None)
         given = {"boxes": boxes, "strokes": strokes, "source": self.source, "model": self.model}
         settled_method(self.method, given | {"scene": self.scene})  # before photos are read
-        if is_file(self.capture / SCENE) and has_no_photos(scene := ss.open(self.capture)):
-            return self._mask_scene(scene)
+        if is_file(self.capture / SCENE) and has_no_photos(ss.open(self.capture)):
+            return self._mask_scene()
         refuse_given(self, ("output",), "photos, whose label maps go into object_mask/")
         scene = ss.open(self.scene) if self.scene else None
         lines = ((view, None) for view, _ in chain(*strokes.values()))
@@ -132,16 +130,13 @@ class Mask(MakingCommand):
         """The boxes and strokes by object, with the names that photos have in the capture."""
         boxes, strokes = Drawn(), Drawn()
         for text in self.box:
-            name, place = _split(text)
-            view, box = parse_place(place, "VIEW:x0,y0,x1,y1")
+            name, view, box = _parse_drawn(text, "VIEW:x0,y0,x1,y1")
             boxes.setdefault(name, []).append((view_of_photo(view, record), box))
-        for text, over_object in chain(
-            ((text, True) for text in self.stroke), ((text, False) for text in self.not_stroke)
-        ):
-            name, place = _split(text)
-            view, line = parse_place(place, "VIEW:x,y,x,y,...")
-            stroke = ss.Stroke((*zip(line[::2], line[1::2], strict=True),), over_object)
-            strokes.setdefault(name, []).append((view_of_photo(view, record), stroke))
+        for texts, over_object in ((self.stroke, True), (self.not_stroke, False)):
+            for text in texts:
+                name, view, line = _parse_drawn(text, "VIEW:x,y,x,y,...")
+                stroke = ss.Stroke((*zip(line[::2], line[1::2], strict=True),), over_object)
+                strokes.setdefault(name, []).append((view_of_photo(view, record), stroke))
         return boxes, strokes
 
     def _masked(self, photos: Any, progress: Path, **options: Any) -> Any:
@@ -190,42 +185,31 @@ class Mask(MakingCommand):
             "names": called,
         }
 
-    def _mask_scene(self, before: "ss.Scene") -> dict[str, Any]:
-        from stylesplat.io.kinds import SCENE
-        from stylesplat.io.scene_folder import revise
-
+    def _mask_scene(self) -> dict[str, Any]:
         refuse_given(self, ("scene",), "a scene, which is that scene itself")
-        place, adds = self.output or self.capture, bool(self.box)
-        with changing(place):
-            if self.output is None:
-                refuse_unwritable(place)
-            else:
-                refuse_occupied(place, marker=SCENE, overwrite=self.overwrite)
-            if before.splats.classifier and not (adds or self.overwrite):
+        place = self.output or self.capture
+        progress = partial_of(place / "masks")
+
+        def mask(before: "ss.Scene") -> "ss.Scene":
+            if before.splats.classifier and not (self.box or self.overwrite):
                 raise StyleSplatError(
                     f"{self.capture} knows objects already, which these masks would replace. "
                     "Pass --overwrite, or add objects with --box."
                 )
             boxes, strokes = self._drawn(None)
-            progress = partial_of(place / "masks")
-            after = self._masked(before, progress, boxes=boxes, strokes=strokes)
-            if self.output is None:
-                revise(before, after, place)
-                for name, earlier in before.objects.items():
-                    if after.objects.get(name) is not earlier:
-                        with suppress(OSError):
-                            selection_file(place, name).unlink()
-            else:
-                save_or_rescue(after, place, overwrite=self.overwrite)
+            return self._masked(before, progress, boxes=boxes, strokes=strokes)
+
+        with changing(place):
+            after = rewrite_scene(self.capture, self.output, mask, overwrite=self.overwrite)
             if self._keeps_progress:
                 shutil.rmtree(progress, ignore_errors=True)
             return _describe_objects(after, place, self.device)
 
 
-def _split(text: str) -> tuple[str, str]:
-    """An object's name, which may be left out, and the place behind it."""
+def _parse_drawn(text: str, form: str) -> tuple[str, str, tuple[float, ...]]:
+    """An object's name, which may be left out, the view, and the numbers behind it."""
     name, equals, place = text.partition("=")
-    return (name, place) if equals else ("object", text)
+    return (name if equals else "object", *parse_place(place if equals else text, form))
 
 
 def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> dict[str, Any]:

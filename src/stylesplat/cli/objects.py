@@ -1,30 +1,36 @@
-"""`stylesplat objects`, `rename` and `delete`: the objects of a scene, and their names."""
+"""`stylesplat objects`, `select`, `rename` and `delete`: a scene's objects."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.options import MakingCommand, NewScene, OptionalOutput, refuse_picture
-from stylesplat.cli.results import next_lines, object_commands, rewrite_scene, stylize_command
+from stylesplat.cli.arguments import parse_place
+from stylesplat.cli.options import (
+    Flag,
+    MakingCommand,
+    NewScene,
+    OptionalOutput,
+    SceneFolder,
+    refuse_picture,
+)
+from stylesplat.cli.results import (
+    next_lines,
+    object_commands,
+    optional_picture,
+    rewrite_scene,
+    selection_file,
+    stylize_command,
+)
+from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, refuse_file
-from stylesplat.io.files import file_stem, inside
 from stylesplat.progress import say
 
 SHEET = "objects.png"
-PICTURES = "selections"  # the folder inside a scene
-
-
-def selection_file(scene: Path, name: str) -> Path:
-    """The picture of a selection.
-
-    Raises:
-        StyleSplatError: If the folder of pictures leads out of the scene.
-    """
-    return inside(scene, f"{PICTURES}/{file_stem(name)}.png")
 
 
 @dataclass(frozen=True)
@@ -34,8 +40,7 @@ class Objects(MakingCommand):
     Example: stylesplat objects garden-scene
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
+    scene: SceneFolder
     output: OptionalOutput = None
     """Picture of the sheet; by default objects.png in the scene, which is replaced."""
 
@@ -91,14 +96,136 @@ def _box(place: dict[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
+class Select(MakingCommand):
+    """Name an object of a scene, by label id, places in photos, words, or a shape in the world.
+
+    Several choices are united: `--id 3 --plus lid --minus lamp`.
+
+    Example: stylesplat select garden-scene --name vase --point IMG_0007.jpg:640,420
+    """
+
+    scene: SceneFolder
+    name: str
+    """The object's name."""
+    id: UseAppendAction[tuple[tuple[int, ...], ...]] = ()
+    """Label ids, as `objects` lists them, several or one at a time."""
+    box: UseAppendAction[tuple[str, ...]] = ()
+    """VIEW:x0,y0,x1,y1 in the photo's pixels at full size: the object that shows most inside. May
+    be repeated."""
+    point: UseAppendAction[tuple[str, ...]] = ()
+    """VIEW:x,y in the photo's pixels: the object that shows there. May be repeated."""
+    not_point: UseAppendAction[tuple[str, ...]] = ()
+    """VIEW:x,y of an object that is not meant. May be repeated."""
+    text: UseAppendAction[tuple[str, ...]] = ()
+    """A few words: the object that they mean, if it is clear which one. May be repeated."""
+    model: str | None = None
+    """Folder or hub name of the model that finds the words: a Grounding DINO or SAM 3."""
+    box3d: UseAppendAction[tuple[str, ...]] = ()
+    """x0,y0,z0,x1,y1,z1 in world units: all Gaussians inside, of any object. May be repeated."""
+    sphere: UseAppendAction[tuple[str, ...]] = ()
+    """x,y,z,RADIUS in world units; or VIEW:x,y,RADIUS around what shows at that pixel. May be
+    repeated."""
+    rows: UseAppendAction[tuple[Path, ...]] = ()
+    """File of row numbers or a mask (.npz, .npy), as `export` writes objects, or a .ply in
+    which SuperSplat has a selection. May be repeated."""
+    plus: UseAppendAction[tuple[tuple[str, ...], ...]] = ()
+    """Names of earlier selections that belong to it, several or one at a time."""
+    minus: UseAppendAction[tuple[tuple[str, ...], ...]] = ()
+    """Names of earlier selections that do not, likewise."""
+    all: Flag = False
+    """Everything."""
+    background: Flag = False
+    """What belongs to no object: a table, a wall. Take parts of it away with --minus."""
+    grow: float | None = None
+    """Add Gaussians close by: 0.05 reaches 5 % of the object's extent."""
+    shrink: float | None = None
+    """Remove Gaussians close to anything else: 0.02 reaches 2 % of the object's extent."""
+    threshold: float = 0.5
+    """Probability of the object above which a Gaussian belongs to it."""
+    keep_outliers: Flag = False
+    """Keep Gaussians that lie apart from the rest of the object."""
+    picture: Flag = True
+    """Draw no picture of it into the scene."""
+    output: NewScene = None
+
+    def run(self) -> dict[str, Any]:
+        if self.model is not None and not self.text:
+            raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
+        selection_file(self._folder, self.name)  # raises before the work
+        after = rewrite_scene(self.scene, self.output, self._select, overwrite=self.overwrite)
+        picture = self._draw() if self.picture and self.json else None
+        how = after.objects[self.name].how
+        return {"name": self.name, **how, "scene": self._folder, "picture": picture}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        yield f"{self.name}: {result['gaussians']:,} Gaussians."
+        yield from next_lines(stylize_command(result["scene"], self.name))
+
+    def after_answer(self, result: dict[str, Any]) -> None:
+        if self.picture and not self.json and (picture := self._draw()):
+            what = "the selected Gaussians in colour, in blue those of them that get no paint"
+            say(f"Picture: {picture}, {what}.")
+
+    @property
+    def _folder(self) -> Path:
+        return self.output or self.scene
+
+    def _select(self, scene: "ss.Scene") -> "ss.Scene":
+        return ss.select(
+            scene,
+            self.name,
+            id=[*chain(*self.id)],
+            box=_places(self.box, "VIEW:x0,y0,x1,y1"),
+            point=_places(self.point, "VIEW:x,y"),
+            not_point=_places(self.not_point, "VIEW:x,y"),
+            text=self.text,
+            box3d=_places(self.box3d, "x0,y0,z0,x1,y1,z1"),
+            sphere=_places(self.sphere, "x,y,z,RADIUS", "VIEW:x,y,RADIUS"),
+            rows=self.rows,
+            plus=[*chain(*self.plus)],
+            minus=[*chain(*self.minus)],
+            all=self.all,
+            background=self.background,
+            grow=self.grow,
+            shrink=self.shrink,
+            threshold=self.threshold,
+            remove_outliers=not self.keep_outliers,
+            model=self.model,
+        )
+
+    def _draw(self) -> Path | None:
+        """Draw the selection in the scene as it is saved; None if there is no picture."""
+        from stylesplat.figures.sheets import selection_picture
+        from stylesplat.io.images import write_image
+        from stylesplat.selection.choose import find_object
+
+        with optional_picture(self.name):
+            scene = ss.open(self._folder)
+            picture = selection_picture(scene.splats, scene.cameras, find_object(scene, self.name))
+            if picture is None:
+                say(f"{self.name} shows in none of the views, so there is no picture of it.")
+                return None
+            target = selection_file(self._folder, self.name)
+            with changing(self._folder):
+                write_image(picture, target)
+            return target
+        return None
+
+
+def _places(texts: tuple[str, ...], *forms: str) -> list[Any]:
+    """The places as `ss.select` takes them: numbers, after the view if there is one."""
+    places = (parse_place(text, *forms) for text in texts)
+    return [(view, *numbers) if view else numbers for view, numbers in places]
+
+
+@dataclass(frozen=True)
 class Rename(MakingCommand):
     """Give an object of a scene another name.
 
     Example: stylesplat rename garden-scene object vase
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
+    scene: SceneFolder
     old: Positional[str]
     """The object's name."""
     new: Positional[str]
@@ -107,19 +234,15 @@ class Rename(MakingCommand):
 
     def run(self) -> dict[str, Any]:
         folder = self.output or self.scene
-        picture, target = selection_file(self.scene, self.old), selection_file(folder, self.new)
-        with changing(folder):
-            after = rewrite_scene(
-                self.scene,
-                self.output,
-                lambda scene: ss.rename(scene, self.old, self.new),
-                overwrite=self.overwrite,
-            )
-            has_picture = self.output is None and picture.is_file()
-            if has_picture:
-                picture.replace(target)
+        picture = selection_file(folder, self.new)
+        after = rewrite_scene(
+            self.scene,
+            self.output,
+            lambda scene: ss.rename(scene, self.old, self.new),
+            overwrite=self.overwrite,
+        )
         found = {"name": self.new, "was": self.old, **after.objects[self.new].how}
-        return found | {"scene": folder, "picture": target if has_picture else None}
+        return found | {"scene": folder, "picture": picture if picture.is_file() else None}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         yield f"{result['was']} is called {result['name']} now."
@@ -133,24 +256,20 @@ class Delete(MakingCommand):
     Example: stylesplat delete garden-scene lid
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
+    scene: SceneFolder
     name: Positional[str]
     """The object's name."""
     output: NewScene = None
 
     def run(self) -> dict[str, Any]:
-        folder = self.output or self.scene
-        picture = selection_file(folder, self.name)
-        with changing(folder):
-            after = rewrite_scene(
-                self.scene,
-                self.output,
-                lambda scene: ss.delete(scene, self.name),
-                overwrite=self.overwrite,
-            )
-            picture.unlink(missing_ok=True)
-        return {"scene": folder, "deleted": self.name, "names": [*after.objects]}
+        after = rewrite_scene(
+            self.scene,
+            self.output,
+            lambda scene: ss.delete(scene, self.name),
+            overwrite=self.overwrite,
+        )
+        names = [*after.objects]
+        return {"scene": self.output or self.scene, "deleted": self.name, "names": names}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         left = ", ".join(result["names"]) or "none"

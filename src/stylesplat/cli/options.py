@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from tyro.conf import FlagCreatePairsOff, arg
+from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
 from stylesplat.stylization.config import Network
 
 Flag = FlagCreatePairsOff[bool]
+SceneFolder = Annotated[Positional[Path], arg(help="Folder of the scene.")]
 Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
 NewScene = Annotated[

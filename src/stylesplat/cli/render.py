@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.options import Device, MakingCommand, Output
+from stylesplat.cli.options import Device, MakingCommand, Output, SceneFolder
 from stylesplat.errors import StyleSplatError
 
 MOST_PIXELS = 16_384  # along a picture's side
@@ -23,8 +23,7 @@ class Render(MakingCommand):
     Example: stylesplat render garden-wave -o orbit.mp4 --views orbit
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
+    scene: SceneFolder
     output: Output
     """Folder of pictures to make; a video (.mp4, .mov, .mkv, .webm, .webp); or one .png,
     .jpg or .webp."""
@@ -77,7 +76,8 @@ class Render(MakingCommand):
     def _cameras(self, scene: "ss.Scene") -> "tuple[ss.Cameras, float | None]":
         """The cameras to render from, and the frames a second that were asked for."""
         from stylesplat.io.view_files import is_video
-        from stylesplat.verbs.render import cameras_of
+        from stylesplat.scene.framing import frame_count
+        from stylesplat.verbs.render import FPS, FRAMES, cameras_of
 
         self._refuse_mixed()
         size = None if self.size is None else _parse_size(self.size)
@@ -87,21 +87,14 @@ class Render(MakingCommand):
             cameras = path.cameras if size is None else path.cameras.resize(*size)
             return cameras, path.fps if is_video(self.output, len(cameras)) else self.fps
         if self.around is not None or self.views == "orbit":
-            trip = ss.orbit(scene, around=self.around, frames=self._frames(), size=size)
-            return trip, self.fps
+            frames = frame_count(self.seconds or FRAMES / FPS, self.fps or FPS)
+            return ss.orbit(scene, around=self.around, frames=frames, size=size), self.fps
         if size is not None or self.seconds is not None:
             raise StyleSplatError(
                 "--size and --seconds are for a round trip or a path; photos' views are as the "
                 "photos. Use --downscale, or --views orbit."
             )
         return cameras_of(scene, self.view or self.views), self.fps
-
-    def _frames(self) -> int:
-        """The frames of a round trip."""
-        from stylesplat.scene.framing import frame_count
-        from stylesplat.verbs.render import FPS, FRAMES
-
-        return frame_count(self.seconds or FRAMES / FPS, self.fps or FPS)
 
     def _refuse_mixed(self) -> None:
         whole_trip = self.around is not None and self.views == "orbit"
@@ -116,9 +109,8 @@ class Render(MakingCommand):
             raise StyleSplatError(f"{given} each say what views there are. Choose one of them.")
         for name, value in (("--fps", self.fps), ("--seconds", self.seconds)):
             if value is not None and not 0 < value <= MOST_RATE:
-                raise StyleSplatError(
-                    f"Cannot render with {name} {value:g}. Choose between 0 and {MOST_RATE}."
-                )
+                fact = f"Cannot render with {name} {value:g}."
+                raise StyleSplatError(f"{fact} Choose between 0 and {MOST_RATE}.")
 
 
 def _parse_size(text: str) -> tuple[int, int]:

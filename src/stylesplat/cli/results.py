@@ -11,7 +11,7 @@ from typing import Any
 
 import stylesplat as ss
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import DISK_FULL, reason
+from stylesplat.io.files import DISK_FULL, file_stem, inside, reason
 from stylesplat.progress import say, write_lines
 from stylesplat.scene.arguments import pasted
 from stylesplat.signals import WHOLE, report_interruption
@@ -31,20 +31,32 @@ OUT_OF_MEMORY = (
 BUG = "This is a mistake in stylesplat. Please report it, with all these lines."
 
 
-def save_or_rescue(scene: "ss.Scene", output: Path, *, overwrite: bool) -> None:
-    """Save a scene; if that fails, save it in the temporary directory and raise the error."""
+@contextmanager
+def new_scene(output: Path, *, overwrite: bool) -> "Iterator[Callable[[ss.Scene], None]]":
+    """Check the place of a scene before the work, and lock it; yields what saves the scene there.
+
+    If that fails, the scene is saved in the temporary directory, and the error says so.
+    """
+    from stylesplat.io.atomic import changing, refuse_occupied
+    from stylesplat.io.kinds import SCENE
     from stylesplat.io.scene_folder import save
 
-    try:
-        save(scene, output, overwrite=overwrite)
-    except StyleSplatError as error:
-        rescued = Path(tempfile.mkdtemp(prefix="stylesplat-")) / output.resolve().name
+    def save_or_rescue(scene: "ss.Scene") -> None:
         try:
-            save(scene, rescued)
-        except StyleSplatError:
-            shutil.rmtree(rescued.parent, ignore_errors=True)
-            raise error from None
-        raise StyleSplatError(f"{error} The scene is in {rescued}: move it from there.") from error
+            save(scene, output, overwrite=overwrite)
+        except StyleSplatError as error:
+            rescued = Path(tempfile.mkdtemp(prefix="stylesplat-")) / output.resolve().name
+            try:
+                save(scene, rescued)
+            except StyleSplatError:
+                shutil.rmtree(rescued.parent, ignore_errors=True)
+                raise error from None
+            fact = f"{error} The scene is in {rescued}: move it from there."
+            raise StyleSplatError(fact) from error
+
+    with changing(output):
+        refuse_occupied(output, marker=SCENE, overwrite=overwrite)
+        yield save_or_rescue
 
 
 def rewrite_scene(
@@ -55,21 +67,45 @@ def rewrite_scene(
     overwrite: bool,
 ) -> "ss.Scene":
     """Open a scene, change it, and save it to `output`, or without that in its own folder."""
-    from stylesplat.io.atomic import changing, refuse_occupied, refuse_unwritable
-    from stylesplat.io.kinds import SCENE
+    from stylesplat.io.atomic import changing, refuse_unwritable
     from stylesplat.io.scene_folder import revise
 
-    with changing(output or source):  # from reading on, so that no other process's change is lost
-        if output is not None:
-            refuse_occupied(output, marker=SCENE, overwrite=overwrite)
-            after = change(ss.open(source))
-            ss.save(after, output, overwrite=overwrite)
-            return after
+    if output is not None:
+        with new_scene(output, overwrite=overwrite) as save:
+            save(after := change(ss.open(source)))
+        return after
+    with changing(source):  # from reading on, so that no other process's change is lost
         before = ss.open(source)
         refuse_unwritable(source)
         after = change(before)
         revise(before, after, source)
-        return after
+        with suppress(StyleSplatError):
+            _update_pictures(before, after, source)
+    return after
+
+
+def _update_pictures(before: "ss.Scene", after: "ss.Scene", folder: Path) -> None:
+    """Move the pictures of renamed selections, and delete those that show something else now."""
+    for name in {**after.objects, **before.objects}:
+        now, picture = after.objects.get(name), selection_file(folder, name)
+        if now is before.objects.get(name):
+            continue
+        gone = before.objects.keys() - after.objects.keys()
+        was = next((other for other in gone if before.objects[other] is now), None)
+        with suppress(OSError):
+            if was is None:
+                picture.unlink()
+            else:
+                selection_file(folder, was).replace(picture)
+
+
+def selection_file(scene: Path, name: str) -> Path:
+    """The picture of a selection.
+
+    Raises:
+        StyleSplatError: If the folder of pictures leads out of the scene.
+    """
+    return inside(scene, f"selections/{file_stem(name)}.png")
 
 
 def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`stylesplat stylize`."""
+"""`stylesplat stylize`, and `adjust`: how strong the paint is."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -9,17 +9,27 @@ from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, parse_style
-from stylesplat.cli.options import Device, Features, MakingCommand, Output, Weights
+from stylesplat.cli.options import (
+    Device,
+    Features,
+    Flag,
+    MakingCommand,
+    NewScene,
+    Output,
+    SceneFolder,
+    Weights,
+)
 from stylesplat.cli.results import (
     before_after_line,
     draw_before_after,
+    new_scene,
     next_lines,
     pasted,
-    save_or_rescue,
+    rewrite_scene,
     unused,
 )
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import changing, refuse_occupied
+from stylesplat.io.atomic import changing
 from stylesplat.progress import say
 from stylesplat.runtime import tidy_heap
 from stylesplat.stylization.config import StyleConfig
@@ -50,8 +60,7 @@ class Stylize(MakingCommand):
     Example: stylesplat stylize garden-scene --style vase=wave.jpg -o garden-wave
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
+    scene: SceneFolder
     output: Output
     """Folder of the styled scene to make."""
     style: UseAppendAction[tuple[str, ...]] = ()
@@ -68,28 +77,26 @@ class Stylize(MakingCommand):
     device: Device = "auto"
 
     def run(self) -> dict[str, Any]:
-        from stylesplat.io.kinds import SCENE
         from stylesplat.io.scene_folder import revise
 
         recipe = self._recipe()
         picture = dict[str, Any]()
+        with new_scene(self.output, overwrite=self.overwrite) as save:
 
-        def save(scene: "ss.Scene") -> None:
-            save_or_rescue(scene, self.output, overwrite=self.overwrite)
-            say(f"The painted scene is in {self.output}. Measuring and drawing are left to do.")
-            tidy_heap()
-            picture.update(draw_before_after(scene, self.output, device=self.device))
-            tidy_heap()
+            def on_painted(scene: "ss.Scene") -> None:
+                save(scene)
+                say(f"The painted scene is in {self.output}. Measuring and drawing are left to do.")
+                tidy_heap()
+                picture.update(draw_before_after(scene, self.output, device=self.device))
+                tidy_heap()
 
-        with changing(self.output):
-            refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
             styled = ss.stylize(
                 ss.open(self.scene),
                 recipe,
                 features=self.features,
                 weights=self.weights,
                 device=self.device,
-                on_painted=save,
+                on_painted=on_painted,
             )
             revise(replace(styled, metrics={}), styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
@@ -118,8 +125,9 @@ class Stylize(MakingCommand):
                     "Nothing to stylise. Pass --style OBJECT=IMAGE at least once, or --recipe FILE."
                 )
             settings = {"preset": self.preset, **self.settings}
-            named = [(name, ss.Style(*pictures, **settings)) for name, pictures in styles]
-            return Recipe(tuple(StyledObject(name, style) for name, style in named))
+            return Recipe(
+                tuple(StyledObject(name, ss.Style(*files, **settings)) for name, files in styles)
+            )
         if self.style:
             name = parse_style(self.style[0])[0]
             raise StyleSplatError(
@@ -132,3 +140,59 @@ class Stylize(MakingCommand):
             intensity = self.settings.get("intensity", each.intensity)
             objects.append(replace(each, style=style, intensity=intensity))
         return Recipe(tuple(objects))
+
+
+@dataclass(frozen=True)
+class Adjust(MakingCommand):
+    """Change how strong a style is, at once and without optimising, or undo it.
+
+    Example: stylesplat adjust garden-wave --intensity 0.6
+    """
+
+    scene: Positional[Path]
+    """Folder of the styled scene."""
+    output: NewScene = None
+    intensity: float | None = None
+    """0 for the colours before, 1 for the style's, up to 1.5 to exaggerate."""
+    form: float | None = None
+    """How much of the object's own light and relief shows in the paint, 0 to 1.5."""
+    object: UseAppendAction[tuple[str, ...]] = ()
+    """Adjust or undo this object only. May be repeated."""
+    undo: Flag = False
+    """Remove the paint: write the scene as it was before, to the bit, to the --output folder."""
+
+    def run(self) -> dict[str, Any]:
+        from stylesplat.scene.compose import strengths_of
+
+        if self.undo and self.output is None:
+            raise StyleSplatError(
+                "Undoing keeps the styled scene. Pass a folder for the other with -o."
+            )
+        options = {"form": self.form, "objects": self.object, "undo": self.undo}
+        folder = self.output or self.scene
+        with changing(folder):
+            after = rewrite_scene(
+                self.scene,
+                self.output,
+                lambda scene: ss.adjust(scene, self.intensity, **options),
+                overwrite=self.overwrite,
+            )
+            result = {"scene": folder, "before_after": None}
+            if after.layers:
+                result |= {"intensity": strengths_of(after), **draw_before_after(after, folder)}
+        if self.form is not None:
+            result["form"] = {each.object: each.form for each in after.layers}
+        return result
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        painted = result.get("intensity", {})
+        if self.undo:
+            undone, left = ", ".join(self.object), ", ".join(painted)
+            how = f"{undone} as before; {left} as painted" if left else "as before it was painted"
+            yield f"{result['scene']}: {how}."
+        else:
+            strengths = (f"{name} at {100 * share:.0f} %" for name, share in painted.items())
+            yield f"{result['scene']}: {', '.join(strengths)} of the style."
+        yield from before_after_line(result)
+        scene = result["scene"]
+        yield from next_lines(pasted("export", scene, unused(scene, ".ply")))

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,14 +15,10 @@ from tyro.conf import Positional, arg
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, help_texts
 from stylesplat.cli.options import CONTINUES, Device, Flag, MakingCommand, Output, refuse_given
-from stylesplat.cli.results import (
-    describe_scene,
-    new_scene_lines,
-    save_or_rescue,
-)
+from stylesplat.cli.results import describe_scene, new_scene, new_scene_lines
 from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import changing, partial_of, refuse_occupied
+from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import is_there
 from stylesplat.progress import Silence, observed
 from stylesplat.signals import WHOLE
@@ -79,34 +76,42 @@ class Train(MakingCommand):
         return f"{again} {FINISHES}"
 
     @property
+    def _segment(self) -> Segment:
+        return self.segment or SEGMENTS[self.preset]
+
+    @property
     def _checkpoint(self) -> Path:
-        segment = self.segment or SEGMENTS[self.preset]
-        return partial_of(self.output) / f"checkpoint_{segment}.pt"
+        return partial_of(self.output) / f"checkpoint_{self._segment}.pt"
 
     def run(self) -> dict[str, Any]:
-        from stylesplat.io.kinds import SCENE
         from stylesplat.training.checkpoint import require_checkpoint
         from stylesplat.training.state import Ranks
 
-        config = replace(PRESETS[self.preset], **self.settings)
-        config = replace(config, refine_poses=self.refine_poses)
+        config = replace(PRESETS[self.preset], refine_poses=self.refine_poses, **self.settings)
+        train = partial(
+            ss.train,
+            config=config,
+            segment=self._segment,
+            device=self.device,
+            checkpoint=self._checkpoint,
+            finish=self.finish,
+        )
         with _torchrun(self.device) as is_first:
             if not is_first:  # the first process prints and saves
                 with observed(Silence()):
                     Ranks.here().meet()  # the first process has found the poses
-                    self._train(self._capture(), config)
+                    train(self._capture())
                 sys.exit()
-            with changing(self.output):
-                if self.finish:
-                    refuse_given(self, ("restart",), "--finish")
-                    require_checkpoint(self._checkpoint)
-                refuse_occupied(self.output, marker=SCENE, overwrite=self.overwrite)
+            if self.finish:
+                refuse_given(self, ("restart",), "--finish")
+                require_checkpoint(self._checkpoint)
+            with new_scene(self.output, overwrite=self.overwrite) as save:
                 capture = self._capture()
                 if self.restart:
                     self._delete_checkpoints()
                 Ranks.here().meet()
-                scene = self._train(capture, config)
-                save_or_rescue(scene, self.output, overwrite=self.overwrite)
+                scene = train(capture)
+                save(scene)
                 self._delete_checkpoints()
                 described = describe_scene(scene, capture, self.output, device=self.device)
         return {**scene.metrics, **described}
@@ -120,16 +125,6 @@ class Train(MakingCommand):
     def _capture(self) -> "ss.Capture":
         folder = find_photos_capture(self.capture, beside=self.output)
         return ss.load(folder, downscale=self.downscale, masks=self.masks)
-
-    def _train(self, capture: "ss.Capture", config: TrainConfig) -> "ss.Scene":
-        return ss.train(
-            capture,
-            config,
-            segment=self.segment or SEGMENTS[self.preset],
-            device=self.device,
-            checkpoint=self._checkpoint,
-            finish=self.finish,
-        )
 
     def _delete_checkpoints(self) -> None:
         """Delete what a run has left, and no other file in that folder."""

@@ -4,10 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NoReturn
 
-from tyro.conf import Positional
-
 import stylesplat as ss
-from stylesplat.cli.options import Command, Device
+from stylesplat.cli.options import Command, Device, SceneFolder
 from stylesplat.progress import say
 
 
@@ -18,8 +16,7 @@ class ViewCommand(Command):
     Example: stylesplat view garden-wave
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
+    scene: SceneFolder
     port: int = 8080
     """Port on 127.0.0.1, or the next free one."""
     after_interruption: ClassVar[str] = "The viewer is closed."
@@ -39,8 +36,7 @@ class StudioCommand(Command):
     Example: stylesplat studio garden-scene --styles Paintings
     """
 
-    scene: Positional[Path]
-    """Folder of the scene."""
+    scene: SceneFolder
     styles: Path | None = None
     """Folder of style pictures; more can be added in the browser."""
     port: int = 8080
