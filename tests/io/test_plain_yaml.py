@@ -29,10 +29,9 @@ def test_plain_values(text: str, value: object):
         assert found["a"] == value and type(found["a"]) is type(value)
 
 
-def doubling(first: str, next_: str, count: int) -> str:
-    """Each line stands for twice what the one before does."""
-    lines = [next_.format(here=n, last=n - 1) for n in range(1, count)]
-    return "\n".join([f"a0: &a0 {first}", *lines])
+DOUBLING = "\n".join(
+    ["a0: &a0 [x, x]", *(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]" for n in range(60))]
+)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +40,7 @@ def doubling(first: str, next_: str, count: int) -> str:
         ("a: !!python/object/apply:os.system [ls]", "tags"),
         ("[" * 5000, "deep"),
         ("a: &a [*a]", "deep"),
-        (doubling("[x, x]", "a{here}: &a{here} [*a{last}, *a{last}]", 60), "too many|deep"),
+        (DOUBLING, "too many|deep"),
         ("? [1]\n: 2", "a key is a list"),
         ("a: 1\na: 2", "a is listed twice"),
         ("a: 1\n---\nb: 2", "another document"),

@@ -120,6 +120,7 @@ DAMAGES: list[tuple[Callable[[bytes], bytes], str]] = [
         "expected plain vertices, but their 'x' is a list",
     ),
     (lambda c: c[:-4] + np.float32(np.nan).tobytes(), "1 values of quats are not finite"),
+    (lambda c: c[:-4] + np.float32(1e6).tobytes(), "1 values of quats are out of range"),
 ]
 
 

@@ -30,7 +30,8 @@ def read_splat_ply(path: Path | str) -> Splats:
     table = read_ply_table(path)
     rest = _find_rest(table.dtype, path)
     shapes = ((3,), (4,), (3,), (), (1, 3), (len(rest) // 3, 3))
-    splats = Splats(*(torch.empty(len(table), *shape) for shape in shapes))
+    means, quats, scales, opacities, sh0, shN = (torch.empty(len(table), *s) for s in shapes)
+    splats = Splats(means, quats, scales, opacities, sh0, shN)
     columns = _columns(splats, rest)
     for start in range(0, len(table), AT_ONCE):
         part = slice(start, start + AT_ONCE)
