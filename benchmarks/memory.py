@@ -22,7 +22,7 @@ import tyro
 from bench import MIB, capture, machine, peak_memory
 from PIL import Image
 
-from stylesplat.io.captures.transforms import write_transforms
+from still_life.nerfstudio import write_transforms
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.capture import Capture

@@ -18,6 +18,7 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
+from still_life.nerfstudio import write_transforms
 from still_life.objects import smooth_max, smooth_min
 from still_life.photos import View, surface_points
 from still_life.surroundings import backdrop_albedo, hit_backdrop, hit_table, table_albedo
@@ -40,7 +41,6 @@ from still_life.vectors import (
 )
 from stylesplat.io.atomic import atomic_folder
 from stylesplat.io.captures.capture_folder import OBJECT_MASK
-from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.images import write_image
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.progress import track

@@ -15,10 +15,10 @@ from PIL import ExifTags, Image
 from torch import Tensor
 
 from balls import CAMERAS, PLAIN, SPLATS, box_around, enlarged
+from still_life.nerfstudio import write_transforms
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.captures.sfm_file import SfmRecord
-from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.masks import from_boxes as mask_boxes
 from stylesplat.masks import quick_splat as working

@@ -18,10 +18,10 @@ import cv2
 from PIL import Image
 
 from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
-from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import write_label_map
 
 from .label_faults import corrupt_label_maps
+from .nerfstudio import write_transforms
 from .paintings import PAINTINGS
 from .photos import OBJECT_NAMES, dome_cameras, photograph, surface_points
 

@@ -30,7 +30,7 @@ CAPTURES = {
     "import": "its photos are unknown. Name its objects by `stylesplat select {at}/import --name",
     "splat.ply": "splat.ply is a splat, not photos. {import_} {at}/splat.ply -o splat-scene`",
 }
-RING = {"ring": "and has no photos. Objects are cut out of its views by `stylesplat mask {at}/ring"}
+RING = {"ring": "or cut them out of its views by `stylesplat mask {at}/ring --box NAME=VIEW"}
 POSED = CAPTURES | {
     "photos": "photos is a folder of photos, not a capture: no camera poses are known. Find",
     "video.mp4": "a video, not a capture: no camera poses are known. Find the cameras first: "

@@ -1,6 +1,5 @@
 """Plain files and JSON."""
 
-import json
 import os
 from pathlib import Path
 from string import ascii_lowercase, digits
@@ -12,15 +11,12 @@ from stylesplat.io.files import file_stem, read_bytes
 from stylesplat.io.json_files import read_json, write_json
 
 
-def test_json_round_trip(tmp_path: Path):
-    content = {"text": "ä", "list": [1, 0.1, None], "nested": {"yes": True}}
-    write_json(content, tmp_path / "a.json")
-    assert read_json(tmp_path / "a.json") == content
-
-
 def test_json_is_strict(tmp_path: Path):
-    write_json({"psnr": float("inf"), "list": (float("nan"),), "path": Path("a/b")}, tmp_path / "a")
-    assert json.loads((tmp_path / "a").read_text()) == {"psnr": None, "list": [None], "path": "a/b"}
+    content = {"text": "ä", "list": [1, 0.1, None], "nested": {"yes": True}}
+    odd = {"psnr": float("inf"), "numbers": (float("nan"),), "path": Path("a/b")}
+    write_json(content | odd, tmp_path / "a.json")
+    found = content | {"psnr": None, "numbers": [None], "path": "a/b"}
+    assert read_json(tmp_path / "a.json") == found
 
 
 @pytest.mark.parametrize(
@@ -39,20 +35,8 @@ def test_bad_json(tmp_path: Path, text: str | None, match: str):
 
 
 def test_file_stems_are_safe_and_differ():
-    names = [
-        "vase",
-        "Vase",
-        "VASE",
-        "a/b",
-        "a\\b",
-        "a-b",
-        "..",
-        "",
-        "\u00e9",
-        "e\u0301",
-        "x" * 48,
-        "x" * 99,
-    ]
+    names = ["vase", "Vase", "VASE", "a/b", "a\\b", "a-b", "..", "", "\u00e9", "e\u0301"]
+    names += ["x" * 48, "x" * 99]
     stems = [file_stem(name) for name in names]
     assert len({stem.lower() for stem in stems}) == len(names)
     assert stems[0] == "vase" and stems[5] == "a-b"

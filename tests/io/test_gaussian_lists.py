@@ -11,7 +11,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_objects, read_rows, write_objects
-from stylesplat.io.ply import write_ply_table
+from stylesplat.io.ply import write_ply_rows
 from stylesplat.scene.scene import ListedObject, ListedObjects
 
 COUNT = 8
@@ -41,7 +41,7 @@ def saved(path: Path, values: Any) -> Path:
         )
         for name, column in values.items():
             table[name] = column
-        write_ply_table(table, path)
+        write_ply_rows(path, len(table), table.dtype, [table])
     return path
 
 

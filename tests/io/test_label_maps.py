@@ -45,20 +45,15 @@ def test_round_trip_in_the_smallest_form(tmp_path: Path, limit: int, mode: str):
     assert read_label_map(tmp_path / "a.png").tolist() == [[2, 0]], "the index counts"
 
 
-@pytest.mark.parametrize("bad", [-1, 2**24])
-def test_ids_that_no_form_holds(tmp_path: Path, bad: int):
-    with pytest.raises(StyleSplatError, match="label ids go from 0 to 16777215"):
-        write_label_map(torch.tensor([[0, bad]]), tmp_path / "a.png")
+def test_what_is_no_id(tmp_path: Path):
+    for bad in (-1, 2**24):
+        with pytest.raises(StyleSplatError, match="label ids go from 0 to 16777215"):
+            write_label_map(torch.tensor([[0, bad]]), tmp_path / "a.png")
     assert not any(tmp_path.iterdir())
-
-
-def test_pixels_that_are_no_ids(tmp_path: Path):
-    Image.new("L", (8, 6)).save(tmp_path / "a.jpg")
-    with pytest.raises(StyleSplatError, match="JPEG pixels of type L cannot be label ids"):
-        read_label_map(tmp_path / "a.jpg")
-    Image.new("LA", (8, 6)).save(tmp_path / "a.png")
-    with pytest.raises(StyleSplatError, match="PNG pixels of type LA cannot be label ids"):
-        read_label_map(tmp_path / "a.png")
+    for mode, name, kind in (("L", "a.jpg", "JPEG"), ("LA", "a.png", "PNG")):
+        Image.new(mode, (8, 6)).save(tmp_path / name)
+        with pytest.raises(StyleSplatError, match=f"{kind} pixels of type {mode} cannot be label"):
+            read_label_map(tmp_path / name)
 
 
 def test_maps_are_matched_by_stem(tmp_path: Path):
@@ -78,21 +73,19 @@ def test_sizes_are_fitted_without_making_new_ids(tmp_path: Path, size: tuple[int
     assert set(labels.flatten().tolist()) <= set(ids.flatten().tolist())
 
 
-def test_no_map_is_any_photos(tmp_path: Path):
-    write_label_map(random_ids(9), tmp_path / "b.png")
-    with pytest.raises(StyleSplatError, match=r"None of the 1 label maps .* Name them like a\.png"):
-        match_label_maps(tmp_path, ["a.jpg"], [photo(SMALL)])
-
-
-def test_no_folder(tmp_path: Path):
-    with pytest.raises(StyleSplatError, match=r"no folder .*none with label maps.*--masks"):
-        match_label_maps(tmp_path / "none", ["a.jpg"], [photo(SMALL)])
-
-
-def test_a_map_of_another_shape(tmp_path: Path):
-    write_label_map(random_ids(9, (6, 8)), tmp_path / "a.png")
-    with pytest.raises(StyleSplatError, match=r"a\.png is 6x8, .* its photo \(8x6\)"):
-        match_label_maps(tmp_path, ["a.jpg"], [photo(SMALL)])
+@pytest.mark.parametrize(
+    ("folder", "name", "match"),
+    [
+        (".", "b.png", r"None of the 1 label maps .* Name them like a\.png"),
+        ("none", "b.png", r"no folder .*none with label maps.*--masks"),
+        (".", "a.txt", r"no label maps in .*: it holds no PNG files"),
+        (".", "a.png", r"a\.png is 6x8, .* its photo \(8x6\)"),
+    ],
+)
+def test_maps_of_no_photo(tmp_path: Path, folder: str, name: str, match: str):
+    write_label_map(random_ids(9, (6, 8)), tmp_path / name)
+    with pytest.raises(StyleSplatError, match=match):
+        match_label_maps(tmp_path / folder, ["a.jpg"], [photo(SMALL)])
 
 
 @pytest.mark.parametrize(

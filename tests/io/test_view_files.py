@@ -80,21 +80,25 @@ def test_several_views_are_an_animation(fps: int | None, ticks: int, tmp_path: P
             assert abs(image.info["duration"] - ticks) <= 1
 
 
-@pytest.mark.parametrize("name", ["views", "a.png"])
-def test_pictures_have_no_rate(name: str, tmp_path: Path):
-    with pytest.raises(StyleSplatError, match=r"Leave --fps out, or name a video\."):
-        write_views(["a"], never(), tmp_path / name, fps=24)
-
-
 def never() -> Iterator[torch.Tensor]:
     raise AssertionError("nothing is rendered for this")
     yield
 
 
-@pytest.mark.parametrize("count", [0, 2])
-def test_several_views_are_not_one_picture(count: int, tmp_path: Path):
-    with pytest.raises(StyleSplatError, match=rf"there are {count} views\. Choose one with --view"):
-        write_views(["a", "b"][:count], never(), tmp_path / "view.png")
+@pytest.mark.parametrize(
+    ("names", "output", "fps", "match"),
+    [
+        (["a"], "views", 24, r"Leave --fps out, or name a video\."),
+        (["a"], "a.png", 24, r"Leave --fps out, or name a video\."),
+        ([], "a.png", None, r"there are 0 views\. Choose one with --view"),
+        (["a", "b"], "a.png", None, r"there are 2 views\. Choose one with --view"),
+    ],
+)
+def test_what_is_no_video(
+    names: list[str], output: str, fps: int | None, match: str, tmp_path: Path
+):
+    with pytest.raises(StyleSplatError, match=match):
+        write_views(names, never(), tmp_path / output, fps=fps)
     assert not any(tmp_path.iterdir())
 
 

@@ -261,12 +261,8 @@ def _move_files(draft: Path, path: Path, gone: Sequence[Path]) -> None:
     for name in (*_files_in(draft), *gone):
         target = path / name
         there = next(parent for parent in target.parents if os.path.lexists(parent))
-        if not there.resolve().is_relative_to(path):
-            raise StyleSplatError(
-                f"Cannot write {target}: {there} leads outside {path}. Remove it."
-            )
-        if not there.is_dir() or (target.is_dir() and not target.is_symlink()):
-            taken = target if there.is_dir() else there
+        taken = target if target.is_dir() and not target.is_symlink() else there
+        if taken == target or not there.is_dir() or not there.resolve().is_relative_to(path):
             raise StyleSplatError(
                 f"Cannot write {target}: {taken} is in the way. Move it elsewhere."
             )

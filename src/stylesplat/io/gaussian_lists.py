@@ -8,7 +8,7 @@ the sizes that a header claims are checked before memory is allocated for them.
 
 import warnings
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -140,34 +140,34 @@ def _read_npz(archive: Any, count: int, names: Sequence[str]) -> ListedObjects |
         found = array(files[0] if len(files) == 1 else _choice(files, names))
         assert found is not None
         return found
-    keys = [key.removesuffix(ROWS) for key in archive.files if key.endswith(ROWS)]
-    objects = {key: tuple(array(key + end) for end in (ROWS, SHARES, IDS)) for key in keys}
-    return _listed(int(gaussians), array(LABELS), objects, count)
-
-
-def _listed(
-    gaussians: int, labels: Any, objects: Mapping[str, tuple[Any, ...]], count: int
-) -> ListedObjects:
-    """Objects, given as rows, shares and ids; a ValueError if they are not of `count` Gaussians."""
+    labels, listed = array(LABELS), dict[str, ListedObject]()
     if gaussians != count or (labels is not None and len(labels) != count):
-        raise ValueError(f"it is about {gaussians:,} Gaussians, there are {count:,}")
-    listed = dict[str, ListedObject]()
-    for name, (rows, shares, ids) in objects.items():
-        fault = None if is_id(name) else name_fault(name)
-        if fault:
-            raise ValueError(f"no object is called {brief(name)!r}, for {fault}")
-        rows = _integers(rows, count - 1, f"rows of {brief(name)!r}")
-        ids = _integers([] if ids is None else ids, MAX_ID, f"label ids of {brief(name)!r}")
-        if shares is not None:
-            shares = torch.from_numpy(np.asarray(shares, np.float32))
-            if shares.shape != rows.shape or not ((shares >= 0) & (shares <= 1)).all():
-                fault = "are not one from 0 to 1 for each row"
-                raise ValueError(f"the shares of {brief(name)!r} {fault}")
-        if not len(rows):
-            raise ValueError(f"{brief(name)!r} has no rows")
-        listed[name] = ListedObject(rows, shares, tuple(ids.tolist()))
+        raise ValueError(f"it is about {int(gaussians):,} Gaussians, there are {count:,}")
+    for key in archive.files:
+        if key.endswith(ROWS):
+            name = key.removesuffix(ROWS)
+            listed[name] = _listed(name, [array(name + end) for end in (ROWS, SHARES, IDS)], count)
     labels = None if labels is None else _integers(labels, MAX_ID, "labels")
     return ListedObjects(count, listed, labels)
+
+
+def _listed(name: str, arrays: Sequence[Array | None], count: int) -> ListedObject:
+    """An object of rows, shares and ids; a ValueError if it is not one of `count` Gaussians."""
+    fault = None if is_id(name) else name_fault(name)
+    if fault:
+        raise ValueError(f"no object is called {brief(name)!r}, for {fault}")
+    rows = _integers(arrays[0], count - 1, f"rows of {brief(name)!r}")
+    if not len(rows):
+        raise ValueError(f"{brief(name)!r} has no rows")
+    shares = None
+    if arrays[1] is not None:
+        shares = torch.from_numpy(np.asarray(arrays[1], np.float32))
+        if shares.shape != rows.shape or not ((shares >= 0) & (shares <= 1)).all():
+            fault = "are not one from 0 to 1 for each row"
+            raise ValueError(f"the shares of {brief(name)!r} {fault}")
+    ids = [] if arrays[2] is None else arrays[2]
+    ids = _integers(ids, MAX_ID, f"label ids of {brief(name)!r}")
+    return ListedObject(rows, shares, tuple(ids.tolist()))
 
 
 def _integers(values: Any, most: int, what: str) -> Int[Tensor, " M"]:

@@ -148,18 +148,16 @@ def refuse_other_than_photos(path: Path) -> None:
 
 
 def _scene_for_capture(scene: Path) -> StyleSplatError:
-    from stylesplat.scene.framing import NAMES
-
     content, fault = read_json(scene / SCENE), f"{scene} is a scene, not a capture"
     capture = find_capture(scene, content.get("capture"), content.get("capture_relative"))
     if capture is not None:
         return _error(f"{fault}, which has the photos", f"It was made from {capture}: give that")
-    cameras = read_json(scene / CAMERAS).get("cameras", [])
-    if tuple(camera.get("name") for camera in cameras) != NAMES:
-        way = f"stylesplat select {shlex.quote(str(scene))} --name NAME --box3d x0,y0,z0,x1,y1,z1"
-        return _error(f"{fault}, and its photos are unknown", f"Name its objects by `{way}`")
-    way = f"stylesplat mask {shlex.quote(str(scene))} --box NAME=VIEW:x0,y0,x1,y1"
-    return _error(f"{fault}, and has no photos", f"Objects are cut out of its views by `{way}`")
+    name = shlex.quote(str(scene))
+    ways = (
+        f"`stylesplat select {name} --name NAME --box3d x0,y0,z0,x1,y1,z1`, or cut them out of its "
+        f"views by `stylesplat mask {name} --box NAME=VIEW:x0,y0,x1,y1`"
+    )
+    return _error(f"{fault}, and its photos are unknown", f"Name its objects by {ways}")
 
 
 def _other(

@@ -2,10 +2,7 @@
 
 import os
 import re
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO, Literal, NamedTuple
 
@@ -27,7 +24,6 @@ BYTE_ORDERS: dict[str, Literal["<", ">", "="]] = {
     "ascii": "=",
 }
 MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
-AT_ONCE = 1 << 11  # rows: half a MB of a splat, which stays in the cache while columns are copied
 REMEDY = "Copy or export it again, as a PLY of vertices."
 VERTEX = "vertex"
 
@@ -43,51 +39,32 @@ class PlyElement(NamedTuple):
     """Names of the properties that are lists."""
 
 
-@dataclass(frozen=True)
-class PlyRows:
-    count: int
-    dtype: np.dtype
-    blocks: Iterator[Shaped[np.ndarray, " B"]]
-
-
 def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
-    """Read the vertices of a PLY file into a structured array."""
-    with ply_rows(path, at_once=sys.maxsize) as rows:
-        return next(rows.blocks, np.empty(0, rows.dtype))
-
-
-@contextmanager
-def ply_rows(path: Path | str, *, at_once: int) -> Iterator[PlyRows]:
-    """The vertices of a PLY file in blocks of `at_once` rows: files may exceed the free memory.
+    """The vertices of a PLY file as a structured array; binary files are mapped into memory.
 
     The count of the header is checked against the file's size before memory is allocated. What
     follows the vertices, such as faces, is skipped. Vertices with lists, or after other elements,
     are a StyleSplatError.
     """
-    with open_binary(path) as file:
-        with reading(path, REMEDY):
-            rows = _open_rows(file, at_once)
-        yield rows
+    with open_binary(path) as file, reading(path, REMEDY):
+        return _read_table(file)
 
 
-def write_ply_table(table: Shaped[np.ndarray, " N"], path: Path | str) -> None:
-    write_ply_rows(PlyRows(len(table), table.dtype, iter([table])), path)
-
-
-def write_ply_rows(rows: PlyRows, path: Path | str) -> None:
+def write_ply_rows(
+    path: Path | str, count: int, dtype: np.dtype, blocks: Iterable[Shaped[np.ndarray, " B"]]
+) -> None:
     """Write rows as little-endian binary PLY, block by block."""
-    names = rows.dtype.names
-    assert names is not None
-    columns = [f"property {PLY_NAMES[rows.dtype[n].str[1:]]} {n}" for n in names]
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {rows.count}"]
+    assert dtype.names is not None
+    columns = [f"property {PLY_NAMES[dtype[n].str[1:]]} {n}" for n in dtype.names]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
     header = "\n".join([*lines, *columns, "end_header\n"]).encode("ascii")
     with atomic_path(path) as draft, draft.open("wb") as file:
         file.write(header)
-        for block in rows.blocks:
+        for block in blocks:
             file.write(np.ascontiguousarray(block).data)
 
 
-def _open_rows(file: BinaryIO, at_once: int) -> PlyRows:
+def _read_table(file: BinaryIO) -> Shaped[np.ndarray, " N"]:
     encoding, elements, start = parse_header(file.read(MAX_HEADER))
     filled = [element for element in elements if element.rows or element.name == VERTEX]
     if not filled or not filled[0].columns:
@@ -108,15 +85,11 @@ def _open_rows(file: BinaryIO, at_once: int) -> PlyRows:
         lines, unit = [], "bytes"
     if size < needed:
         raise ValueError(f"it is truncated: {count} vertices take {needed} {unit}, got {size}")
+    if not count:
+        return np.empty(0, dtype)
     if encoding == "ascii":
-        table = np.loadtxt(lines[:count], dtype, ndmin=1) if count else np.empty(0, dtype)
-        blocks = iter([table])
-    else:
-        blocks = (
-            np.fromfile(file, dtype, min(at_once, count - first))
-            for first in range(0, count, at_once)
-        )
-    return PlyRows(count, dtype, blocks)
+        return np.loadtxt(lines[:count], dtype, ndmin=1)
+    return np.memmap(file, dtype, "r", start, count)
 
 
 def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:

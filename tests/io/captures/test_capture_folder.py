@@ -11,8 +11,8 @@ import torch
 from PIL import Image
 
 from capture_files import HEIGHT, PINHOLE, WIDTH, save_noise
+from still_life.nerfstudio import write_transforms
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.transforms import write_transforms
 from stylesplat.io.label_maps import NAMES, write_label_map, write_names
 from stylesplat.verbs.load import load
 

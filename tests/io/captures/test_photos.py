@@ -98,9 +98,7 @@ def test_corrupt_files(tmp_path: Path, suffix: str):
     photo = fit_photo(path, pinhole(64, 64))  # the header is intact
     with pytest.raises(StyleSplatError, match=rf"Cannot read the image .*a\.{suffix}: .*truncated"):
         photo.read()
-    path.write_bytes(b"<html>404</html>")
-    with pytest.raises(StyleSplatError, match=rf"Cannot read the image .*a\.{suffix}"):
-        fit_photo(path, pinhole(64, 64))
-    path.write_bytes(b"")
-    with pytest.raises(StyleSplatError, match=rf"Cannot read the image .*a\.{suffix}"):
-        read_image(path)
+    for content in (b"<html>404</html>", b""):
+        path.write_bytes(content)
+        with pytest.raises(StyleSplatError, match=rf"Cannot read the image .*a\.{suffix}"):
+            fit_photo(path, pinhole(64, 64))

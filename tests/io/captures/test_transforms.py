@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from capture_files import lenses_of, save_noise
+from still_life.nerfstudio import write_transforms
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.transforms import read_transforms, write_transforms
+from stylesplat.io.captures.transforms import read_transforms
 from stylesplat.scene.cameras import Cameras
 
 # A camera at (1, 2, 3) that looks along +x with z up; OpenGL's columns are right, up, back

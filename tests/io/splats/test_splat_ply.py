@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.ply import read_ply_table, write_ply_table
+from stylesplat.io.ply import read_ply_table, write_ply_rows
 from stylesplat.io.splats.splat_ply import read_splat_ply, write_splat_ply
 from stylesplat.scene.splats import Splats
 
@@ -84,7 +84,7 @@ def test_other_layouts_of_the_same_numbers(tmp_path: Path, order: str):
     other = np.zeros(7, [(name, kind) for name in names])
     for name in INRIA:
         other[name] = table[name]
-    write_ply_table(other, tmp_path / "b.ply")
+    write_ply_rows(tmp_path / "b.ply", 7, other.dtype, [other])
     if order == "big-endian":
         start, body = (tmp_path / "b.ply").read_bytes().split(b"end_header\n")
         swapped = np.frombuffer(body, "<f4").astype(">f4").tobytes()
@@ -120,6 +120,7 @@ DAMAGES: list[tuple[Callable[[bytes], bytes], str]] = [
         "expected plain vertices, but their 'x' is a list",
     ),
     (lambda c: c[:-4] + np.float32(np.nan).tobytes(), "1 values of quats are not finite"),
+    (lambda c: c[:-4] + np.float32(1e6).tobytes(), "1 values of quats are out of range"),
 ]
 
 

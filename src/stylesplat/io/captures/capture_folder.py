@@ -183,13 +183,11 @@ def _photos_of(capture: Capture) -> dict[str, Photo]:
         return {
             name: files.photos[files.cameras.index(name)].resized(*size) for name, size in sizes
         }
-    photos = dict[str, Photo]()
-    for name, K, (width, height) in zip(
-        cameras.names, cameras.Ks.tolist(), cameras.sizes.tolist(), strict=True
-    ):
-        lens = Lens("PINHOLE", width, height, (K[0][0], K[1][1], K[0][2], K[1][2]))
-        photos[name] = Photo(Path(name), True, lens, (width, height))
-    return photos
+    rows = zip(cameras.names, cameras.Ks.tolist(), cameras.sizes.tolist(), strict=True)
+    return {
+        name: Photo(Path(name), True, Lens("PINHOLE", w, h, (fx, fy, cx, cy)), (w, h))
+        for name, ((fx, _, cx), (_, fy, cy), _), (w, h) in rows
+    }
 
 
 def _check_poses(posed: PosedFiles, folder: Path) -> None:

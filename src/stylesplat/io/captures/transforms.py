@@ -16,12 +16,10 @@ from stylesplat.io.captures.lens import MAX_SIDE, Lens
 from stylesplat.io.captures.posed_files import PosedFiles, check_path
 from stylesplat.io.files import reason
 from stylesplat.io.images import image_sizes
-from stylesplat.io.json_files import fitting, read_json, write_json
+from stylesplat.io.json_files import fitting, read_json
 from stylesplat.io.kinds import TRANSFORMS
-from stylesplat.io.ply import read_ply_table, write_ply_table
-from stylesplat.scene.cameras import Cameras
+from stylesplat.io.ply import read_ply_table
 
-POINTS = "points.ply"
 XYZ = ("x", "y", "z")
 RGB = ("red", "green", "blue")
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")  # tried where a name has none
@@ -92,42 +90,6 @@ def read_transforms(folder: Path) -> PosedFiles:
 
 def _without_dots(path: Path) -> Path:
     return Path(os.path.normpath(path.absolute()))
-
-
-def write_transforms(
-    cameras: Cameras,
-    folder: Path | str,
-    *,
-    photos: str = "images",
-    points: Float[Tensor, "M 3"] | None = None,
-    point_colors: UInt8[Tensor, "M 3"] | None = None,
-) -> None:
-    """Write `transforms.json` into a capture's folder, and sparse points beside it.
-
-    `photos` is the subfolder of the photos, whose names are those of the cameras; points without
-    colours become grey.
-    """
-    folder = Path(folder)
-    content: dict[str, Any] = {"camera_model": "OPENCV"}
-    if points is not None:
-        rows = np.empty(len(points), [(c, "<f4") for c in XYZ] + [(c, "u1") for c in RGB])
-        for axis, (coordinate, color) in enumerate(zip(XYZ, RGB, strict=True)):
-            rows[coordinate] = points[:, axis].cpu().numpy()
-            rows[color] = 128 if point_colors is None else point_colors[:, axis].cpu().numpy()
-        write_ply_table(rows, folder / POINTS)
-        content["ply_file_path"] = POINTS
-    poses = torch.linalg.inv(cameras.viewmats.cpu().double()) * OPENGL_AXES
-    content["frames"] = [
-        {
-            "file_path": f"{photos}/{name}",
-            **{"w": width, "h": height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy},
-            "transform_matrix": pose,
-        }
-        for name, ((fx, _, cx), (_, fy, cy), _), (width, height), pose in zip(
-            cameras.names, cameras.Ks.tolist(), cameras.sizes.tolist(), poses.tolist(), strict=True
-        )
-    ]
-    write_json(content, folder / TRANSFORMS)
 
 
 def _read_frame(

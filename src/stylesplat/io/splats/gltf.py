@@ -8,6 +8,7 @@ do not know it show a cloud of coloured points.
 import base64
 import json
 from collections.abc import Iterator
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,9 @@ def read_gltf(path: Path | str) -> Splats:
             part = check_splats(_splats(gltf, primitive), path)
             parts.append(part if frame is None else check_splats(move_splats(part, frame), path))
             count += len(part)
-            if count * SMALLEST_ROW > gltf.size * (LARGEST_RATIO if _packed(primitive) else 1):
+            if count * SMALLEST_ROW > gltf.size * (
+                1 if _spz_view(primitive) is None else LARGEST_RATIO
+            ):
                 size = f"{gltf.size} bytes cannot hold"
                 raise ValueError(f"it shows {count} Gaussians, which {size}")
     degree = max(part.sh_degree for part in parts)
@@ -93,31 +96,23 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
             f"{gltf.path} has its colours in {brief(splatting.color_space)!r}: they are read as "
             f"{DISPLAYED}, so they may look darker."
         )
-    positions = primitive.attributes.get("POSITION")
-    packed = _packed(primitive)
-    if packed:
-        # The numbers are in the axes of the primitive, unlike those of a `.spz`
-        splats = spz_within(bytes(gltf.view(packed["bufferView"], "SPZ")[0]), gltf.path)
-        count = None if positions is None else gltf.accessor(positions, "POSITION").count
-        if count not in (None, len(splats)):
-            raise ValueError(f"its splats have {count} positions, but {len(splats)} rows of SPZ")
-        return splats
+    view = _spz_view(primitive)
+    if view is not None:  # its numbers are in the axes of the primitive, unlike those of a `.spz`
+        return spz_within(bytes(gltf.view(view, "SPZ")[0]), gltf.path)
     unread = [name for name in splatting.extensions if "compression" in name]
     if unread:
         fault = f"its splats are compressed ({unread[0]:.60}), which is not read here"
         raise ValueError(f"{fault}. Export it without compression, or as .ply or .spz")
 
-    def column(name: str, width: int) -> Float[Tensor, "N D"]:
-        if name not in primitive.attributes:
-            raise ValueError(f"its splats have no {name}")
-        index = primitive.attributes[name]
-        counts = [gltf.accessor(i, name).count for i in (index, positions or 0)]
-        if counts[0] != counts[1]:
-            raise ValueError(f"its splats have {counts[1]} positions, but {counts[0]} {name}")
-        return torch.from_numpy(gltf.rows(index, name, width))
+    means = torch.from_numpy(gltf.rows(primitive, "POSITION", 3))
 
-    means, quats = column("POSITION", 3), column(attribute("ROTATION"), 4)
-    scales = column(attribute("SCALE"), 3)
+    def column(name: str, width: int) -> Float[Tensor, "N D"]:
+        rows = gltf.rows(primitive, name, width)
+        if len(rows) != len(means):
+            raise ValueError(f"its splats have {len(means)} positions, but {len(rows)} {name}")
+        return torch.from_numpy(rows)
+
+    quats, scales = column(attribute("ROTATION"), 4), column(attribute("SCALE"), 3)
     opacities = column(attribute("OPACITY"), 1)[:, 0].double()
     negative, outside = int((scales < 0).sum()), int(((opacities < 0) | (opacities > 1)).sum())
     if negative or outside:
@@ -137,17 +132,11 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
     )
 
 
-def _packed(primitive: Primitive) -> dict[str, Any] | None:
-    """What the extension for SPZ says of a primitive, if it has one."""
+def _spz_view(primitive: Primitive) -> int | None:
+    """The view with the bytes of SPZ, if the splats are compressed so."""
     assert primitive.extensions.splatting is not None
     found = primitive.extensions.splatting.extensions
-    names = [name for name in SPZ if name in found]
-    if not names:
-        return None
-    match found[names[0]]:
-        case {"bufferView": int(view)} as packed if view >= 0:
-            return packed
-    raise ValueError("its SPZ names no bufferView")
+    return next((found[name].buffer_view for name in SPZ if name in found), None)
 
 
 def _degree(gltf: Gltf, primitive: Primitive) -> int:
@@ -286,38 +275,34 @@ def _columns(splats: Splats, path: Path) -> dict[str, Shaped[Tensor, "N D"]]:
     shown = (SH_C0 * splats.sh0[:, 0] + 0.5).clamp_(0, 1)
     linear = torch.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
     points = torch.cat([linear, opacities], dim=1)
+    bands = (splats.sh0[:, 0], *splats.shN.unbind(dim=1))
     return {
         "POSITION": splats.means,
         "COLOR_0": (points * 65535).round_().to(torch.uint16),
         attribute("ROTATION"): unit_quats(splats.quats)[:, [1, 2, 3, 0]],
         attribute("SCALE"): splats.scales.exp().clamp_(min=SMALLEST),
         attribute("OPACITY"): opacities,
-        **dict(
-            zip(
-                harmonics(splats.sh_degree),
-                (splats.sh0[:, 0], *splats.shN.unbind(dim=1)),
-                strict=True,
-            )
-        ),
+        **dict(zip(harmonics(splats.sh_degree), bands, strict=True)),
     }
 
 
 def _document(columns: dict[str, Shaped[Tensor, "N D"]]) -> dict[str, Any]:
     """The JSON that describes the attributes."""
-    views, accessors, offset = list[dict[str, Any]](), list[dict[str, Any]](), 0
-    for index, column in enumerate(columns.values()):
-        views.append(
-            {"buffer": 0, "byteOffset": offset, "byteLength": column.nbytes, "target": VERTICES}
-        )
-        accessors.append(
-            {
-                "bufferView": index,
-                "componentType": SHORT if column.dtype == torch.uint16 else FLOAT,
-                "count": len(column),
-                "type": KINDS[column.shape[1]],
-            }
-        )
-        offset += column.nbytes
+    sizes = [column.nbytes for column in columns.values()]
+    starts = [0, *accumulate(sizes)]
+    views = [
+        {"buffer": 0, "byteOffset": start, "byteLength": size, "target": VERTICES}
+        for start, size in zip(starts, sizes, strict=False)
+    ]
+    accessors: list[dict[str, Any]] = [
+        {
+            "bufferView": index,
+            "componentType": SHORT if column.dtype == torch.uint16 else FLOAT,
+            "count": len(column),
+            "type": KINDS[column.shape[1]],
+        }
+        for index, column in enumerate(columns.values())
+    ]
     means = columns["POSITION"]
     accessors[0] |= {"min": means.amin(dim=0).tolist(), "max": means.amax(dim=0).tolist()}
     accessors[1]["normalized"] = True
@@ -339,7 +324,7 @@ def _document(columns: dict[str, Shaped[Tensor, "N D"]]) -> dict[str, Any]:
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "rotation": HALF_TURN_XYZW}],
         "meshes": [{"primitives": [primitive]}],
-        "buffers": [{"byteLength": offset}],
+        "buffers": [{"byteLength": starts[-1]}],
         "bufferViews": views,
         "accessors": accessors,
     }

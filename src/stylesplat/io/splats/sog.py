@@ -227,17 +227,15 @@ def write_sog(splats: Splats, path: Path | str) -> None:
     alphas = _to_bytes(torch.sigmoid(splats.opacities))
     colors = np.column_stack([encode(splats.sh0[:, 0].numpy(), color_codes), alphas])
     quats = np.column_stack([_to_bytes((others / LARGEST + 1) / 2), tags])
-    means_files = [
-        add("means_l.webp", (steps & 255).astype(np.uint8)),
-        add("means_u.webp", (steps >> 8).astype(np.uint8)),
-    ]
-    scales_file = add("scales.webp", encode(splats.scales.numpy(), scale_codes))
+    scales = encode(splats.scales.numpy(), scale_codes)
+    halves = {"means_l.webp": steps & 255, "means_u.webp": steps >> 8}
+    means_files = [add(name, half.astype(np.uint8)) for name, half in halves.items()]
     about: dict[str, Any] = {
         "version": VERSION,
         "asset": {"generator": "StyleSplat"},
         "count": count,
         "means": {"mins": low, "maxs": high, "files": means_files},
-        "scales": {"codebook": scale_codes, "files": [scales_file]},
+        "scales": {"codebook": scale_codes, "files": [add("scales.webp", scales)]},
         "quats": {"files": [add("quats.webp", quats)]},
         "sh0": {"codebook": color_codes, "files": [add("sh0.webp", colors)]},
     }
@@ -247,14 +245,17 @@ def write_sog(splats: Splats, path: Path | str) -> None:
         entries, labels = tree_kmeans(splats.shN.flatten(1).numpy(), most)
         codebook = fit_codebook(entries)
         texels = encode(entries, codebook).reshape(len(entries) * bands, 3)
-        choices = np.column_stack([labels & 255, labels >> 8, 0 * labels]).astype(np.uint8)
         width, height = PALETTE_COLUMNS * bands, math.ceil(len(entries) / PALETTE_COLUMNS)
-        palette_files = [
-            add("shN_centroids.webp", texels, width, height),
-            add("shN_labels.webp", choices),
-        ]
-        palette = {"count": len(entries), "bands": splats.sh_degree, "codebook": codebook}
-        about["shN"] = {**palette, "files": palette_files}
+        choices = np.column_stack([labels & 255, labels >> 8]).astype(np.uint8)
+        about["shN"] = {
+            "count": len(entries),
+            "bands": splats.sh_degree,
+            "codebook": codebook,
+            "files": [
+                add("shN_centroids.webp", texels, width, height),
+                add("shN_labels.webp", choices),
+            ],
+        }
     files[SOG_META] = strict_json(about).encode()
     with atomic_path(path) as draft, zipfile.ZipFile(draft, "w") as bundle:
         for name, content in files.items():

@@ -11,7 +11,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.ply import AT_ONCE, PlyRows, ply_rows, write_ply_rows
+from stylesplat.io.ply import read_ply_table, write_ply_rows
 from stylesplat.io.tensors import GAUSSIANS, check_range
 from stylesplat.scene.splats import Splats
 
@@ -20,23 +20,23 @@ BANDS = (0, 3, 8, FULL_BANDS)  # at each degree
 MEANS, NORMALS = ("x", "y", "z"), ("nx", "ny", "nz")  # normals are 0; some viewers count on them
 SH0, SCALES = (tuple(f"{name}_{i}" for i in range(3)) for name in ("f_dc", "scale"))
 OPACITY, QUATS = ("opacity",), tuple(f"rot_{i}" for i in range(4))
+AT_ONCE = 1 << 11  # rows: half a MB, which stays in the cache while columns are copied
 REMEDY = "Remove those Gaussians, or make the file again."
 SMALLEST_QUAT = 1e-10  # of a component: squares of less vanish in float32
 
 
 def read_splat_ply(path: Path | str) -> Splats:
     """Read splats of degree 0 to 3, their columns in any order; other columns are ignored."""
-    with ply_rows(path, at_once=AT_ONCE) as rows:
-        rest = _find_rest(rows.dtype, path)
-        shapes = ((3,), (4,), (3,), (), (1, 3), (len(rest) // 3, 3))
-        empty = (torch.empty(rows.count, *shape) for shape in shapes)
-        means, quats, scales, opacities, sh0, shN = empty
-        splats = Splats(means, quats, scales, opacities, sh0, shN)
-        columns, first = _columns(splats, rest), 0
-        for block in rows.blocks:
-            for name, column in columns.items():
-                column[first : first + len(block)] = block[name]
-            first += len(block)
+    table = read_ply_table(path)
+    rest = _find_rest(table.dtype, path)
+    shapes = ((3,), (4,), (3,), (), (1, 3), (len(rest) // 3, 3))
+    means, quats, scales, opacities, sh0, shN = (torch.empty(len(table), *s) for s in shapes)
+    splats = Splats(means, quats, scales, opacities, sh0, shN)
+    columns = _columns(splats, rest)
+    for start in range(0, len(table), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        for name, column in columns.items():
+            column[part] = table[part][name]
     return check_splats(splats, path)
 
 
@@ -95,7 +95,7 @@ def write_splat_ply(
                 table[name] = array[part]
             yield table
 
-    write_ply_rows(PlyRows(len(splats), dtype, blocks()), path)
+    write_ply_rows(path, len(splats), dtype, blocks())
 
 
 def _columns(splats: Splats, rest: Sequence[str]) -> dict[str, Float[np.ndarray, " N"]]:
