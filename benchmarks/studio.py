@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/studio.py SCENE STYLES OBJECT OBJECT
 
-The scene is copied first. Times are medians of several turns, from the click to the picture that the
-page shows; a painting is stopped after its first strokes, and undone.
+The scene is copied first. Times are medians of several turns, from the click to the picture that
+the page shows; a painting is stopped after its first strokes, and undone.
 """
 
 import json
