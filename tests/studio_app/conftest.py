@@ -11,4 +11,4 @@ from stylesplat.studio_app.session import Session
 def session(tmp_path: Path) -> Iterator[Session]:
     found = session_in(tmp_path)
     yield found
-    found.close()
+    found.worker.close()

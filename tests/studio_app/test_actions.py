@@ -21,7 +21,6 @@ from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import DECODER, Actions
-from stylesplat.studio_app.paint_queue import warm_up_painting
 from stylesplat.studio_app.pictures import camera_of, weightiest
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.style import Style
@@ -319,8 +318,8 @@ def test_warming_up_lets_what_is_asked_for_in(page: Page):
 
     def warm() -> None:
         session.worker.ask(lambda: done.append("click"))
-        warm_up_painting(session.worker, device="cpu")
+        page.actions.queue.warm_up()
         done.append("warm")
 
     session.ask(warm, patient=True)
-    assert session.worker.settle() and done == ["click", "warm"]
+    assert session.worker.settle() and done == ["click", "warm"] and not page.said

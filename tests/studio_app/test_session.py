@@ -1,5 +1,7 @@
+import gc
 from dataclasses import replace
 from pathlib import Path
+from weakref import ref
 
 import pytest
 import torch
@@ -15,7 +17,7 @@ from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.selection.choose import find_object
 from stylesplat.studio_app.autosave import AUTOSAVE, COMMANDS, SceneStore
 from stylesplat.studio_app.exports import FORMATS, export_bytes, render_png
-from stylesplat.studio_app.history import History, StudioState, replace_scene
+from stylesplat.studio_app.history import StudioState, replace_scene
 from stylesplat.studio_app.layers import set_strength
 from stylesplat.studio_app.messages import Look
 from stylesplat.studio_app.paint_queue import PaintQueue, preview_colors, seconds_left
@@ -206,25 +208,27 @@ def test_the_preview_has_the_pictures_colours_on_the_object_alone(session: Sessi
     assert torch.allclose(mean, stripes().mean(dim=(0, 1)), atol=0.05)
 
 
-def test_history_is_bounded_in_memory_and_loses_nothing(session: Session):
-    first = session.state
-    history = History(first, budget=3 * 10**5)
-    states = [first]
-    for number in range(12):
-        splats = replace(first.scene.splats, shN=torch.full((440, 15, 3), float(number)))
-        states.append(StudioState(replace(first.scene, splats=splats), note=str(number)))
-        history.add(states[-1])
-    assert history.on_disk > 3, "a tensor has 80 kB"
-    for state in reversed(states):
-        assert history.now.note == state.note
-        assert torch.equal(history.now.scene.splats.shN, state.scene.splats.shN)
-        history.step(-1)
-    assert history.now is first or history.now.note == first.note
-    history.step(1)
-    history.add(first)
-    history.step(1)
-    assert history.now is first, "what was undone is forgotten"
-    history.close()
+def test_history_keeps_layers_alone_and_composes_them_again(session: Session):
+    first, steps = session.state, list[torch.Tensor]()
+    painted(session, "3", "7")
+    composed = ref(session.state.scene.splats)
+    steps.append(session.state.scene.splats.sh0.clone())
+    session.do(lambda state: set_strength(state, "3", 0.5))
+    assert session.worker.settle()
+    session.preview = None
+    gc.collect()
+    assert composed() is None, "the splats of what is not displayed take no memory"
+    session.step(-1)
+    assert session.worker.settle()
+    assert torch.equal(session.state.scene.splats.sh0, steps[0])
+    session.step(-2)
+    assert session.worker.settle()
+    assert session.state.scene is first.scene and not session.unsaved
+    session.step(1)
+    session.do(lambda state: pick_names(state, ["3"]))
+    session.step(1)
+    assert session.worker.settle()
+    assert session.state.picked == ("3",), "what was undone is forgotten"
 
 
 def test_saved_scenes_open_again_and_autosaves_are_recovered(session: Session, said: list[str]):

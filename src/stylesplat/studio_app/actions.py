@@ -7,6 +7,7 @@ thread; methods for the browser `client`.
 
 import inspect
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial, reduce
 from itertools import count
 from operator import or_
@@ -29,8 +30,8 @@ from stylesplat.studio_app.autosave import SceneStore
 from stylesplat.studio_app.commands import commands_text
 from stylesplat.studio_app.exports import FORMATS, Exporter, render_png, render_turntable
 from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture
-from stylesplat.studio_app.history import StudioState, object_names, replace_scene
-from stylesplat.studio_app.layers import Variant, describe_settings, find_layer, paint_digest
+from stylesplat.studio_app.history import KeptState, StudioState, object_names
+from stylesplat.studio_app.layers import Variant, describe_settings, find_layer
 from stylesplat.studio_app.paint_queue import PaintQueue, make_style, preview_colors
 from stylesplat.studio_app.picking import object_in, pixel_of, region_of
 from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of
@@ -100,7 +101,7 @@ class Actions:
         self.pictures = Pictures(session, self._before, send)
         self.thumbnails = ObjectThumbnails(session, on_state)
         self.exporter = Exporter(session)
-        self.variants, self.snapshots = list[Variant](), list[tuple[str, int]]()
+        self.variants, self.snapshots = list[Variant](), list[tuple[str, KeptState]]()
         self.compared: int | None = None
         self.client = 0
         self._deliver, self._on_state = deliver, on_state
@@ -232,16 +233,15 @@ class Actions:
     def snapshot(self, name: m.Text) -> None:
         """Keep the whole scene as it is."""
         name = name.strip() or f"Snapshot {len(self.snapshots) + 1}"
-        self.snapshots.append((name, self.session.history.bookmark()))
+        self.snapshots.append((name, KeptState(self.state)))
         self._on_state()
 
     @action
     def restore(self, number: int) -> StudioState:
         if not 0 <= number < len(self.snapshots):
             raise StyleSplatError("There is no such snapshot.")
-        name, bookmark = self.snapshots[number]
-        found = self.session.history.at(bookmark)
-        return replace_scene(found, found.scene, f"Restored {name}")
+        name, kept = self.snapshots[number]
+        return replace(kept.state(), note=f"Restored {name}")
 
     @action
     def undo(self) -> None:
@@ -355,8 +355,7 @@ class Actions:
 
     def _with_variant(self, state: StudioState, number: int) -> StudioState:
         variant = self._variant(number)
-        layer = find_layer(self.session.history.at(variant.bookmark).scene, variant.object)
-        return layers.use_layer(state, layer, variant.title)
+        return layers.use_layer(state, variant.layer, variant.title)
 
     def _variant(self, number: int) -> Variant:
         if not 0 <= number < len(self.variants):
@@ -373,10 +372,7 @@ class Actions:
             )
         except StyleSplatError:  # it shows in no view
             picture = b""
-        layer, bookmark = find_layer(scene, name), session.history.bookmark()
-        settings = describe_settings(layer.settings)
-        variant = Variant(name, title, bookmark, picture, settings, paint_digest(layer))
-        self.variants.append(variant)
+        self.variants.append(Variant(find_layer(scene, name), title, picture))
         session.on_change.call()
 
     def hello(self, title: str, *, readonly: bool) -> m.Hello:
@@ -449,12 +445,10 @@ class Actions:
         )
 
     def _variant_info(self, number: int, variant: Variant) -> m.VariantInfo:
-        layers = self.session.state.scene.layers
-        current = any(
-            each.object == variant.object and paint_digest(each) == variant.fingerprint
-            for each in layers
-        )
-        return m.VariantInfo(number, variant.object, variant.title, variant.settings, current)
+        layer = variant.layer
+        current = any(each.sh0 is layer.sh0 for each in self.state.scene.layers)
+        settings = describe_settings(layer.settings)
+        return m.VariantInfo(number, layer.object, variant.title, settings, current)
 
     def _style_info(self, number: int, picture: StylePicture) -> m.StyleInfo:
         version, _ = self._previews.get(picture.title, (0, b""))

@@ -4,8 +4,6 @@ import io
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -15,7 +13,6 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import SUFFIX
 from stylesplat.io.splats.splat_files import COMPRESSED
 from stylesplat.io.video import write_video
-from stylesplat.progress import Observer, Silence, Task, observed
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.messages import Look
@@ -57,45 +54,28 @@ class Exporter:
             self._thread.join(seconds)
 
     def _run(self, scene: Scene, ending: str, deliver: Deliver) -> None:
-        session, before = self._session, self._session.export
-        session.export = Progress(f"Exporting {ending}", 0.0, export=True)
-        session.on_progress.call()
+        session = self._session
+
+        def show(progress: Progress | None) -> None:
+            session.export = progress
+            session.on_progress.call()
+
+        def count(share: float) -> None:
+            show(Progress(f"Exporting {ending}", share, export=True))
+
         try:
-            with observed(_ExportObserver(session, self._cancelled)):
+            count(0.0)
+            with session.listening(self._cancelled.is_set, count):
                 content = export_bytes(scene, ending)
-            if not self._cancelled.is_set():
-                deliver(ending, content)
+            if self._cancelled.is_set():
+                raise Stopped
+            deliver(ending, content)
         except Stopped:
             session.tell("The export was cancelled.")
         except Exception as error:
             session.report(error)
         finally:
-            session.export = before
-            session.on_progress.call()
-
-
-class _ExportObserver(Silence, Observer):
-    """Passes the progress of an export on, and ends it when it is cancelled."""
-
-    def __init__(self, session: Session, cancelled: threading.Event) -> None:
-        self._session, self._cancelled = session, cancelled
-        self._done, self._total = 0.0, 1.0
-
-    @contextmanager
-    def task(
-        self, what: str, total: int | float | None, unit: str, done: int | float
-    ) -> Iterator[Task]:
-        self._done, self._total = float(done), float(total or 1)
-        yield self
-
-    def advance(self, amount: int | float = 1) -> None:
-        if self._cancelled.is_set():
-            raise Stopped
-        self._done += amount
-        if self._session.export is not None:
-            share = min(1.0, self._done / self._total)
-            self._session.export = replace(self._session.export, share=share)
-            self._session.on_progress.call()
+            show(None)
 
 
 def export_bytes(scene: Scene, ending: str) -> bytes:

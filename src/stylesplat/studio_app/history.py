@@ -1,16 +1,14 @@
 """The states of a studio, and its history, which undo and redo step through."""
 
-import tempfile
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from weakref import ref
 
 import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.scene.compose import family
+from stylesplat.scene.compose import compose, family
 from stylesplat.scene.content import Extent, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object, names_of
@@ -101,26 +99,32 @@ def replace_scene(state: StudioState, scene: Scene, note: str) -> StudioState:
     )
 
 
-BUDGET = 2**28  # bytes in memory: a painting on 100,000 Gaussians takes 70 MB
+class KeptState:
+    """A state, of whose scene only the base and the layers are kept while nobody else has it.
+
+    The composed splats take most of the memory, and can be composed again.
+    """
+
+    def __init__(self, state: StudioState) -> None:
+        scene = state.scene
+        self.note, self._scene = state.note, ref(scene)
+        self._state = replace(state, scene=replace(scene, splats=scene.unpainted))
+
+    def state(self) -> StudioState:
+        scene, known = self._state.scene, self._scene()
+        if known is None:
+            known = replace(scene, splats=compose(scene.unpainted, scene.layers))
+            self._scene = ref(known)
+        return replace(self._state, scene=known)
 
 
 class History:
-    """States in their order, of which those that were not displayed for long lie on disk."""
+    """States in their order, of which one is displayed."""
 
-    def __init__(self, first: StudioState, *, budget: int = BUDGET) -> None:
-        self._states = dict[int, StudioState | Path]()  # by number; the last one used comes last
-        self._next, self._budget = 0, budget
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._notes = dict[int, str]()
-        self._rows, self._row = [self._put(first)], 0
-        self._bookmarks = set[int]()
-        self._merge: object = None
+    def __init__(self, first: StudioState) -> None:
         self.now = first
-
-    @property
-    def on_disk(self) -> int:
-        """Number of states on disk."""
-        return sum(isinstance(state, Path) for state in self._states.values())
+        self._states, self._row = [KeptState(first)], 0
+        self._merge: object = None
 
     @property
     def undo_note(self) -> str:
@@ -130,91 +134,16 @@ class History:
     @property
     def redo_note(self) -> str:
         """The change that redo makes again; empty if there is none."""
-        rows = self._rows[self._row + 1 : self._row + 2]
-        return self._notes[rows[0]] if rows else ""
+        later = self._states[self._row + 1 :]
+        return later[0].note if later else ""
 
     def add(self, state: StudioState, *, merge: object = None) -> None:
         """Add a state and display it. It replaces the last one if both have the same `merge`."""
-        kept = self._row + 1 - (merge is not None and merge == self._merge)
-        for number in self._rows[kept:]:
-            if number not in self._bookmarks:
-                self._forget(number)
-        self._rows[kept:] = [self._put(state)]
-        self._row, self._merge, self.now = kept, merge, state
+        self._row += not (merge is not None and merge == self._merge)
+        self._states[self._row :] = [KeptState(state)]
+        self._merge, self.now = merge, state
 
     def step(self, rows: int) -> None:
         """Go back or forth, as far as there are states."""
-        self._row = min(max(self._row + rows, 0), len(self._rows) - 1)
-        self._merge, self.now = None, self.at(self._rows[self._row])
-
-    def bookmark(self) -> int:
-        """Keep the displayed state for good; returns its number."""
-        number = self._rows[self._row]
-        self._bookmarks.add(number)
-        self._merge = None
-        return number
-
-    def at(self, number: int) -> StudioState:
-        """The state with a bookmark."""
-        state = self._states.pop(number)
-        if isinstance(state, Path):
-            path, state = state, torch.load(state, weights_only=False)  # our own file
-            path.unlink()
-        assert isinstance(state, StudioState)
-        self._states[number] = state
-        self._spill()
-        return state
-
-    def close(self) -> None:
-        """Remove the states on disk."""
-        if self._folder is not None:
-            self._folder.cleanup()
-
-    def _put(self, state: StudioState) -> int:
-        number, self._next = self._next, self._next + 1
-        self._states[number], self._notes[number] = state, state.note
-        self._spill()
-        return number
-
-    def _forget(self, number: int) -> None:
-        state = self._states.pop(number)
-        if isinstance(state, Path):
-            state.unlink()
-
-    def _spill(self) -> None:
-        """Write states to disk until the others fit into the budget."""
-        for number in [*self._states][:-1]:
-            state = self._states[number]
-            if isinstance(state, Path):
-                continue
-            if self._size() <= self._budget:
-                return
-            if self._folder is None:
-                self._folder = tempfile.TemporaryDirectory(prefix="stylesplat-studio-")
-            path = Path(self._folder.name) / f"{number}.pt"
-            torch.save(state, path)
-            self._states[number] = path
-
-    def _size(self) -> int:
-        """Bytes of the tensors in memory, each counted once, without those of the last state."""
-        sizes = dict[int, int]()
-        in_memory = [state for state in self._states.values() if isinstance(state, StudioState)]
-        for state in in_memory:
-            sizes |= {tensor.data_ptr(): tensor.nbytes for tensor in _tensors_in(state)}
-        for tensor in _tensors_in(in_memory[-1]):
-            sizes.pop(tensor.data_ptr(), None)
-        return sum(sizes.values())
-
-
-def _tensors_in(value: Any) -> Iterator[torch.Tensor]:
-    if isinstance(value, torch.Tensor):
-        yield value
-    elif isinstance(value, dict):
-        for each in value.values():
-            yield from _tensors_in(each)
-    elif isinstance(value, tuple):
-        for each in value:
-            yield from _tensors_in(each)
-    elif is_dataclass(value):
-        for field in fields(value):
-            yield from _tensors_in(getattr(value, field.name))
+        self._row = min(max(self._row + rows, 0), len(self._states) - 1)
+        self._merge, self.now = None, self._states[self._row].state()

@@ -16,14 +16,10 @@ from stylesplat.verbs.adjust import adjust
 class Variant:
     """A painting of an object that was finished, or stopped."""
 
-    object: str
+    layer: Layer
     title: str
-    bookmark: int
-    """In the history: a state that has the variant's layer."""
     thumbnail: bytes
     """A JPEG."""
-    settings: str
-    fingerprint: tuple[float, int]
 
 
 def find_layer(scene: Scene, name: str) -> Layer:
@@ -38,25 +34,21 @@ def find_layer(scene: Scene, name: str) -> Layer:
     raise StyleSplatError(f"{name} is not painted.")
 
 
-def paint_digest(layer: Layer) -> tuple[float, int]:
-    """Numbers that tell one painting from another, whatever its strength."""
-    return float(layer.sh0.double().sum()), len(layer.canvas)
-
-
 def set_strength(state: StudioState, name: str, strength: float) -> StudioState:
-    refuse_locked(state, name)
-    if find_layer(state.scene, name).strength == strength:
-        return state
-    scene = adjust(state.scene, strength, objects=name)
-    return replace(state, scene=scene, note=f"Strength of {name}: {strength:.0%}")
+    return _adjusted(state, name, "strength", strength)
 
 
 def set_form(state: StudioState, name: str, form: float) -> StudioState:
+    return _adjusted(state, name, "form", form)
+
+
+def _adjusted(state: StudioState, name: str, what: str, value: float) -> StudioState:
     refuse_locked(state, name)
-    if find_layer(state.scene, name).form == form:
+    if getattr(find_layer(state.scene, name), what) == value:
         return state
-    scene = adjust(state.scene, form=form, objects=name)
-    return replace(state, scene=scene, note=f"Form of {name}: {form:.0%}")
+    strength, form = (value, None) if what == "strength" else (None, value)
+    scene = adjust(state.scene, strength, form=form, objects=name)
+    return replace(state, scene=scene, note=f"{what.capitalize()} of {name}: {value:.0%}")
 
 
 def set_visible(state: StudioState, name: str, visible: bool) -> StudioState:

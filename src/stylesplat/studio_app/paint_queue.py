@@ -13,7 +13,6 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.progress import Silence, observed
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
 from stylesplat.scene.framing import ring_cameras
@@ -27,7 +26,6 @@ from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_image import Picture
 from stylesplat.verbs.stylize_live import Live, stylize_live
-from stylesplat.work import Worker
 
 SHOW_EVERY = 0.4  # seconds between two pictures of a painting
 SHOWING = 0.2  # of the time of a painting, which its pictures may take
@@ -115,6 +113,13 @@ class PaintQueue:
             self._begin(job, lives)
 
         self.session.ask(start)
+
+    def warm_up(self) -> None:
+        """Paint a ball of noise for a step, which loads kernels, libraries and the network."""
+        style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=1, object_size=48))
+        with suppress(Stopped), self.session.listening(self.session.stopping.is_set):
+            for _ in stylize_live(noise_ball(), NAME, style, **self._options):
+                pass
 
     def _stop(self) -> bool:
         """Stop in the worker's thread; returns whether an object was being painted."""
@@ -253,16 +258,6 @@ def seconds_left(
     return (now - earlier) / max(share - earlier_share, 1e-9) * (1 - share)
 
 
-def warm_up_painting(
-    worker: Worker, stopped: Callable[[], bool] = lambda: False, **options: Any
-) -> None:
-    """Paint a ball of noise for a step, which loads kernels, libraries and the network."""
-    style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=1, object_size=48))
-    with suppress(Stopped), observed(_YieldingObserver(worker, stopped)):
-        for _ in stylize_live(noise_ball(), NAME, style, **options):
-            pass
-
-
 def noise_ball() -> Scene:
     generator = torch.Generator().manual_seed(0)
     splats = Splats(
@@ -276,15 +271,3 @@ def noise_ball() -> Scene:
     cameras = ring_cameras(splats, torch.tensor([0.0, 0.0, 1.0])).at_most(64)
     picked = torch.ones(GAUSSIANS, dtype=torch.bool)
     return Scene(splats, cameras, objects={NAME: SceneObject(picked)})
-
-
-class _YieldingObserver(Silence):
-    """Lets short work in between the parts of long work."""
-
-    def __init__(self, worker: Worker, stopped: Callable[[], bool]) -> None:
-        self._worker, self._stopped = worker, stopped
-
-    def advance(self, amount: int | float = 1) -> None:
-        self._worker.breathe()
-        if self._stopped():
-            raise Stopped

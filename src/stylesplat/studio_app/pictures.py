@@ -31,7 +31,7 @@ from stylesplat.scene.framing import centred_K
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.studio_app.history import StudioState, object_names
+from stylesplat.studio_app.history import object_names
 from stylesplat.studio_app.messages import Look
 from stylesplat.studio_app.session import Display, Session
 from stylesplat.studio_app.thumbnails import Pixels, jpeg
@@ -83,7 +83,7 @@ class Pictures:
         self._sent = dict[tuple[int, str], object]()  # what each browser has of each kind
         self._display = session.display
         self._packed: tuple[Display, bytes] | None = None
-        self._painted_on: tuple[StudioState, Display] | None = None
+        self._without_preview = session.display  # what clicks take; a painting does not change it
         session.on_change.append(self.refresh)
 
     def look(self, client: int, look: Look) -> None:
@@ -132,12 +132,10 @@ class Pictures:
                 message = binary_message("picture", jpeg(pixels, quality), **header)
                 self._send(client, which, message)
         if not look.moving:
-            for name, job in (("map", self._map), ("picked", self._picked)):
-                self.session.ask(partial(job, client), kind=f"{name} {client}")
-            if look.draws:
-                self.session.ask(
-                    partial(self._splats, client), kind=f"splats {client}", patient=True
-                )
+            jobs = {"map": self._map, "picked": self._picked, "splats": self._splats}
+            for name, job in jobs.items():  # after all that is waiting, such as a slider's next
+                if look.draws or name != "splats":
+                    self.session.ask(partial(job, client), kind=f"{name} {client}", patient=True)
 
     def _is_new(self, client: int, kind: str, value: object) -> bool:
         """Whether a browser does not have this yet; it has from now on."""
@@ -152,12 +150,10 @@ class Pictures:
 
     def _of_state(self) -> Display:
         """What the state displays, which is not what a painting under way does."""
-        if self.session.preview is None:
-            return self._display
-        state = self.session.state
-        if self._painted_on is None or self._painted_on[0] is not state:
-            self._painted_on = state, self.session.display_of(state)
-        return self._painted_on[1]
+        display = self.session.display_of(self.session.state)
+        if not _is_same(display, self._without_preview):
+            self._without_preview = display
+        return self._without_preview
 
     @torch.no_grad()
     def _map(self, client: int) -> None:

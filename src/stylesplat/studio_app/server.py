@@ -11,14 +11,15 @@ import hmac
 import secrets
 import socket
 import threading
-from collections.abc import Awaitable, Callable, Mapping, MutableMapping
+from collections.abc import Callable
 from contextlib import suppress
-from http.cookies import CookieError, SimpleCookie
+from mimetypes import add_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qs, quote
+from urllib.parse import quote
 
 import msgspec
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import PARTS as VIEWER
@@ -29,17 +30,18 @@ from stylesplat.studio_app.gallery import MOST_BYTES, too_large
 from stylesplat.studio_app.session import Session
 
 if TYPE_CHECKING:
-    from starlette.requests import Request
+    from starlette.requests import HTTPConnection, Request
     from starlette.responses import Response
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
     from starlette.websockets import WebSocket
 
 ADDRESS = "127.0.0.1"  # a splat may show somebody's home: never offer it to the network
 LOOPBACK = (ADDRESS, "localhost", "[::1]")
-REFUSAL = b"This server needs a token. Open the address that its terminal shows.\n"
+REFUSAL = "This server needs a token. Open the address that its terminal shows.\n"
 COOKIE = "stylesplat-token"
 LARGEST = 2**20  # bytes of a message from a page
 PAGE = Path(__file__).with_name("page")
-KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+add_type("text/javascript", ".js")  # of some systems it is plain text, which no browser runs
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self'"
     "; connect-src 'self' ws://{}; form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
@@ -47,63 +49,53 @@ POLICY = (
 PORTS = 100  # that are tried, one after the other
 STOP_SECONDS = 10.0
 
-Headers = Mapping[str, list[str]]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-
 
 class Guard:
     """Refuses everything without the token, and what other sites ask for."""
 
-    def __init__(self, app: Any, token: str, *, local: bool) -> None:
+    def __init__(self, app: "ASGIApp", token: str, *, local: bool) -> None:
         self._app, self._token, self._local = app, token, local
 
-    async def __call__(self, scope: MutableMapping[str, Any], receive: Receive, send: Send) -> None:
-        headers = dict[str, list[str]]()
-        for name, value in scope.get("headers", ()):
-            headers.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-        hosts = headers.get("host", [])
+    async def __call__(self, scope: "Scope", receive: "Receive", send: "Send") -> None:
+        from starlette.datastructures import MutableHeaders
+        from starlette.requests import HTTPConnection
+        from starlette.responses import PlainTextResponse
+        from starlette.websockets import WebSocketClose
+
+        asked = HTTPConnection(scope)
+        host = asked.headers.get("host", "")
         # One cookie for each port: browsers send a machine's cookies to all its servers
-        cookie = f"{COOKIE}-{hosts[0].rpartition(':')[2].strip(']')}" if hosts else COOKIE
-        if not self._is_ours(headers) or not self._has_token(scope, headers, cookie):
-            await _refuse(scope, send)
+        cookie = f"{COOKIE}-{host.rpartition(':')[2].strip(']')}"
+        if not self._is_ours(asked) or not self._has_token(asked, cookie):
+            is_socket = scope["type"] == "websocket"
+            refuse = WebSocketClose(1008) if is_socket else PlainTextResponse(REFUSAL, 403)
+            await refuse(scope, receive, send)
             return
 
-        async def with_cookie(message: MutableMapping[str, Any]) -> None:
+        async def with_headers(message: "Message") -> None:
             if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
                 value = f"{cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
-                more = {"set-cookie": value, "content-security-policy": POLICY.format(hosts[0])}
-                more |= {"x-content-type-options": "nosniff", "referrer-policy": "no-referrer"}
-                given = [(name.encode(), value.encode()) for name, value in more.items()]
-                message["headers"] = [*message.get("headers", ()), *given]
+                headers.append("set-cookie", value)
+                headers["content-security-policy"] = POLICY.format(host)
+                headers["x-content-type-options"] = "nosniff"
+                headers["referrer-policy"] = "no-referrer"
+                headers["cache-control"] = "no-cache"
             await send(message)
 
-        await self._app(scope, receive, with_cookie)
+        await self._app(scope, receive, with_headers)
 
-    def _is_ours(self, headers: Headers) -> bool:
-        hosts, origins = headers.get("host", []), headers.get("origin", [])
+    def _is_ours(self, asked: "HTTPConnection") -> bool:
+        hosts, origins = (asked.headers.getlist(name) for name in ("host", "origin"))
         if len(hosts) != 1 or origins not in ([], [f"http://{hosts[0]}"]):
             return False
         name = hosts[0].rpartition(":")[0] or hosts[0]
         return not self._local or name in LOOPBACK
 
-    def _has_token(self, scope: Mapping[str, Any], headers: Headers, cookie: str) -> bool:
+    def _has_token(self, asked: "HTTPConnection", cookie: str) -> bool:
         """Whether a request has the token: in its address, or in a cookie of an earlier one."""
-        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
-        for text in headers.get("cookie", []):
-            with suppress(CookieError):
-                found = SimpleCookie(text).items()
-                given += [morsel.value for name, morsel in found if name == cookie]
+        given = [*asked.query_params.getlist("token"), asked.cookies.get(cookie, "")]
         return any(hmac.compare_digest(each.encode(), self._token.encode()) for each in given)
-
-
-async def _refuse(scope: Mapping[str, Any], send: Send) -> None:
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 1008})
-        return
-    headers = [(b"content-type", b"text/plain"), (b"content-length", b"%d" % len(REFUSAL))]
-    await send({"type": "http.response.start", "status": 403, "headers": headers})
-    await send({"type": "http.response.body", "body": REFUSAL})
 
 
 class _Client:
@@ -133,8 +125,6 @@ class PageServer:
         self.actions: Actions
         """Set before it serves."""
         self.on_first_client: Callable[[], None] = lambda: None
-        self.stopping = threading.Event()
-        """Set as soon as it is to end."""
         self.token = secrets.token_urlsafe(24)
         self.url = ""
         """The address that opens it, with the token."""
@@ -212,7 +202,7 @@ class PageServer:
                 self._loop.call_soon_threadsafe(put)
 
     def broadcast(self, kind: object, message: m.Told) -> None:
-        text = msgspec.json.encode(message).decode()
+        text = _as_json(message)
         for client in [*self._clients]:
             self.send(client, kind, text)
 
@@ -236,16 +226,18 @@ class PageServer:
         while len(self._downloads) > 2:
             self._downloads.pop(next(iter(self._downloads)))
         message = m.Download(f"/download/{key}/{quote(name)}", name)
-        self.send(client, ("download", key), msgspec.json.encode(message).decode())
+        self.send(client, ("download", key), _as_json(message))
 
-    def _app(self) -> Any:
+    def _app(self) -> "ASGIApp":
         from starlette.applications import Starlette
-        from starlette.routing import Route, WebSocketRoute
+        from starlette.responses import FileResponse
+        from starlette.routing import Mount, Route, WebSocketRoute
+        from starlette.staticfiles import StaticFiles
 
         routes = [
-            Route("/", self._page),
-            Route("/page/{path:path}", self._page),
-            Route("/viewer/{path}", self._viewer),
+            Route("/", lambda request: FileResponse(PAGE / "index.html")),
+            Mount("/page", StaticFiles(directory=PAGE)),
+            Mount("/viewer", StaticFiles(directory=VIEWER)),
             Route("/picture/{kind}/{key:path}", self._picture),
             Route("/style", self._upload, methods=["POST"]),
             Route("/download/{key}/{name}", self._download),
@@ -253,19 +245,13 @@ class PageServer:
         ]
         return Starlette(routes=routes)
 
-    async def _page(self, request: "Request") -> "Response":
-        return _file(PAGE, request.path_params.get("path", "index.html"))
-
-    async def _viewer(self, request: "Request") -> "Response":
-        return _file(VIEWER, request.path_params["path"])
-
     async def _picture(self, request: "Request") -> "Response":
         from starlette.responses import Response
 
         content = self._picture_of(request.path_params["kind"], request.path_params["key"])
         if not content:
             return Response(status_code=404)
-        return Response(content, media_type="image/jpeg", headers={"cache-control": "no-cache"})
+        return Response(content, media_type="image/jpeg")
 
     def _picture_of(self, kind: str, key: str) -> bytes | None:
         actions = self.actions
@@ -323,7 +309,7 @@ class PageServer:
         number, client = self._numbers, _Client()
         self._clients[number] = client
         hello = self.actions.hello(self.title, readonly=self.readonly)
-        client.put("hello", msgspec.json.encode(hello).decode())
+        client.put("hello", _as_json(hello))
         self.session.ask(self.send_state, kind="greeting")
         sending = asyncio.create_task(_sending(socket, client))
         if number == 1:
@@ -348,6 +334,10 @@ class PageServer:
             self.actions.act(client, action)
 
 
+def _as_json(message: m.Told) -> str:
+    return msgspec.json.encode(message, enc_hook=Tensor.tolist).decode()
+
+
 async def _sending(socket: "WebSocket", client: _Client) -> None:
     with suppress(Exception):  # the page is gone
         while True:
@@ -358,39 +348,20 @@ async def _sending(socket: "WebSocket", client: _Client) -> None:
                 await socket.send_text(message)
 
 
-def _file(folder: Path, path: str) -> "Response":
-    from starlette.responses import Response
-
-    file = (folder / path).resolve()
-    if not file.is_relative_to(folder.resolve()) or not file.is_file():
-        return Response(status_code=404)
-    kind = KINDS.get(file.suffix, "text/html" if file.suffix == ".html" else "text/plain")
-    return Response(file.read_bytes(), media_type=kind, headers={"cache-control": "no-cache"})
-
-
 def _listening_socket(host: str, port: int) -> socket.socket:
     """A socket at a port, or at the next free one."""
-    for number in range(port, port + (PORTS if port else 1)):
-        try:
-            family, *_ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
-            listening = socket.socket(family)
-        except OSError as error:
-            raise _cannot_serve(host, port, str(error.strerror)) from error
-        try:
-            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listening.bind((host, number))
-            listening.listen()
-        except (OSError, OverflowError) as error:
-            listening.close()
-            if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
-                continue
-            reason = error.strerror if isinstance(error, OSError) else "ports are from 0 to 65535"
-            raise _cannot_serve(host, port, str(reason)) from error
-        return listening
-    raise _cannot_serve(host, port, "all ports are in use")
-
-
-def _cannot_serve(host: str, port: int, reason: str) -> StyleSplatError:
-    return StyleSplatError(
+    reason = "all ports are in use" if 0 <= port < 2**16 else "ports are from 0 to 65535"
+    numbers = range(port, min(port + PORTS, 2**16)) if port else [0]
+    try:
+        family, *_ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+        for number in numbers:
+            try:
+                return socket.create_server((host, number), family=family)
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:
+                    raise
+    except OSError as error:
+        reason = error.strerror
+    raise StyleSplatError(
         f"Cannot serve at {host}:{port}: {reason}. Choose another address or port."
     )

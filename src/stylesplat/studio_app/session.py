@@ -1,5 +1,6 @@
 """A session of the studio: its state, the thread that works on it, and its listeners."""
 
+import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -86,6 +87,8 @@ class Session:
         """Called with an object and the title of its picture when it is painted, or stopped."""
         self.on_message = Callbacks()
         """Called with a line for the user, and whether it reports a failure."""
+        self.stopping = threading.Event()
+        """Set as soon as the studio is to end."""
         self.worker = Worker(self.report)
 
     @property
@@ -154,14 +157,17 @@ class Session:
         self.on_message.call(line, failure)
 
     @contextmanager
-    def listening(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[None]:
-        """Within the block the library's messages go to the user, and `stopped` may end it."""
-        with observed(_SessionObserver(self, stopped)):
-            yield
+    def listening(
+        self,
+        stopped: Callable[[], bool] = lambda: False,
+        counted: Callable[[float], None] = lambda share: None,
+    ) -> Iterator[None]:
+        """Within the block the library's messages go to the user, and `stopped` may end it.
 
-    def close(self) -> None:
-        self.worker.close()
-        self.history.close()
+        `counted` is called with the share of each task that is done.
+        """
+        with observed(_SessionObserver(self, stopped, counted)):
+            yield
 
     def report(self, error: Exception) -> None:
         if not isinstance(error, StyleSplatError):
@@ -172,13 +178,17 @@ class Session:
 class _SessionObserver(Silence, Observer):
     """Passes messages on, and lets short work in between the parts of long work."""
 
-    def __init__(self, session: Session, stopped: Callable[[], bool]) -> None:
-        self._session, self._stopped = session, stopped
+    def __init__(
+        self, session: Session, stopped: Callable[[], bool], counted: Callable[[float], None]
+    ) -> None:
+        self._session, self._stopped, self._counted = session, stopped, counted
+        self._done, self._total = 0.0, 1.0
 
     @contextmanager
     def task(
         self, what: str, total: int | float | None, unit: str, done: int | float
     ) -> Iterator[Task]:
+        self._done, self._total = float(done), float(total or 1)
         progress = self._session.progress
         if progress is not None and progress.share == 0:
             self._session.progress = replace(progress, doing=what)
@@ -189,6 +199,8 @@ class _SessionObserver(Silence, Observer):
         self._session.worker.breathe()
         if self._stopped():
             raise Stopped
+        self._done += amount
+        self._counted(min(1.0, self._done / self._total))
 
     def say(self, line: str) -> None:
         self._session.tell(line)

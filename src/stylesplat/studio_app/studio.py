@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -20,7 +21,7 @@ from stylesplat.signals import Terminated
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.autosave import SceneStore
 from stylesplat.studio_app.gallery import Gallery
-from stylesplat.studio_app.paint_queue import PaintQueue, warm_up_painting
+from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.server import ADDRESS, PageServer
 from stylesplat.studio_app.session import Session
 
@@ -35,32 +36,19 @@ class StudioServer:
         self.server, self.store, self.session = server, store, server.session
         self.url = server.url
         """The address that opens it, with the token."""
-        self._closed = threading.Event()
         self._has_warned = False
         self.session.on_painted.append(lambda name, title: self.autosave())
-        self._timer = threading.Thread(target=self._autosaves, daemon=True)
-        self._timer.start()
-
-    def wait(self) -> None:
-        try:
-            while not self._closed.wait(1.0):
-                pass
-        except KeyboardInterrupt:
-            pass
-        finally:
-            self.close()
+        threading.Thread(target=self._autosaves, daemon=True).start()
 
     def close(self) -> None:
         """Close the studio. An unsaved scene is autosaved for the next time."""
-        if self._closed.is_set():
+        if self.session.stopping.is_set():
             return
-        self._closed.set()
-        self.server.stopping.set()
+        self.session.stopping.set()
         self.session.worker.close()
         try:
             with ExitStack() as rest:  # runs all callbacks, the last one first, whatever fails
                 rest.callback(self.server.actions.gallery.close)
-                rest.callback(self.session.close)
                 rest.callback(self.server.stop)
                 rest.callback(self._autosave_at_the_end)
                 self.session.interrupt()  # which keeps the result of a painting so far
@@ -73,7 +61,7 @@ class StudioServer:
             say(f"Autosaved {self.store.folder}: `stylesplat studio` recovers what is not saved.")
 
     def _autosaves(self) -> None:
-        while not self._closed.wait(AUTOSAVE_SECONDS):
+        while not self.session.stopping.wait(AUTOSAVE_SECONDS):
             self.session.ask(self.autosave, kind="autosave", patient=True)
 
     def autosave(self) -> None:
@@ -85,7 +73,7 @@ class StudioServer:
         try:
             return self.store.autosave(self.session)
         except StyleSplatError as error:
-            if not self._has_warned or self._closed.is_set():
+            if not self._has_warned or self.session.stopping.is_set():
                 self._has_warned = True
                 say(f"Cannot autosave the scene: {error}")
             return False
@@ -127,15 +115,12 @@ def studio(
     session = Session(scene, folder=scene.path)
     store = SceneStore(scene.path)
     _recover(session, store)
-    server = _page_server("StyleSplat studio", session, gallery, store, **options)
-
-    def warm_up() -> None:
-        worker = session.worker
-        stopped = server.stopping.is_set
-        worker.ask(lambda: warm_up_painting(worker, stopped, **options), patient=True)
+    queue = PaintQueue(session, **options)
+    server = _page_server("StyleSplat studio", session, gallery, store, queue)
 
     def warm_up_soon() -> None:
-        timer = threading.Timer(WARM_UP_AFTER, warm_up)
+        job = partial(session.worker.ask, queue.warm_up, patient=True)
+        timer = threading.Timer(WARM_UP_AFTER, job)
         timer.daemon = True
         timer.start()
 
@@ -145,7 +130,7 @@ def studio(
     if host != ADDRESS:
         say(f"{host} is open to the network: anybody with the token sees and changes the scene.")
     if block:
-        opened.wait()
+        _block(opened.close)
     return opened
 
 
@@ -170,16 +155,11 @@ def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "View
         up = torch.tensor([0.0, 0.0, 1.0])
         what = Scene(what.detach().to("cpu"), ring_cameras(what.detach().to("cpu"), up))
     session = Session(what, folder=what.path or Path())
-    server = _page_server("StyleSplat", session, Gallery(), None)
+    server = _page_server("StyleSplat", session, Gallery(), None, PaintQueue(session))
     server.start(ADDRESS, port)
     opened = Viewer(server)
     if block:
-        try:
-            until_interrupted(opened.stop)
-        except Terminated:
-            raise
-        except KeyboardInterrupt:  # how a viewer is closed
-            pass
+        _block(opened.stop)
     return opened
 
 
@@ -191,7 +171,7 @@ class Viewer:
 
     def stop(self) -> None:
         """End it."""
-        self.server.session.close()
+        self.server.session.worker.close()
         self.server.stop()
 
 
@@ -204,18 +184,27 @@ def until_interrupted(stop: Callable[[], object]) -> NoReturn:
         stop()
 
 
+def _block(stop: Callable[[], object]) -> None:
+    try:
+        until_interrupted(stop)
+    except Terminated:
+        raise
+    except KeyboardInterrupt:  # how it is closed
+        pass
+
+
 def _refuse_empty(splats: Splats) -> None:
     if not len(splats):
         raise StyleSplatError("These splats are empty, so there is nothing to view.")
 
 
 def _page_server(
-    title: str, session: Session, gallery: Gallery, store: SceneStore | None, **options: Any
+    title: str, session: Session, gallery: Gallery, store: SceneStore | None, queue: PaintQueue
 ) -> PageServer:
     server = PageServer(title, session, readonly=store is None)
     server.actions = Actions(
         session,
-        queue=PaintQueue(session, **options),
+        queue=queue,
         gallery=gallery,
         store=store,
         send=server.send,

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -50,21 +51,19 @@ class ObjectThumbnails:
     def __init__(self, session: Session, on_ready: Callable[[], None]) -> None:
         self._session, self._on_ready = session, on_ready
         self._cameras = dict[str, tuple[Tensor, Cameras]]()  # with the mask that each shows
-        self._pictures = dict[str, tuple[Tensor, bytes]]()  # with the colours that each shows
-        self._versions = dict[str, int]()
+        self._asked = dict[str, Splats]()  # the splats for which each was asked
+        self._made = dict[str, tuple[Tensor, int, bytes]]()  # colours and opacities, version, JPEG
 
     def version(self, name: str) -> int:
         """The number of the thumbnail of an object, 0 without one; a missing one is asked for."""
-        session, known = self._session, self._pictures.get(name)
-        if not session.painting and (
-            known is None or known[0] is not session.state.scene.splats.sh0
-        ):
+        session, splats = self._session, self._session.state.scene.splats
+        if not session.painting and self._asked.get(name) is not splats:
+            self._asked[name] = splats
             session.ask(partial(self._make, name), kind=f"thumbnail {name}", patient=True)
-        return self._versions.get(name, 0)
+        return self._made[name][1] if name in self._made else 0
 
     def picture(self, name: str) -> bytes | None:
-        known = self._pictures.get(name)
-        return known[1] if known else None
+        return self._made[name][2] if name in self._made else None
 
     def camera(self, name: str) -> Cameras:
         """A small square view of an object.
@@ -73,24 +72,20 @@ class ObjectThumbnails:
             StyleSplatError: If it shows in no view.
         """
         scene = self._session.state.scene
-        picked = self._session.masks.of(scene, name)
-        own = picked[: len(scene.unpainted)]
+        own = self._session.masks.of(scene, name)[: len(scene.unpainted)]
         if name not in self._cameras or not torch.equal(self._cameras[name][0], own):
             camera = close_up(scene.unpainted, scene.cameras, own).at_most(SIDE)
             self._cameras[name] = own, camera
         return self._cameras[name][1]
 
     def _make(self, name: str) -> None:
-        scene = self._session.state.scene
-        before = self._pictures.get(name)
-        if before is not None and before[0] is scene.splats.sh0:
-            return
-        try:
-            picked = self._session.masks.of(scene, name)
-            picture = object_picture(scene.splats, self.camera(name), picked)
-        except StyleSplatError:  # it was deleted, or no view shows it
-            picture = b""
-        self._pictures[name] = scene.splats.sh0, picture
-        if picture and (before is None or before[1] != picture):
-            self._versions[name] = self._versions.get(name, 0) + 1
-            self._on_ready()
+        splats = self._session.state.scene.splats
+        before, version, _ = self._made.get(name, (None, 0, b""))
+        with suppress(StyleSplatError):  # it was deleted, or no view shows it
+            picked = self._session.masks.of(self._session.state.scene, name)
+            shown = torch.cat([splats.sh0[picked, 0], splats.opacities[picked, None]], dim=1)
+            if before is not None and torch.equal(before, shown):
+                return
+            picture = object_picture(splats, self.camera(name), picked)
+            self._made[name] = shown, version + 1, picture
+            self._session.ask(self._on_ready, kind="thumbnails", patient=True)

@@ -147,8 +147,8 @@ def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) 
         sh0=mean(after.sh0[own]),
         shN=mean(after.shN[own]),
         opacity_factors=mean(torch.where(is_fading, factors, torch.ones_like(factors))),
-        canvas=without_identities(after[count:]),
-        canvas_sh0=before.sh0[count:],
+        canvas=without_identities(after[count:]).map(torch.clone),  # without the rest's memory
+        canvas_sh0=before.sh0[count:].clone(),
         parents=family[state.parents[count:]],
         relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),
         strength=target.config.intensity,
