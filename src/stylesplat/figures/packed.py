@@ -65,8 +65,11 @@ class Packed:
     """How many Gaussians there are, and the range of each kind of number."""
 
 
-def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
-    """Pack what shows of splats, sorted by place; `before` has other colours and opacities."""
+def pack(splats: Splats, before: Splats, *, sh_degree: int, level: int = 9) -> Packed:
+    """Pack what shows of splats, sorted by place; `before` has other colours and opacities.
+
+    The level is zlib's.
+    """
     shown = torch.maximum(splats.opacities, before.opacities)
     rows = (torch.sigmoid(shown) >= MIN_ALPHA).nonzero()[:, 0]
     rows = rows[morton_order(splats.means[rows])]
@@ -86,7 +89,7 @@ def pack(splats: Splats, before: Splats, *, sh_degree: int) -> Packed:
         *_bands(splats, before, about),
     ]
     content = b"".join(column.contiguous().numpy().tobytes() for column in columns)
-    return Packed(zlib.compress(content, 9), about)
+    return Packed(zlib.compress(content, level), about)
 
 
 def _shapes(splats: Splats, about: dict[str, Any]) -> Iterator[Column]:
