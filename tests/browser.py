@@ -299,6 +299,7 @@ RESTING = """async (found) => {
     const still = boxes.every((box) => String(box) === String(boxes[0]));
     return still && width && found.contains(top) ? middle : null;
 }"""
+AXE = Path(__file__).parent / "axe/axe.min.js"
 FILES = "document.querySelector('input[type=file]')"
 VIEW = "document.querySelector('.view').dataset"
 
@@ -353,6 +354,15 @@ class Tab:
         """Choose a file for the button that asks for one."""
         found = self.page.call("Runtime.evaluate", expression=FILES)["result"]["objectId"]
         self.page.call("DOM.setFileInputFiles", files=[str(file)], objectId=found)
+
+    def assert_accessible(self) -> None:
+        """No serious fault of what the page shows now, as axe-core finds them."""
+        if not self.page.evaluate("Boolean(window.axe)"):
+            self.page.evaluate(AXE.read_text(encoding="utf-8") + ";0")
+        found = self.page.evaluate("""axe.run().then(({ violations }) => violations
+            .filter(({ impact }) => ["serious", "critical"].includes(impact))
+            .map(({ help, nodes }) => [help, nodes.map((node) => node.html)]))""")
+        assert not found, json.dumps(found, indent=1)
 
     def slide(self, label: str, value: float) -> None:
         """Set a slider, as a pointer would."""

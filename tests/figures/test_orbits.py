@@ -7,7 +7,7 @@ import torch
 from balls import CAMERAS
 from scenes import figure, floaters, guitar, joined, room, shares
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.orbits import orbit_around, orbit_cameras, zoom_to_content
+from stylesplat.figures.orbits import orbit_around, orbit_cameras, turned_view, zoom_to_content
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import FILLED, ring_cameras
@@ -45,6 +45,21 @@ def test_all_frames_look_at_the_focus_upright():
     assert torch.allclose(torch.linalg.det(orbit.viewmats), torch.ones(12), atol=1e-5)
     assert torch.allclose(orbit.positions[:, 2], torch.full((12,), 1.5), atol=1e-4)
     assert torch.allclose(orbit.positions[:, :2].norm(dim=1), torch.full((12,), 3.0), atol=1e-4)
+
+
+def test_a_view_turns_around_a_point():
+    centre = torch.tensor([0.3, -0.2, 0.5])
+    circle = turned_view(CAMERAS[1], centre, UP, 8, "circle")
+    swing = turned_view(CAMERAS[1], centre, UP, 8, "swing")
+    for path, turned in ((circle, 360), (swing, 0)):
+        assert torch.allclose(path.viewmats[0], CAMERAS.viewmats[1], atol=1e-5)
+        assert torch.allclose(path.positions[:, 2], CAMERAS.positions[1, 2], atol=1e-5)
+        outward = path.positions[:, :2] - centre[:2]
+        assert torch.allclose(outward.norm(dim=1), outward[0].norm(), atol=1e-5)
+        angles = torch.atan2(outward[:, 1], outward[:, 0])
+        steps = (angles.roll(-1) - angles + math.pi) % (2 * math.pi) - math.pi
+        assert math.degrees(float(steps.sum().abs())) == pytest.approx(turned, abs=0.01)
+        assert steps.abs().max() > math.radians(20)
 
 
 @pytest.mark.parametrize("angles", [[2 * math.pi * i / 8 for i in range(8)], [-0.6, 0, 0.2, 0.6]])

@@ -11,7 +11,15 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
-from stylesplat.selection.shapes import extent, grow, in_box, in_sphere, shrink, surface_point
+from stylesplat.selection.shapes import (
+    alike,
+    extent,
+    grow,
+    in_box,
+    in_sphere,
+    shrink,
+    surface_point,
+)
 
 RED = pick(SPLATS, object_id=3, remove_outliers=False)
 CENTRE = torch.tensor(BALLS[3][0])
@@ -38,6 +46,14 @@ def test_surface_point_lies_on_what_shows():
     ahead = viewmat[:3, :3] @ point + viewmat[:3, 3]
     seen = K @ ahead
     assert (seen[:2] / seen[2] - torch.tensor([int(x) + 0.5, int(y) + 0.5])).norm() < 1e-3
+
+
+def test_a_selection_spreads_over_what_looks_alike():
+    begun = RED & in_sphere(SPLATS, CENTRE + torch.tensor([0, 0, BALL_RADIUS]), 0.5 * BALL_RADIUS)
+    found = alike(SPLATS, begun, 6 * BALL_RADIUS)
+    assert (found & RED).sum() > 0.9 * RED.sum() and (found & ~RED).sum() <= 0.05 * RED.sum()
+    nearer = alike(SPLATS, begun, 0.8 * BALL_RADIUS)
+    assert begun.sum() < nearer.sum() < found.sum() and not (nearer & ~found).any()
 
 
 SOLID, GHOST = 3.0, -6.0  # logits of opacity

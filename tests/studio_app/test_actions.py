@@ -19,8 +19,10 @@ from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
+from stylesplat.selection.choose import find_object
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import DECODER, Actions
+from stylesplat.studio_app.picking import pick_names
 from stylesplat.studio_app.pictures import camera_of, weightiest
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.style import Style
@@ -128,8 +130,17 @@ def test_picks(page: Page):
     page.act("pick_drawn", points=[place("7")], shape="brush", radius=0.05)
     assert page.names() == ["object 1"]
     page.act("pick_at", place=place("3"), how="add", radius=0.3)
+    few = page.session.state.scene.objects["object 1"].picked.sum()
+    page.act("spread", reach=0.2)
+    assert page.session.state.scene.objects["object 1"].picked.sum() > few
+    page.act("spread", reach=-0.1)
     state = page.act("rename", name="both")
     assert page.names() == ["both"] and "drawn in the studio" in state.commands
+    page.act("pick_at", place=place("7"), reach=1.0)
+    scene = page.session.state.scene
+    found, ball = (find_object(scene, name) for name in ("object 1", "7"))
+    assert (found & ball).sum() > 0.9 * found.sum() > 30, "of the ball that was clicked"
+    page.act("forget")
     page.act("pick", names=[])
     page.act("pick_box", low=(-1.2, -0.5, 0.05), high=(-0.2, 0.5, 0.8))
     assert page.names() == ["object 1"]
@@ -228,11 +239,22 @@ def test_the_picture_before_painting_is_there_to_compare(page: Page):
 
 def test_every_style_can_be_tried(page: Page):
     page.act("pick", names=["3"])
+    earlier = list[bytes | None]()
+    page.session.on_progress.append(lambda: earlier.append(page.actions.preview(0)))
     state = page.act("try_all")
     assert all(each.preview for each in state.styles)
     first, second = page.actions.preview(0), page.actions.preview(1)
     assert first and second and first != second
-    state = page.act("pick", names=["7"])
+    assert earlier[0] and earlier[0] != first, "a draft follows the colours"
+    state = page.act("try_all")
+    assert not any(each.preview for each in state.styles), "they are removed"
+
+    def pick_another() -> None:
+        page.session.do(lambda state: pick_names(state, ["7"]))
+
+    page.session.on_progress.append(pick_another)
+    state = page.act("try_all")
+    assert page.names() == ["7"] and page.session.progress is None, "the drafts have ended"
     assert not any(each.preview for each in state.styles), "they were of another object"
     assert not page.session.state.scene.layers
 
@@ -249,6 +271,21 @@ def test_the_queue_is_a_list(page: Page):
     page.session.on_change.append(remove_last)
     state = painted(page, "3", "7", "300")
     assert removed and [each.object for each in state.layers] == ["3", "7"]
+
+
+def test_other_strokes_take_the_place_of_a_painting(page: Page):
+    session, asked = page.session, list[Style]()
+    path = next(iter(page.actions.gallery.pictures.values())).path
+
+    def ask_once() -> None:
+        if session.painting and not asked:
+            asked.append(Style(path, config=replace(QUICK, rotate=90.0)))
+            page.actions.queue.paint(("3",), asked[0], "stripes", instead=True)
+
+    session.on_change.append(ask_once)
+    state = painted(page, "3")
+    assert len(state.variants) == len(state.layers) == 1, page.said
+    assert "rotate 90" in state.layers[0].settings
 
 
 def test_what_cannot_be_painted_is_told(page: Page):
@@ -268,10 +305,14 @@ def test_files_are_delivered(page: Page):
     page.act("export", ending=".splat")
     page.actions.exporter.wait()
     page.act("picture", width=96)
-    page.act("turntable", seconds=0.2, fps=10, width=64, around="3")
+    page.act("turntable", seconds=0.2, fps=10, width=64, around="3", path="circle")
     assert [*page.files] == ["balls.splat", "balls-view.png", "balls-turntable.mp4"], page.said
     assert len(page.files["balls.splat"]) == 32 * len(SPLATS)
     assert b"ftyp" in page.files["balls-turntable.mp4"][:16]
+    page.files.clear()
+    page.session.on_progress.append(page.actions.exporter.cancel)
+    page.act("turntable", seconds=1, fps=10, width=64)
+    assert not page.files and "cancelled" in page.said[-1]
     page.act("export", ending=".exe")
     assert "no format" in page.said[-1]
     page.act("picture", width=10**6)

@@ -67,6 +67,7 @@ def test_the_whole_way(opened: StudioServer, tab: Tab, tmp_path: Path):
     painted = changed(tab, before)
     assert_changed(painted - before, opened)
 
+    tab.assert_accessible()
     compares(tab, before, painted)
     tab.slide("Strength", 0)
     until(lambda: session.state.note == "Strength of 3: 0%", "strength 0")
@@ -177,6 +178,7 @@ def saves_and_exports(opened: StudioServer, tab: Tab, file: Path) -> None:
     assert saved.painted_objects == ("3",)
     tab.press_button("Export")
     until(lambda: "stripes.png" in tab.text(), "the command")
+    tab.assert_accessible()
     tab.press_button("Download the scene")
     until(file.exists, "a download")
     until(lambda: len(file.read_bytes()) > 1000, "its content")
@@ -188,6 +190,7 @@ def test_on_a_narrow_screen_everything_can_be_reached(opened: StudioServer, tmp_
         tab.open(opened.url)
         for label in ("Objects", "Layers", "Styles", "Export"):
             tab.press_button(label)
+            tab.assert_accessible()
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
         tab.press_button("Close")
         tab.click(*tab.middle_of("7"))

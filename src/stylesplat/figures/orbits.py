@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -17,6 +18,7 @@ RADIUS_RANK = 0.75  # of the photos' distances: close-ups would cut off what the
 SWAY = 0.5  # height varies along the path by this share of the captures' own deviation
 LENS = 1.0  # focal length over a picture's longer side around content, where there is room enough
 TILT, NOD = math.radians(20), math.radians(8)  # of a path around content: its mean, and how varied
+SWING = math.radians(35)  # of a view that turns to and fro, at each side
 EVEN = 1e-3  # sine of the angle to the vertical below which photos surround the focus evenly
 UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where it is not known
 WINDOW = (1600, 1200)  # pixels that all content fits into at the start
@@ -82,6 +84,29 @@ def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
         viewmats=torch.cat([sight.viewmats(distance) for sight in sights]).to(views.viewmats),
         Ks=centred_K(focal, size).to(views.Ks).expand(count, 3, 3),
         sizes=torch.tensor(size).expand(count, 2).clone(),
+        names=_frame_names(count),
+    )
+
+
+def turned_view(
+    view: Cameras,
+    centre: Float[Tensor, "3"],
+    up: Float[Tensor, "3"],
+    count: int,
+    path: Literal["circle", "swing"],
+) -> Cameras:
+    """A closed path of one camera around the vertical axis through a point."""
+    phase = _phases(count)
+    angles = phase if path == "circle" else SWING * phase.sin()
+    pivot, axis = torch.eye(4).double().repeat(2, 1, 1), up.double()
+    pivot[0, :3, 3], pivot[1, :3, 3] = centre.double(), -centre.double()
+    turns = torch.eye(4).double().repeat(count, 1, 1)
+    cross = torch.linalg.cross(torch.eye(3).double(), axis.expand(3, 3))
+    turns[:, :3, :3] = torch.matrix_exp(angles[:, None, None] * cross)
+    return Cameras(
+        viewmats=(view.viewmats.double() @ pivot[0] @ turns @ pivot[1]).to(view.viewmats),
+        Ks=view.Ks.expand(count, 3, 3),
+        sizes=view.sizes.expand(count, 2).clone(),
         names=_frame_names(count),
     )
 

@@ -1,7 +1,9 @@
-"""Selections by distance: boxes and spheres in the world, growing and shrinking a selection."""
+"""Selections by distance: boxes and spheres, growing and shrinking, spreading over a surface."""
 
 import torch
 from jaxtyping import Bool, Float
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -11,7 +13,7 @@ from stylesplat.scene.arguments import check_point
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import FAINT, Extent, solid
 from stylesplat.scene.projection import crop, overlapping, unproject
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 
 
 def in_box(splats: Splats, low: Float[Tensor, "3"], high: Float[Tensor, "3"]) -> Bool[Tensor, " N"]:
@@ -123,3 +125,45 @@ def near(
     distances, _ = tree.query(positions[rows].numpy(), distance_upper_bound=bound, workers=-1)
     found[rows] = torch.from_numpy(distances <= reach)
     return found.to(points.device)
+
+
+NEIGHBOURS = 12  # of a Gaussian, along which a selection spreads over a surface
+COLOR, BEND = 0.1, 0.15  # differences of colour, and of 1 - |cosine| of normals, as far as a step
+
+
+@torch.no_grad()
+def alike(splats: Splats, seeds: Bool[Tensor, " N"], reach: float) -> Bool[Tensor, " N"]:
+    """Spread over the surface around some Gaussians, as far as it looks the same.
+
+    Where the colour or the direction of the surface changes, a step counts for more than its
+    length, so that the selection stops at the borders of a thing first.
+
+    Args:
+        splats: The Gaussians.
+        seeds: Where to begin.
+        reach: How far to go on a surface without changes, in world units.
+    """
+    begun = splats.means[solid(splats, seeds)]
+    rows = near(splats.means, begun, reach) & (torch.sigmoid(splats.opacities) >= FAINT) | seeds
+    rows = rows.nonzero()[:, 0]
+    points = splats.means[rows].detach().cpu().double()
+    _, neighbours = KDTree(points.numpy()).query(
+        points.numpy(), k=min(NEIGHBOURS, len(points)), workers=-1
+    )
+    neighbours = torch.from_numpy(neighbours).view(len(points), -1)
+    around = points[neighbours] - points[neighbours].mean(dim=1, keepdim=True)  # [M, k, 3]
+    normals = torch.linalg.eigh(around.transpose(1, 2) @ around).eigenvectors[:, :, 0]
+    colors = rgb_from_sh0(splats.sh0[rows, 0]).cpu().double()[neighbours].mean(dim=1)
+    lengths = (points[:, None] - points[neighbours]).norm(dim=-1)
+    bends = 1 - (normals[:, None] * normals[neighbours]).sum(dim=-1).abs()
+    changes = (colors[:, None] - colors[neighbours]).norm(dim=-1)
+    costs = lengths * (1 + (changes / COLOR) ** 2 + (bends / BEND) ** 2)
+    starts = torch.arange(len(points))[:, None].expand_as(neighbours)
+    graph = csr_array(
+        (costs.flatten().clamp(min=1e-12), (starts.flatten(), neighbours.flatten())),
+        shape=(len(points), len(points)),
+    )
+    begin = seeds[rows].nonzero()[:, 0].cpu().numpy()
+    ways = dijkstra(graph, directed=False, indices=begin, limit=reach, min_only=True)
+    found = torch.from_numpy(ways <= reach).to(rows.device)
+    return torch.zeros_like(seeds).index_fill(0, rows[found], True)

@@ -9,18 +9,15 @@ import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial, reduce
-from itertools import count
 from operator import or_
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 
 import msgspec
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.best_views import close_up
-from stylesplat.figures.orbits import first_view
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import splats_without_paint
+from stylesplat.figures.orbits import first_view, turned_view
+from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.scene import Scene
@@ -28,15 +25,16 @@ from stylesplat.studio_app import layers, picking
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.autosave import SceneStore
 from stylesplat.studio_app.commands import commands_text
-from stylesplat.studio_app.exports import FORMATS, Exporter, render_png, render_turntable
+from stylesplat.studio_app.exports import FORMATS, Exporter, render_png
 from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture
 from stylesplat.studio_app.history import KeptState, StudioState, object_names
 from stylesplat.studio_app.layers import Variant, describe_settings, find_layer
-from stylesplat.studio_app.paint_queue import PaintQueue, make_style, preview_colors
+from stylesplat.studio_app.paint_queue import PaintQueue, make_style
 from stylesplat.studio_app.picking import object_in, pixel_of, region_of
 from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of
 from stylesplat.studio_app.session import Display, Session
-from stylesplat.studio_app.thumbnails import SIDE, ObjectThumbnails, object_picture
+from stylesplat.studio_app.style_previews import StylePreviews
+from stylesplat.studio_app.thumbnails import ObjectThumbnails, object_picture
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.verbs.render import orbit
 
@@ -55,6 +53,7 @@ CHANGES: dict[str, Callable[..., StudioState]] = {
     "pick_box": picking.pick_box,
     "pick_words": picking.pick_words,
     "resize": picking.resize_picked,
+    "spread": picking.spread_picked,
     "unite": picking.unite_picked,
     "subtract": picking.subtract_picked,
     "forget": picking.forget_picked,
@@ -101,6 +100,7 @@ class Actions:
         self.pictures = Pictures(session, self._before, send)
         self.thumbnails = ObjectThumbnails(session, on_state)
         self.exporter = Exporter(session)
+        self.previews = StylePreviews(session, gallery, on_state, **queue.options)
         self.variants, self.snapshots = list[Variant](), list[tuple[str, KeptState]]()
         self.compared: int | None = None
         self.client = 0
@@ -108,9 +108,6 @@ class Actions:
         self._held = {} if store is None else {store.folder: session.saved}
         self._reference: tuple[object, object, Display] | None = None
         self._content = content_of(session.state.scene.splats).extent
-        self._numbers = count(1)
-        self._previews = dict[str, tuple[int, bytes]]()
-        self._previews_of: tuple[str, ...] = ()
         session.on_painted.append(self._painted)
 
     def act(self, client: int, message: m.Look | msgspec.Struct) -> None:
@@ -141,11 +138,17 @@ class Actions:
 
     @action
     def pick_at(
-        self, place: m.Place, how: m.How = "new", radius: m.Positive | None = None
+        self,
+        place: m.Place,
+        how: m.How = "new",
+        radius: m.Positive | None = None,
+        reach: m.Positive | None = None,
     ) -> StudioState:
-        """Pick the object that shows at a place, or with a radius the ball around it."""
+        """Pick the object that shows at a place, the ball around it, or what looks alike there."""
         camera = self._camera()
         pixel = pixel_of(camera, place)
+        if reach is not None:
+            return picking.pick_alike(self.state, camera, pixel, reach, how)
         if radius is not None:
             return picking.pick_ball(self.state, camera, pixel, radius, how)
         return picking.pick_at(self.state, self.session.masks, camera, pixel, how)
@@ -170,9 +173,16 @@ class Actions:
 
     @action
     def paint(
-        self, style: int, names: list[m.Text] | None = None, settings: dict[str, Any] | None = None
+        self,
+        style: int,
+        names: list[m.Text] | None = None,
+        settings: dict[str, Any] | None = None,
+        instead: bool = False,
     ) -> None:
-        """Paint objects, by default those that are picked, like a style picture."""
+        """Paint objects, by default those that are picked, like a style picture.
+
+        `instead`: in place of their painting that is under way, whose picture stays meanwhile.
+        """
         picture, given = self._style(style), settings or {}
         objects = self.session.state.picked if names is None else tuple(names)
         usual = {each.name: each.value for each in SETTINGS}
@@ -180,10 +190,11 @@ class Actions:
         if unknown:
             raise StyleSplatError(f"There is no setting {', '.join(sorted(unknown))}.")
         chosen = {k: v for k, v in given.items() if k not in usual or v != usual[k]}
-        self.queue.paint(objects, make_style(picture.path, **chosen), picture.title)
+        self.queue.paint(objects, make_style(picture.path, **chosen), picture.title, instead)
 
     @action
     def stop(self) -> None:
+        self.previews.stop()
         self.queue.stop()
 
     @action
@@ -196,26 +207,8 @@ class Actions:
 
     @action
     def try_all(self) -> None:
-        """Make previews of all styles on what is picked, one after the other."""
-        session, state = self.session, self.state
-        picked = session.masks.together(state.scene, state.picked)
-        if picked is None:
-            raise StyleSplatError("Nothing is picked. Click an object first.")
-        base = splats_without_paint(state.scene)
-        camera = close_up(base, state.scene.cameras, picked).at_most(SIDE)
-        self._previews_of = state.picked
-        self._previews.clear()
-
-        def make(picture: StylePicture) -> None:
-            if self._previews_of != state.picked:
-                return
-            splats = preview_colors(base, picked, make_style(picture.path).read())
-            content = object_picture(splats, camera, picked)
-            self._previews[picture.title] = next(self._numbers), content
-            self._on_state()
-
-        for picture in [*self.gallery.pictures.values()]:
-            session.ask(partial(make, picture), kind=f"try {picture.title}", patient=True)
+        """Show previews of all styles on what is picked, or remove them."""
+        self.previews.toggle()
 
     @action
     def use_variant(self, number: int) -> StudioState:
@@ -282,27 +275,21 @@ class Actions:
         fps: Annotated[int, msgspec.Meta(ge=1, le=60)] = 30,
         width: Annotated[int, msgspec.Meta(ge=64, le=3840)] = 960,
         around: m.Text = "",
+        path: Literal["photos", "circle", "swing"] = "photos",
     ) -> None:
-        """Make a video around an object, or where the photos were taken."""
-        session = self.session
+        """Make a video around an object or the scene: where the photos were taken, or of the view
+        of the page in a circle, or to and fro."""
+        session, scene, frames = self.session, self.state.scene, max(2, round(seconds * fps))
         if session.painting:
             raise StyleSplatError("An object is being painted. Wait until it is done.")
-        path = orbit(
-            session.state.scene, around=around or None, frames=max(2, round(seconds * fps))
-        )
+        if path == "photos":
+            cameras = orbit(scene, around=around or None, frames=frames)
+        else:
+            look = self._camera(10**9)
+            box = session.masks.extent(scene, (around,)) if around else self._content
+            cameras = turned_view(look, box.centre, up_vector(scene.cameras), frames, path)
         deliver = partial(self._send, self.client, "-turntable")
-        frames = render_turntable(session, path, width, fps, self.pictures.background, deliver)
-
-        def steps() -> Iterator[None]:
-            try:
-                yield from frames
-            finally:
-                session.painting, session.progress = False, None
-                session.on_change.call()
-
-        session.painting = True
-        session.worker.go_on_with(steps())
-        session.on_change.call()
+        self.exporter.film(cameras, width, fps, self.pictures.background, deliver)
 
     @action
     def background(self, color: tuple[m.Share, m.Share, m.Share]) -> None:
@@ -335,8 +322,7 @@ class Actions:
         self.session.tell(f"{name}: {len(content) / 1e6:.1f} MB")
 
     def preview(self, number: int) -> bytes | None:
-        known = self._previews.get(self._style(number).title)
-        return known[1] if known else None
+        return self.previews.picture(self._style(number).title)
 
     def _before(self) -> Display:
         """What lies on the left of the handle."""
@@ -451,9 +437,8 @@ class Actions:
         return m.VariantInfo(number, layer.object, variant.title, settings, current)
 
     def _style_info(self, number: int, picture: StylePicture) -> m.StyleInfo:
-        version, _ = self._previews.get(picture.title, (0, b""))
-        shown = version if self._previews_of == self.session.state.picked else 0
-        return m.StyleInfo(number, picture.title, picture.size, shown)
+        version = self.previews.version(picture.title)
+        return m.StyleInfo(number, picture.title, picture.size, version)
 
     def _commands(self) -> str:
         if self.store is None:

@@ -27,7 +27,7 @@ Deliver = Callable[[str, bytes], None]
 
 
 class Exporter:
-    """Writes one export at a time in a thread of its own, so that the page goes on."""
+    """Makes one file at a time while the page goes on."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -35,16 +35,40 @@ class Exporter:
         self._thread: threading.Thread | None = None
 
     def start(self, scene: Scene, ending: str, deliver: Deliver) -> None:
-        """Begin to export a scene; `deliver` gets the file's ending and content."""
+        """Export a scene in a thread of its own; `deliver` gets the file's ending and content."""
         if ending not in FORMATS:
             raise StyleSplatError(f"There is no format {ending}. Use {', '.join(FORMATS)}.")
-        if self._thread is not None and self._thread.is_alive():
-            raise StyleSplatError("An export is under way. Wait until it is done, or cancel it.")
-        self._cancelled.clear()
+        what = f"Exporting {ending}"
+        self._begin(what)
+
+        def count(share: float) -> None:
+            self._show(Progress(what, share, export=True))
+
+        def make() -> bytes:
+            with self._session.listening(self._cancelled.is_set, count):
+                return export_bytes(scene, ending)
+
         self._thread = threading.Thread(
-            target=self._run, args=(scene, ending, deliver), daemon=True, name="export"
+            target=self._run, args=(make, ending, deliver), daemon=True, name="export"
         )
         self._thread.start()
+
+    def film(
+        self, path: Cameras, width: int, fps: int, background: Color, deliver: Deliver
+    ) -> None:
+        """Make a video in the worker's thread, which does other jobs between its frames."""
+        session = self._session
+        self._begin("Turntable")
+
+        def make() -> bytes:
+            with tempfile.TemporaryDirectory(prefix="stylesplat-studio-") as folder:
+                file = Path(folder) / "turntable.mp4"
+                write_video(
+                    _frames(session, path, width, background, self._cancelled), file, fps=fps
+                )
+                return file.read_bytes()
+
+        session.ask(lambda: self._run(make, ".mp4", deliver), patient=True)
 
     def cancel(self) -> None:
         self._cancelled.set()
@@ -53,29 +77,28 @@ class Exporter:
         if self._thread is not None:
             self._thread.join(seconds)
 
-    def _run(self, scene: Scene, ending: str, deliver: Deliver) -> None:
-        session = self._session
+    def _show(self, progress: Progress | None) -> None:
+        self._session.export = progress
+        self._session.on_progress.call()
 
-        def show(progress: Progress | None) -> None:
-            session.export = progress
-            session.on_progress.call()
+    def _begin(self, what: str) -> None:
+        if self._session.export is not None:
+            raise StyleSplatError("An export is under way. Wait until it is done, or cancel it.")
+        self._cancelled.clear()
+        self._show(Progress(what, 0.0, export=True))
 
-        def count(share: float) -> None:
-            show(Progress(f"Exporting {ending}", share, export=True))
-
+    def _run(self, make: Callable[[], bytes], ending: str, deliver: Deliver) -> None:
         try:
-            count(0.0)
-            with session.listening(self._cancelled.is_set, count):
-                content = export_bytes(scene, ending)
+            content = make()
             if self._cancelled.is_set():
                 raise Stopped
             deliver(ending, content)
         except Stopped:
-            session.tell("The export was cancelled.")
+            self._session.tell("The export was cancelled.")
         except Exception as error:
-            session.report(error)
+            self._session.report(error)
         finally:
-            show(None)
+            self._show(None)
 
 
 def export_bytes(scene: Scene, ending: str) -> bytes:
@@ -99,21 +122,22 @@ def render_png(session: Session, look: Look, width: int, background: Color) -> b
     return file.getvalue()
 
 
-def render_turntable(
-    session: Session, path: Cameras, width: int, fps: int, background: Color, deliver: Deliver
-) -> Iterator[None]:
-    """Make a video along a path, frame by frame."""
-    display, count = session.display, len(path)
-    across, down = path.size
+def _frames(
+    session: Session,
+    path: Cameras,
+    width: int,
+    background: Color,
+    cancelled: threading.Event,
+) -> Iterator[torch.Tensor]:
+    """The frames of a video, whose sides are even."""
+    display, (across, down), count = session.display, path.size, len(path)
     even = [2 * max(1, round(side / 2)) for side in (width, width * down / across)]
-    cameras, frames = path.resize(even[0], even[1]), list[torch.Tensor]()
+    cameras = path.resize(even[0], even[1])
     for row in range(count):
-        frames.append(torch.from_numpy(render_display(display, cameras[row], background)))
-        share = (row + 1) / count
-        session.progress = Progress(f"Turntable: frame {row + 1} of {count}", share)
+        session.worker.breathe()
+        if cancelled.is_set():
+            raise Stopped
+        yield torch.from_numpy(render_display(display, cameras[row], background))
+        what = f"Turntable: frame {row + 1} of {count}"
+        session.export = Progress(what, (row + 1) / count, export=True)
         session.on_progress.call()
-        yield
-    with tempfile.TemporaryDirectory(prefix="stylesplat-studio-") as folder:
-        file = Path(folder) / "turntable.mp4"
-        write_video(frames, file, fps=fps)
-        deliver(".mp4", file.read_bytes())

@@ -46,13 +46,15 @@ class PaintJob:
     style: Style
     title: str
     """Of the style picture."""
+    instead: bool = False
+    """Whether the picture so far stays until there are strokes."""
 
 
 class PaintQueue:
     """The current painting, and the objects that wait."""
 
     def __init__(self, session: Session, **options: Any) -> None:
-        self.session, self._options = session, options
+        self.session, self.options = session, options
         self._waiting, self._numbers = deque[PaintJob](), count(1)
         self._current: PaintJob | None = None
         self._latest: Live | None = None
@@ -73,15 +75,26 @@ class PaintQueue:
         stopped, session = self._stopped, self.session
         return stopped is not None and not session.painting and stopped[0] is session.state
 
-    def paint(self, names: tuple[str, ...], style: Style, title: str) -> None:
-        """Ask for objects to be painted, one after the other."""
+    def paint(
+        self, names: tuple[str, ...], style: Style, title: str, instead: bool = False
+    ) -> None:
+        """Ask for objects to be painted, one after the other.
+
+        `instead`: drop a painting of them that is under way, and those that wait.
+        """
 
         def start() -> None:
             if not names:
                 raise StyleSplatError("Nothing is picked. Click an object first.")
             for name in names:
                 refuse_locked(self.session.state, name)
-            jobs = (PaintJob(next(self._numbers), name, style, title) for name in names)
+            if instead:
+                self._waiting = deque(each for each in self._waiting if each.name not in names)
+                if self._current is not None and self._current.name in names:
+                    self._current, self.session.painting = None, False
+                    self.session.worker.go_on_with(None)
+            numbers = self._numbers
+            jobs = (PaintJob(next(numbers), name, style, title, instead) for name in names)
             self._waiting.extend(jobs)
             if self.session.painting:
                 self.session.on_change.call()
@@ -118,7 +131,7 @@ class PaintQueue:
         """Paint a ball of noise for a step, which loads kernels, libraries and the network."""
         style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=1, object_size=48))
         with suppress(Stopped), self.session.listening(self.session.stopping.is_set):
-            for _ in stylize_live(noise_ball(), NAME, style, **self._options):
+            for _ in stylize_live(noise_ball(), NAME, style, **self.options):
                 pass
 
     def _stop(self) -> bool:
@@ -145,9 +158,12 @@ class PaintQueue:
         job, session = self._waiting.popleft(), self.session
         state = session.state
         picked = session.masks.of(state.scene, job.name)
-        splats = preview_colors(state.scene.splats, picked, job.style.read())
-        session.preview = replace(session.display_of(state), splats=splats)
-        lives = stylize_live(state.scene, job.name, job.style, **self._options)
+        if job.instead:
+            session.preview = session.display
+        else:
+            splats = preview_colors(state.scene.splats, picked, job.style.read())
+            session.preview = replace(session.display_of(state), splats=splats)
+        lives = stylize_live(state.scene, job.name, job.style, **self.options)
         self._begin(job, lives)
 
     def _begin(self, job: PaintJob, lives: Iterator[Live]) -> None:

@@ -20,7 +20,7 @@ from stylesplat.scene.projection import crop, project
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.selection.shapes import grow, surface_point
+from stylesplat.selection.shapes import alike, grow, near, surface_point
 from stylesplat.selection.text import CHECKPOINT
 from stylesplat.studio_app.history import (
     ObjectMasks,
@@ -38,6 +38,7 @@ Pixel = tuple[float, float]
 AROUND = 1  # pixels around a click that count, too
 MADE = "object {}"  # names of picks that are made by shapes
 BENEATH = 0.1  # of what shows: how deep what is beneath belongs to it
+SEEDS = 25  # of the reach, within which what is around a click belongs to it whatever its look
 LEAST_SHOWN = 0.05  # of a pixel, by which a Gaussian shows
 DRAWN = "#"  # instead of a command, for what none makes
 NEW, TAKEN = "new object", "taken away"  # the name of a shape while it is subtracted
@@ -112,6 +113,29 @@ def _ball(state: StudioState, centre: Float[Tensor, " 3"], radius: float, how: H
     return _shaped(state, {"sphere": sphere}, how)
 
 
+def pick_alike(
+    state: StudioState, camera: Cameras, place: Pixel, reach: float, how: How = "new"
+) -> StudioState:
+    """Pick the surface around a pixel as far as it looks the same, `reach` at most."""
+    splats = state.scene.splats
+    point = surface_point(splats, camera, place)[None]
+    seeds = near(splats.means, point.to(splats.means), reach / SEEDS)
+    if not seeds.any():
+        distances = (splats.means - point.to(splats.means)).norm(dim=1)
+        seeds = distances == distances.min()
+    return _masked(state, alike(splats, seeds, reach), how)
+
+
+def spread_picked(state: StudioState, reach: float) -> StudioState:
+    """Let what is picked spread over what looks the same, or with less than 0 what is around it."""
+    _require_picked(state)
+    own, splats = _own_mask(state), state.scene.splats
+    if reach > 0:
+        return _masked(state, alike(splats, own, reach), "add")
+    border = near(splats.means, splats.means[own], -reach) & ~own
+    return _masked(state, alike(splats, border, -reach), "away") if border.any() else state
+
+
 @torch.no_grad()
 def pick_drawn(
     state: StudioState, camera: Cameras, inside: Bool[Tensor, "H W"], how: How = "new"
@@ -129,9 +153,18 @@ def pick_drawn(
     seen = (depths > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     below = inside[row.clamp(0, height - 1), column.clamp(0, width - 1)] & seen
     rows |= grow(state.scene.splats, rows, BENEATH) & below
+    return _masked(state, rows, how)
+
+
+def _own_mask(state: StudioState) -> Bool[Tensor, " N"]:
     own = [find_object(state.scene, name) for name in state.picked]
-    before = torch.stack(own).any(dim=0) if own else torch.zeros_like(rows)
-    name = _free_name(state.scene) if how == "new" or not own else _own_name(state)
+    return torch.stack(own).any(dim=0) if own else torch.zeros(len(state.scene.splats)).bool()
+
+
+def _masked(state: StudioState, rows: Bool[Tensor, " N"], how: How) -> StudioState:
+    """Pick Gaussians, or add them to the pick, or take them from it."""
+    before = _own_mask(state)
+    name = _free_name(state.scene) if how == "new" or not state.picked else _own_name(state)
     mask = {"new": rows, "add": before | rows, "away": before & ~rows}[how]
     if not mask.any():
         raise StyleSplatError("Nothing is left of the pick.")

@@ -2,8 +2,9 @@
 
 import { signal } from "./libraries/signals.js";
 
-export const tool = signal("object"); // or ball, brush, lasso, rectangle, box, strokes
+export const tool = signal("object"); // or wand, ball, brush, lasso, rectangle, box, strokes
 export const radius = signal(0); // of the ball, in world units
+export const reach = signal(0); // of the wand, likewise
 export const brush = signal(0.03); // its radius, as a share of the picture's height
 export const mode = signal("after"); // or split, before
 export const showPhotos = signal(false);

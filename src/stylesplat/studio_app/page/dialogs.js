@@ -71,8 +71,8 @@ function Part({ style, onClose }) {
 function Keep({ onClose }) {
   const now = state.value, name = now.folder.split("/").at(-1);
   const format = useSignal(".ply"), width = useSignal(1920);
-  const turn = useSignal({ seconds: 4, fps: 30, width: 960, around: "" });
-  const set = (key) => (event) => (turn.value = { ...turn.value, [key]: key === "around" ? event : Number(event.target.value) });
+  const turn = useSignal({ seconds: 4, fps: 30, width: 960, around: "", path: "photos" });
+  const set = (key) => (event) => (turn.value = { ...turn.value, [key]: ["around", "path"].includes(key) ? event : Number(event.target.value) });
   const begin = (what, fields) => {
     act(what, fields);
     onClose();
@@ -84,7 +84,8 @@ function Keep({ onClose }) {
       <${Button} primary icon="download" text="Download" label="Download the scene" onClick=${() => begin("export", { ending: format.value })} /></div></section>
     <section><h3>Picture of this view</h3><div class="row">${number("Width in pixels", width.value, 64, 8192, (event) => (width.value = Number(event.target.value)))}
       <${Button} icon="download" text="PNG" label="Download this view as PNG" onClick=${() => begin("picture", { width: Math.round(width.value) })} /></div></section>
-    <section><h3>Turntable</h3><div class="row">${number("Seconds", turn.value.seconds, 1, 60, set("seconds"))}${number("Frames a second", turn.value.fps, 1, 60, set("fps"))}${number("Width in pixels", turn.value.width, 64, 3840, set("width"))}
+    <section><h3>Turntable</h3><div class="row">${number("Seconds", turn.value.seconds, 1, 60, set("seconds"))}${number("Frames a second", turn.value.fps, 1, 60, set("fps"))}${number("Width in pixels", turn.value.width, 64, 3840, set("width"))}</div>
+      <div class="row"><${Select} label="Path" value=${turn.value.path} choices=${PATHS} onChange=${set("path")} />
       <${Select} label="Around" value=${turn.value.around} choices=${[["", "the scene"], ...now.objects.map((each) => each.name)]} onChange=${set("around")} />
       <${Button} icon="download" text="MP4" label="Make a turntable video" disabled=${now.painting} onClick=${() => begin("turntable", turn.value)} /></div></section>
     <section><h3>Another folder</h3><${Entry} label="Name of a new folder beside this one" button="Save as" value=${`${name}-painted`} onEnter=${(words) => begin("save_as", { name: words })} /></section>
@@ -93,6 +94,7 @@ function Keep({ onClose }) {
   </${Dialog}>`;
 }
 
+const PATHS = [["photos", "as the photos were taken"], ["circle", "this view in a circle"], ["swing", "this view to and fro"]];
 const FORMATS = {
   ".ply": "PLY, every bit", ".compressed.ply": "Compressed PLY", ".spz": "SPZ", ".splat": "SPLAT, one colour each",
   ".sog": "SOG, smallest", ".glb": "glTF (GLB)", ".html": "Web page with before and after",

@@ -18,6 +18,8 @@ export class Overlay {
     this.map = this.picked = this.pointed = null;
     this.glow = document.createElement("canvas");
     this.light = document.createElement("canvas");
+    this.shape = document.createElement("canvas"); // the object whose strokes are changed
+    this.pattern = null; // the picture of these strokes
     this.box = null; // its lower and upper corners
     this.line = []; // that is being drawn, in pixels
     this.ball = null; // its middle and radius in pixels
@@ -60,6 +62,35 @@ export class Overlay {
     this.draw();
   }
 
+  // A style picture on an object, in the size and direction of its strokes, until they are painted
+  setPattern(name, url) {
+    const number = name && this.isCurrent(this.map) ? this.map.names.indexOf(name) + 1 : 0;
+    if (number && this.pattern?.url !== url) {
+      const image = Object.assign(new Image(), { src: url, onload: () => this.draw() });
+      const { ids, size: [width] } = this.map, rows = [...ids.keys()].filter((row) => ids[row] === number);
+      const spread = (values) => values.reduce((most, each) => Math.max(most, each)) - values.reduce((least, each) => Math.min(least, each)) + 1;
+      const length = Math.max(spread(rows.map((row) => row % width)), spread(rows.map((row) => Math.floor(row / width)))) / width;
+      outlined(this.shape, this.map.size, (row) => ids[row] === number, [0, 0, 0], 255);
+      this.pattern = { image, url, length };
+    } else if (!number) this.pattern = null;
+    this.patterned = performance.now();
+    this.draw();
+  }
+
+  drawPattern(context) {
+    const { image, length } = this.pattern, [width, height] = this.viewport.size, knob = this.knob();
+    if (!image.complete || !knob) return;
+    const layer = new OffscreenCanvas(width, height), above = layer.getContext("2d");
+    const fill = above.createPattern(image, "repeat");
+    const size = (strokes().scale * length * width) / Math.max(image.width, image.height);
+    fill.setTransform(new DOMMatrix().translate(...knob.middle).rotate(-strokes().rotate).scale(size).translate(-image.width / 2, -image.height / 2));
+    above.fillStyle = fill;
+    above.fillRect(0, 0, width, height);
+    above.globalCompositeOperation = "destination-in";
+    above.drawImage(this.shape, 0, 0, width, height);
+    context.drawImage(layer, 0, 0);
+  }
+
   isCurrent(each) {
     return Boolean(each) && each.look === this.viewport.number;
   }
@@ -95,6 +126,7 @@ export class Overlay {
     const context = canvas.getContext("2d");
     context.scale(scale, scale);
     const lit = this.pointed !== null && this.isCurrent(this.map) && this.light.width > 0;
+    if (this.pattern) this.drawPattern(context);
     if (this.isCurrent(this.picked) && this.glow.width) context.drawImage(this.glow, 0, 0, width, height);
     if (lit) context.drawImage(this.light, 0, 0, width, height);
     if (showPhotos.value) this.photos(context);
@@ -171,8 +203,7 @@ export class Overlay {
     if (!one || others.length) return null;
     const [x, y, depth] = this.viewport.project(one.centre);
     if (depth <= 0.01) return null;
-    const [scale, rotate] = ["scale", "rotate"].map((name) => settings.value[name] ?? hello.value.settings.find((each) => each.name === name).value);
-    const radius = KNOB_NEAR + KNOB_STEP * scale, angle = (rotate * Math.PI) / 180;
+    const { scale, rotate } = strokes(), radius = KNOB_NEAR + KNOB_STEP * scale, angle = (rotate * Math.PI) / 180;
     return { name: one.name, middle: [x, y], radius, at: [x + radius * Math.cos(angle), y - radius * Math.sin(angle)] };
   }
 
@@ -186,6 +217,11 @@ export class Overlay {
       })
     );
   }
+}
+
+// The size and direction of strokes
+function strokes() {
+  return { ...Object.fromEntries(hello.value.settings.map(({ name, value }) => [name, value])), ...settings.value };
 }
 
 function boxCorners([low, high]) {

@@ -1,28 +1,39 @@
 // The panels: tools, objects, layers with their variants, and style pictures
 
-import { brush, dialog, mode, part, radius, regions, settings, tool } from "./choices.js";
+import { brush, dialog, mode, part, radius, reach, regions, settings, tool } from "./choices.js";
 import { act, hello, note, state, upload } from "./connection.js";
 import { Button, Entry, html, Icon, percent, Slider } from "./widgets.js";
 
 const TOOLS = [
   ["object", "Pick objects: click. Shift adds, Ctrl removes; both with a drag, too"],
+  ["wand", "Pick what looks alike around a click. Shift adds, Ctrl removes"],
   ["ball", "Pick a ball around a place"],
   ["brush", "Brush over what is meant. Ctrl removes; hold Alt to turn"],
   ["lasso", "Draw a line around what is meant. Shift adds, Ctrl removes; hold Alt to turn"],
   ["rectangle", "Draw a rectangle around what is meant. Shift adds, Ctrl removes; hold Alt to turn"],
   ["box", "Pick what lies inside a box"],
-  ["strokes", "Size and direction of the strokes of the picked object: drag the knob"],
+  ["strokes", "Size and direction of the strokes of the picked object"],
 ];
 
 const STEP = 0.05; // of its extent, by which an object grows or shrinks
+const SPREAD = 0.3; // of the wand's reach, by which the pick spreads
+const RESTING = 300; // milliseconds without motion of the handle, after which a draft begins
 
 const picked = () => state.value.objects.filter((each) => each.picked);
 
-// Paint an object anew with other strokes, quickly, if it has a style already
-export function repaint(name) {
-  const layer = state.value.layers.find((each) => each.object === name);
-  const style = state.value.styles.find((each) => each.title === layer?.title);
-  if (style) act("paint", { style: style.number, names: [name], settings: { ...settings.value, quality: "draft" } });
+let resting = null;
+
+// Other strokes: if the picked object has a style, that shows on it at once, and a draft follows
+export function setStrokes(values) {
+  settings.value = { ...settings.value, ...values };
+  const { layers, styles } = state.value, [one, ...others] = picked();
+  const layer = layers.find((each) => each.object === one?.name && !each.locked);
+  const style = styles.find((each) => each.title === layer?.title);
+  if (!style || others.length) return;
+  window.studio.overlay.setPattern(one.name, thumbnail("large", style.number, style.title));
+  clearTimeout(resting);
+  const draft = { style: style.number, names: [one.name], settings: { ...settings.value, quality: "draft" }, instead: true };
+  resting = setTimeout(() => act("paint", draft), RESTING);
 }
 
 // Paint objects, by default what is picked, like a style picture
@@ -39,11 +50,17 @@ export function Toolbar() {
   const chosen = tool.value, { extent } = hello.value;
   return html`<div class="toolbar" role="toolbar" aria-label="Picking tools">
     ${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}
+    ${chosen === "wand" && html`<div class="options"><${Slider} label="Reach" value=${reach.value} low=${extent / 100} high=${extent} step=${extent / 200}
+      show=${(value) => value.toPrecision(2)} onInput=${(value) => { reach.value = value; window.studio.tools.reachAgain(); }} />
+      ${[[SPREAD, "Grow"], [-SPREAD, "Shrink"]].map(([share, words]) => html`<button type="button" disabled=${!picked().length}
+        title=${`${words} along what looks alike`} onClick=${() => act("spread", { reach: share * reach.value })}>${words}</button>`)}</div>`}
     ${chosen === "ball" && html`<div class="options"><${Slider} label="Radius" value=${radius.value} low=${extent / 200} high=${extent / 2} step=${extent / 400}
       show=${(value) => value.toPrecision(2)} onInput=${(value) => (radius.value = value)} /></div>`}
     ${chosen === "brush" && html`<div class="options"><${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005}
       show=${percent} onInput=${(value) => (brush.value = value)} /></div>`}
-    ${chosen === "strokes" && html`<div class="options"><p>${strokesHint()}</p></div>`}
+    ${chosen === "strokes" && html`<div class="options"><p>${strokesHint()}</p>
+      ${hello.value.settings.filter(({ name }) => ["scale", "rotate"].includes(name)).map((each) => html`<${Slider} label=${each.label} value=${settings.value[each.name] ?? each.value}
+        low=${each.low} high=${each.high} step=${each.step} onInput=${(value) => setStrokes({ [each.name]: value })} />`)}</div>`}
     ${chosen === "box" && html`<div class="options"><p>Drag the dots.</p>${[["new", "Pick"], ["add", "Add"], ["away", "Remove"]].map(([how, words]) =>
       html`<button type="button" onClick=${() => pickBox(how)}>${words}</button>`)}</div>`}
   </div>`;
@@ -52,7 +69,7 @@ export function Toolbar() {
 function strokesHint() {
   const [one, ...others] = picked();
   if (!one || others.length) return "Pick one object.";
-  return one.painted ? "Drag the knob: the object is painted anew as a draft." : "Drag the knob, then click a style.";
+  return one.painted ? "Drag the knob. A draft follows when it rests." : "Drag the knob, then click a style.";
 }
 
 function pickBox(how) {
@@ -150,7 +167,7 @@ export function Styles() {
     <div class="head"><h2>Styles</h2>
       <p class="hint">${chosen.length ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ")}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
       <span class="grow"></span>
-      <${Button} icon="try" text="Try all" label="Show the colours of all styles on what is picked" disabled=${!chosen.length || !now.styles.length} active=${tried} onClick=${() => act("try_all")} />
+      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!chosen.length || !now.styles.length} active=${tried} onClick=${() => act("try_all")} />
       <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting" onClick=${() => (dialog.value = "settings")} />
       <label class="button"><${Icon} name="plus" /><span>Add pictures</span><input type="file" accept="image/*" multiple onChange=${add} /></label></div>
     <ul class="strip">${now.styles.map((each) => html`<li key=${each.title}>

@@ -1,13 +1,14 @@
 // What the pointer does to objects: clicks, rectangles, lassos, brushes, balls and a box
 
 import { effect } from "./libraries/signals.js";
-import { brush, radius, settings, tool } from "./choices.js";
+import { brush, radius, reach, tool } from "./choices.js";
 import { act, hello, state } from "./connection.js";
 import { KNOB_NEAR, KNOB_STEP } from "./overlay.js";
-import { repaint } from "./panels.js";
+import { setStrokes } from "./panels.js";
 
 const STILL = 5; // pixels: less is a click
 const DRAWING = ["brush", "lasso", "rectangle"];
+const REST = 150; // milliseconds without motion of a slider
 const GRIP = 16; // pixels around a handle
 
 const howOf = (event) => (event.ctrlKey || event.metaKey ? "away" : event.shiftKey ? "add" : "new");
@@ -19,8 +20,9 @@ export class Tools {
     this.label = label;
     this.start = null;
     const { canvas } = viewport;
-    if (!radius.value) radius.value = hello.value.extent / 12;
-    if (!state.value.objects.length) tool.value = "ball"; // there is nothing else to click
+    radius.value ||= hello.value.extent / 12;
+    reach.value ||= hello.value.extent / 4;
+    if (!state.value.objects.length) tool.value = "wand"; // there is nothing else to click
     canvas.addEventListener("pointermove", (event) => this.move(event));
     canvas.addEventListener("pointerup", (event) => this.release(event));
     canvas.addEventListener("pointercancel", () => this.reset());
@@ -90,7 +92,6 @@ export class Tools {
     const still = Math.max(...[at, ...overlay.line].map(([x, y]) => Math.hypot(x - start.at[0], y - start.at[1]))) < STILL;
     const line = overlay.line;
     this.reset();
-    if (start.handle?.name) repaint(start.handle.name);
     if (start.handle) return;
     if (start.draws && !(still && tool.value !== "brush")) this.finish(start, line, at);
     else if (still) this.click(start, at);
@@ -117,11 +118,26 @@ export class Tools {
       this.viewport.fly(photo.position, photo.target);
       return;
     }
+    if (tool.value === "wand") {
+      this.spot = { place: this.share(at), look: this.viewport.number, how };
+      act("pick_at", { place: this.share(at), how, reach: reach.value });
+    }
     if (tool.value === "ball") act("pick_at", { place: this.share(at), how, radius: radius.value });
     if (tool.value !== "object") return;
     const name = this.overlay.objectAt(...at);
     if (name === undefined) act("pick_at", { place: this.share(at), how });
     else if (name !== null || how === "new") this.pick(name === null ? [] : [name], how);
+  }
+
+  // The last click of the wand with another reach, in its place
+  reachAgain() {
+    clearTimeout(this.later);
+    this.later = setTimeout(() => {
+      const { undo, painting } = state.value, { place, look, how } = this.spot ?? {};
+      if (painting || look !== this.viewport.number || !undo.startsWith("Selected")) return;
+      act("undo");
+      act("pick_at", { place, how, reach: reach.value });
+    }, REST);
   }
 
   pick(names, how) {
@@ -170,8 +186,7 @@ export class Tools {
     const [scale, rotate] = ["scale", "rotate"].map((name) => hello.value.settings.find((each) => each.name === name));
     const size = Math.min(scale.high, Math.max(scale.low, (Math.hypot(x, y) - KNOB_NEAR) / KNOB_STEP));
     const angle = Math.round(((Math.atan2(y, x) * 180) / Math.PI + 360) / rotate.step) * rotate.step;
-    settings.value = { ...settings.value, scale: Math.round(10 * size) / 10, rotate: angle % 360 };
-    this.overlay.draw();
+    setStrokes({ scale: Math.round(10 * size) / 10, rotate: angle % 360 });
   }
 
   // Move a face of the box along its axis, as far as the pointer moves along the axis in the picture

@@ -5,13 +5,14 @@ import { Orbit } from "/viewer/camera.js";
 import { drawer } from "/viewer/draw.js";
 import { listen, slide } from "/viewer/hands.js";
 import { inflated, unpack } from "/viewer/unpack.js";
-import { background, mode, showPhotos } from "./choices.js";
+import { background, mode, settings, showPhotos } from "./choices.js";
 import { act, hello, on, state } from "./connection.js";
 import { Overlay } from "./overlay.js";
 import { Tools } from "./tools.js";
 
 const REST = 120; // milliseconds without motion
 const FLIGHT = 450; // milliseconds
+const SHOWN_FOR = 400; // milliseconds that a pattern shows at least, until a draft takes its place
 const SLOW = 400; // milliseconds after which the next picture is asked for without an answer
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 const PARTS = `<canvas class="drawn" hidden></canvas><canvas class="exact"></canvas><canvas class="exact before"></canvas>
@@ -45,6 +46,8 @@ export class Viewport {
     });
     new ResizeObserver(() => this.moved()).observe(root);
     effect(() => this.compare(mode.value, Boolean(state.value?.layers.length)));
+    effect(() => state.value?.painting || this.overlay.setPattern(null));
+    effect(() => settings.value && this.overlay.draw());
     effect(() => showPhotos.value || this.overlay.draw());
     window.addEventListener("keydown", (event) => event.key === "b" && !isTyping(event) && this.hold(true));
     window.addEventListener("keyup", (event) => event.key === "b" && this.hold(false));
@@ -68,6 +71,7 @@ export class Viewport {
   }
 
   moved() {
+    this.overlay.setPattern(null);
     this.number += 1;
     this.moving = true;
     clearTimeout(this.timer);
@@ -115,6 +119,7 @@ export class Viewport {
     canvas.getContext("2d").drawImage(image, 0, 0);
     image.close();
     this.shown[which] = look;
+    if (performance.now() - this.overlay.patterned > SHOWN_FOR) this.overlay.setPattern(null);
     if (!moving && look === this.number) this.root.classList.remove("moving");
     this.root.dataset[which] = `${look}${moving ? " moving" : ""}`;
     this.arrange();
