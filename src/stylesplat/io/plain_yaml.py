@@ -17,6 +17,7 @@ TOO_DEEP = f"lists and maps are nested more than {MAX_DEPTH} deep"
 TAGS = NULL, BOOL, INT, FLOAT, *_ = tuple(
     f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map")
 )
+MERGE = "tag:yaml.org,2002:merge"
 # Scalars without quotes that are no text, by their first character. JSON's 1e-05 is a number,
 # unlike in YAML 1.1; dates, hours:minutes, 007 and whole numbers too long for Python are texts
 PLAIN = (
@@ -26,6 +27,7 @@ PLAIN = (
     (INT, "[-+]?(0|[1-9][0-9_]{0,4000})", "-+0123456789"),
     (FLOAT, r"[-+]?(0|[1-9][0-9]*)(\.[0-9]*)?(e[-+]?[0-9]+)?", "-+0123456789"),
     (FLOAT, r"[-+]?\.([0-9]+(e[-+]?[0-9]+)?|inf|nan)", "-+."),
+    (MERGE, "<<", "<"),
 )
 Place = tuple[str | int, ...]
 """The keys and numbers that lead to a value."""
@@ -81,17 +83,26 @@ class _Loader(yaml.SafeLoader):
                 self.lines[(*place, number)] = item.start_mark.line + 1
                 found.append(self.plain(item, (*place, number)))
             return found
-        if not isinstance(node, yaml.MappingNode):
-            return self.construct_object(node)
-        found = dict[str, Any]()
+        if isinstance(node, yaml.MappingNode):
+            return self._map(node, place)
+        return self.construct_object(node)
+
+    def _map(self, node: yaml.MappingNode, place: Place) -> dict[str, Any]:
+        own, merged = dict[str, Any](), dict[str, Any]()
         for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise _refused("a key is a list or a map", key)
-            if key.value in found:
+            if key.tag == MERGE:
+                for each in value.value if isinstance(value, yaml.SequenceNode) else [value]:
+                    if not isinstance(each, yaml.MappingNode):
+                        raise _refused("<< needs a mapping", each)
+                    merged = self.plain(each, (*place, key.value)) | merged
+                continue
+            if key.value in own:
                 raise _refused(f"{key.value} is listed twice", key)
             self.lines[(*place, key.value)] = key.start_mark.line + 1
-            found[key.value] = self.plain(value, (*place, key.value))
-        return found
+            own[key.value] = self.plain(value, (*place, key.value))
+        return merged | own
 
     def construct_scalar(self, node: Any) -> str:
         # JSON escapes characters beyond 16 bits as two, which YAML leaves apart
