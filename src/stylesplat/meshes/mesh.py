@@ -44,7 +44,9 @@ def make_mesh(
             "'stylesplat[mesh]'`."
         )
     splats = splats.detach().to("cpu")
-    surface, open_share = find_mesh_surface(splats, mesh_views(splats, photos, length=LENGTH), name)
+    surface, open_share = find_mesh_surface(
+        splats, mesh_views(splats, photos, length=LENGTH), config.faces, name
+    )
     if open_share > 0:
         say(
             f"{name} was photographed from one side only: the mesh is open where {open_share:.0%} "

@@ -39,7 +39,8 @@ PHOTOS = 64  # views from where photos were taken, at most
 AWAY = 3.0  # radii of the object from its centre to the cameras
 EMPTY = 0.25  # coverage below which the object is not there, in views that no photo supports
 LENGTH = 400  # pixels of a view
-VOXELS = 200  # along the longest side
+FINENESS = 0.9  # voxels along the longest side, times the square root of the faces wanted
+VOXELS = (48, 320)  # at least and at most: 320 take 1 GB
 TRUNCATION = 4.0  # voxels
 BEHIND = (0.08, 0.03)  # of the extent: what lies farther behind the mean depth is another side
 LEAST_COSINE = 0.15  # below which depths are too uncertain
@@ -128,14 +129,17 @@ def cosines_of(depth: Tensor, camera: Cameras) -> Tensor:
 
 
 def find_mesh_surface(
-    splats: Splats, views: MeshViews, name: str = "The object"
+    splats: Splats, views: MeshViews, faces: int, name: str
 ) -> tuple[Surface, float]:
     """The surface of splats that are one object, and the share of it that is left open.
+
+    It is fine enough to be simplified to so many faces.
 
     Raises:
         StyleSplatError: If there is none, as smoke has none.
     """
-    surface = largest_parts(fuse_depths(splats, views, name), is_closed=True)
+    voxels = int(min(max(FINENESS * math.sqrt(faces), VOXELS[0]), VOXELS[1]))
+    surface = largest_parts(fuse_depths(splats, views, voxels, name), is_closed=True)
     is_seen = (surface.seen[surface.faces] > LEAST_SEEN).any(axis=1)
     areas = face_areas(surface)
     hidden = 1 - float(areas[is_seen].sum() / areas.sum())
@@ -144,13 +148,13 @@ def find_mesh_surface(
     return largest_parts(replace(surface, faces=surface.faces[is_seen]), is_closed=False), hidden
 
 
-def fuse_depths(splats: Splats, views: MeshViews, name: str) -> Surface:
+def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Surface:
     """The closed surface with all its parts."""
     from skimage.measure import marching_cubes
 
     extent = extent_of(splats, torch.ones(len(splats), dtype=torch.bool))
     alone, side = without_looks(splats), float(extent.size.max())
-    voxel = side / VOXELS
+    voxel = side / voxels
     margin = 2 * TRUNCATION * voxel
     low = (extent.low - margin).numpy()
     shape = tuple(((extent.size + 2 * margin) / voxel).ceil().int().tolist())
