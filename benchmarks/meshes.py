@@ -102,7 +102,8 @@ def four_sides(mesh: TexturedMesh, own: Splats, up: torch.Tensor) -> np.ndarray:
 def cuts(mesh: trimesh.Trimesh) -> int:
     """Edges of some faces that pass through faces nearby which share no corner with them."""
     rows = np.random.default_rng(0).permutation(len(mesh.faces))[:SAMPLE]
-    _, near = KDTree(mesh.triangles_center).query(mesh.triangles_center[rows], k=24)
+    centres = mesh.triangles_center
+    near = np.asarray(KDTree(centres).query(centres[rows], k=24)[1])
     edges = np.stack([mesh.triangles[rows], np.roll(mesh.triangles[rows], -1, axis=1)], axis=2)
     total = 0
     for one, row, others in zip(edges, rows, near, strict=True):
@@ -145,7 +146,7 @@ def measure(options: Options, folder: str, name: str) -> list[str]:
         psnr = psnr_in_place(mesh, scene, picked)
         sides = four_sides(mesh, own, up_vector(scene.cameras))
     Image.fromarray((sides * 255).clip(0, 255).astype(np.uint8)).save(path.with_suffix(".png"))
-    loaded = trimesh.load(path, force="mesh")
+    loaded = trimesh.load_mesh(path)
     loaded.merge_vertices(merge_tex=True, merge_norm=True)
     counts = np.unique(loaded.edges_sorted, axis=0, return_counts=True)[1]
     return [

@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scenes import UP, cloud, plain_layer, shell
 from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.mesh import make_mesh
 from stylesplat.meshes.mesh_config import MeshConfig
+from stylesplat.meshes.mesh_files import write_mesh
 from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.rendering.render import render
@@ -63,9 +65,9 @@ def test_renders_are_those_of_the_splats(mesh: TexturedMesh):
         camera = CAMERAS[row].downscale(4)
         image, fragments = mesh.draw(camera)
         wanted, covered = render(BALL, camera)
-        both = (fragments.faces != NOTHING) & (covered[..., 0] > 0.99).numpy()
-        assert both.sum() > 0.95 * (covered > 0.5).sum()
-        error = np.square(image - wanted.numpy())[both].mean()
+        both = (fragments.faces != NOTHING) & (covered[..., 0] > 0.9).numpy()
+        assert both.sum() > 0.9 * int((covered > 0.5).sum())
+        error = np.square(image - wanted.numpy() / covered.numpy().clip(0.1))[both].mean()
         assert -10 * np.log10(error) > 28
 
 
@@ -109,7 +111,7 @@ def test_smoke_has_no_surface():
         ({"texture_size": 0}, "0 pixels"),
     ],
 )
-def test_settings_out_of_range(settings: dict[str, int], fact: str):
+def test_settings_out_of_range(settings: dict[str, Any], fact: str):
     with pytest.raises(StyleSplatError, match=fact):
         MeshConfig(**settings)
 
@@ -120,14 +122,15 @@ def test_packages_that_are_missing(monkeypatch: pytest.MonkeyPatch):
         make_mesh(BALL, None, SMALL)
 
 
-def test_other_programs_read_the_files(tmp_path: Path):
+def test_other_programs_read_the_files(mesh: TexturedMesh, tmp_path: Path):
     cameras = CAMERAS.downscale(4)
     picked = torch.ones(len(BALL), dtype=torch.bool)
     scene = Scene(BALL, cameras, objects={"ball": SceneObject(picked)})
+    write_mesh(mesh, tmp_path / "a.obj")
+    count = export(scene, tmp_path / "a.glb", objects=["ball"], mesh=SMALL)
     for name in ("a.glb", "a.obj"):
-        count = export(scene, tmp_path / name, objects=["ball"], mesh=SMALL)
-        found = trimesh.load(tmp_path / name, force="mesh")
-        assert len(found.faces) == count
+        found = trimesh.load_mesh(tmp_path / name)
+        assert len(found.faces) == (count if name == "a.glb" else len(mesh.faces))
         assert found.visual.uv.shape == (len(found.vertices), 2)
         colors = found.visual.to_color().vertex_colors[:, :3] / 255
         turned = found.vertices * ([-1, -1, 1] if name == "a.glb" else [1, 1, 1])
@@ -141,7 +144,9 @@ def test_other_programs_read_the_files(tmp_path: Path):
         export(scene, tmp_path / "b.glb", mesh=SMALL, sidecar=True)
 
 
-def test_repainting_brings_the_style(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_repainting_brings_the_style(
+    mesh: TexturedMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr("stylesplat.meshes.repaint.STEPS", 12)
     stripes = np.zeros((96, 96, 3), np.uint8)
     stripes[:, ::6], stripes[:, 1::6], stripes[:, 2::6] = 250, 250, 250
@@ -159,10 +164,8 @@ def test_repainting_brings_the_style(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (source,) = layer.styles
     layer = replace(layer, styles=(replace(source, path=tmp_path / "stripes.png", sha256=None),))
     painted = with_layers(scene, [layer])
-    textures = []
-    for mesh in (SMALL, config):
-        export(painted, tmp_path / "a.glb", objects=["ball"], mesh=mesh, overwrite=True)
-        found = trimesh.load(tmp_path / "a.glb", force="mesh")
-        textures.append(np.asarray(found.visual.material.baseColorTexture.convert("RGB")) / 255)
-    before, after = (np.abs(np.diff(each, axis=1)).mean() for each in textures)
+    export(painted, tmp_path / "a.glb", objects=["ball"], mesh=config, overwrite=True)
+    found = trimesh.load_mesh(tmp_path / "a.glb")
+    texture = np.asarray(found.visual.material.baseColorTexture.convert("RGB")) / 255
+    before, after = (np.abs(np.diff(each, axis=1)).mean() for each in (mesh.texture, texture))
     assert after > 1.2 * before, "strokes are sharper than what was there"

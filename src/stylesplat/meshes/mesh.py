@@ -6,7 +6,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.mesh_config import MeshConfig
-from stylesplat.meshes.surface import LENGTH, find_mesh_surface, mesh_views, simplify
+from stylesplat.meshes.surface import find_mesh_surface, mesh_views, simplify
 from stylesplat.meshes.texture import TexturedMesh, bake, unwrap
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
@@ -14,7 +14,8 @@ from stylesplat.scene.layer import Layer
 from stylesplat.scene.splats import Splats
 
 MODULES = ("skimage", "fast_simplification", "xatlas")
-BAKED_LENGTH = 640  # pixels of the views that give the texture
+BAKED = (160, 768)  # pixels of the views that give the texture, at least and at most
+TEXELS = 3  # along the texture's side, by pixel of a view's
 
 
 @torch.no_grad()
@@ -44,16 +45,16 @@ def make_mesh(
             "'stylesplat[mesh]'`."
         )
     splats = splats.detach().to("cpu")
-    surface, open_share = find_mesh_surface(
-        splats, mesh_views(splats, photos, length=LENGTH), config.faces, name
-    )
+    surface, open_share = find_mesh_surface(splats, photos, config.faces, name)
     if open_share > 0:
         say(
             f"{name} was photographed from one side only: the mesh is open where {open_share:.0%} "
             "of its surface would be."
         )
     mesh = unwrap(simplify(surface, config.faces), config.texture_size)
-    views = mesh_views(splats, photos, length=BAKED_LENGTH)
+    views = mesh_views(
+        splats, photos, length=min(max(config.texture_size // TEXELS, BAKED[0]), BAKED[1])
+    )
     mesh = bake(mesh, splats, views)
     if not config.repaint:
         return mesh

@@ -3,6 +3,8 @@
 A pixel is linear in the texels, as it is in the colours of Gaussians, so that the optimiser is the
 same. Strokes are as sharp as texels, which are finer than Gaussians.
 """
+# pyright: reportIncompatibleMethodOverride=false
+# (torch's own signature of `backward` is (*args))
 
 import math
 from collections.abc import Sequence
@@ -89,8 +91,8 @@ class _Product(Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, *v_image):
-        return torch.from_numpy(ctx.matrix.T @ v_image[0].numpy()), None
+    def backward(ctx, v_image):
+        return torch.from_numpy(ctx.matrix.T @ v_image.numpy()), None
 
 
 @torch.no_grad()

@@ -38,7 +38,8 @@ AROUND = 48  # directions all around
 PHOTOS = 64  # views from where photos were taken, at most
 AWAY = 3.0  # radii of the object from its centre to the cameras
 EMPTY = 0.25  # coverage below which the object is not there, in views that no photo supports
-LENGTH = 400  # pixels of a view
+PIXELS = 2  # of a view, by voxel
+SMALLEST = 160  # pixels of a view
 FINENESS = 0.9  # voxels along the longest side, times the square root of the faces wanted
 VOXELS = (48, 320)  # at least and at most: 320 take 1 GB
 TRUNCATION = 4.0  # voxels
@@ -129,7 +130,7 @@ def cosines_of(depth: Tensor, camera: Cameras) -> Tensor:
 
 
 def find_mesh_surface(
-    splats: Splats, views: MeshViews, faces: int, name: str
+    splats: Splats, photos: Cameras | None, faces: int, name: str
 ) -> tuple[Surface, float]:
     """The surface of splats that are one object, and the share of it that is left open.
 
@@ -139,6 +140,7 @@ def find_mesh_surface(
         StyleSplatError: If there is none, as smoke has none.
     """
     voxels = int(min(max(FINENESS * math.sqrt(faces), VOXELS[0]), VOXELS[1]))
+    views = mesh_views(splats, photos, length=max(SMALLEST, PIXELS * voxels))
     surface = largest_parts(fuse_depths(splats, views, voxels, name), is_closed=True)
     is_seen = (surface.seen[surface.faces] > LEAST_SEEN).any(axis=1)
     areas = face_areas(surface)
@@ -260,6 +262,6 @@ def simplify(surface: Surface, count: int) -> Surface:
 
     if len(surface.faces) <= count:
         return surface
-    points, faces = collapse_edges(surface.vertices, surface.faces, target_count=count, agg=5)
+    points, faces, *_ = collapse_edges(surface.vertices, surface.faces, target_count=count, agg=5)
     points, faces = np.asarray(points, np.float32), np.asarray(faces, np.int32)
     return compact(Surface(points, faces, np.zeros(len(points), np.float32)))

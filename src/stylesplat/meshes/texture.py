@@ -106,7 +106,10 @@ class Texels:
     @cached_property
     def nearest(self) -> tuple[np.ndarray, ...]:
         """The row and column of the nearest texel on a face, by texel."""
-        places = distance_transform_edt(~self.inside, return_distances=False, return_indices=True)
+        places = np.empty((2, *self.inside.shape), np.int32)
+        distance_transform_edt(
+            ~self.inside, return_distances=False, return_indices=True, indices=places
+        )
         return tuple(places)
 
 
