@@ -1,17 +1,19 @@
 """`stylesplat export`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
+from stylesplat.cli.arguments import from_config
 from stylesplat.cli.options import Flag, MakingCommand, OptionalOutput, SceneFolder
 from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
+from stylesplat.meshes.mesh_config import MeshConfig
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,11 @@ class Export(MakingCommand):
     """Write FILE.objects.npz beside it, for `import --labels`: the objects, by rows of the file."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
+    mesh: Flag = False
+    """Write a textured mesh into a .glb or .obj, of one object or of a scene that shows one."""
+    mesh_settings: Annotated[
+        dict[str, Any], from_config(MeshConfig, "faces", "texture_size", "repaint")
+    ] = field(default_factory=dict)
 
     def run(self) -> dict[str, Any]:
         from stylesplat.io.gaussian_lists import LISTS
@@ -49,13 +56,16 @@ class Export(MakingCommand):
         if len(places) != 1:
             raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
         (file,) = places
-        others = (self.without, self.selected, self.sidecar)
+        others = (self.without, self.selected, self.sidecar, self.mesh)
+        if self.mesh_settings and not self.mesh:
+            names = ", ".join(f"--{name.replace('_', '-')}" for name in self.mesh_settings)
+            raise StyleSplatError(f"{names} means nothing without --mesh. Add it, or leave it out.")
         options = {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
         if self.each is not None:
             if self.object or any(others):
                 raise StyleSplatError(
-                    "--each writes every object by itself. Leave --object, --without, --selected "
-                    "and --sidecar out."
+                    "--each writes every object by itself. Leave --object, --without, --selected, "
+                    "--sidecar and --mesh out."
                 )
             return {"files": export_each(ss.open(self.scene), file, **options)}
         refuse_file(file, overwrite=self.overwrite)
@@ -74,9 +84,10 @@ class Export(MakingCommand):
             without=self.without,
             selected=self.selected,
             sidecar=self.sidecar,
+            mesh=MeshConfig(**self.mesh_settings) if self.mesh else None,
             **options,
         )
-        return {"file": file, "gaussians": count}
+        return {"file": file, "faces" if self.mesh else "gaussians": count}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         from stylesplat.scene.one_line import counted
@@ -88,6 +99,9 @@ class Export(MakingCommand):
         size = f"{file.stat().st_size / 1e6:.1f} MB"
         if "objects" in result:
             yield f"{file}: {counted(result['objects'], 'object')}, {size}."
+            return
+        if "faces" in result:
+            yield f"{file}: {result['faces']:,} faces, {size}."
             return
         yield f"{file}: {result['gaussians']:,} Gaussians, {size}."
         if self.sidecar:

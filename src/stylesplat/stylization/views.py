@@ -82,6 +82,15 @@ class ObjectView:
             (sums,) = torch.autograd.grad(total, grey)
         return sums / SH_C0
 
+    def weights(self, splats: Splats) -> Float[Tensor, " N"]:
+        """The contribution of each of the object's Gaussians, or more, to the image."""
+        if self.linear is None:
+            width, height = self.camera.size
+            everywhere = splats.means.new_ones(height, width, 1)
+            return contributed(splats, self.camera, everywhere)[:, 0]
+        weights = splats.means.new_zeros(len(splats))
+        return weights.index_add_(0, self.linear.gaussians, self.linear.weights())
+
 
 def with_fixed_bands(views: Sequence[ObjectView], splats: Splats) -> list[ObjectView]:
     """Views that are quicker, for splats that differ from these at most in `sh0`."""
@@ -98,12 +107,7 @@ def total_weights(
     """The contribution of each of the object's Gaussians, summed over all views."""
     weights = splats.means.new_zeros(len(splats))
     for view in views:
-        if view.linear is not None:
-            weights.index_add_(0, view.linear.gaussians, view.linear.weights())
-        else:
-            width, height = view.camera.size
-            everywhere = weights.new_ones(height, width, 1)
-            weights += contributed(splats, view.camera, everywhere)[:, 0]
+        weights += view.weights(splats)
     return weights[mask]
 
 

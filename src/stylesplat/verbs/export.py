@@ -12,6 +12,8 @@ from stylesplat.figures.web_page import SUFFIX, write_page
 from stylesplat.io.atomic import atomic_folder, changing, refuse_file
 from stylesplat.io.gaussian_lists import SIDECAR, STATE, write_objects
 from stylesplat.io.splats.splat_files import row_order, write_splats
+from stylesplat.meshes.mesh_config import MeshConfig
+from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
@@ -30,6 +32,7 @@ def export(
     sidecar: bool = False,
     overwrite: bool = False,
     sh_degree: int | None = None,
+    mesh: MeshConfig | None = None,
 ) -> int:
     """Write a scene's splats for a viewer, in the format that the file's suffix names.
 
@@ -51,9 +54,11 @@ def export(
         sh_degree: Highest degree of spherical harmonics, 0 to 3, that is written. By default no
             band is lost: `.ply` has the columns of degree 3, as INRIA's, the others as many as are
             not all zero.
+        mesh: Settings of a textured mesh, which is written instead of splats, into a `.glb` or
+            `.obj`: of one object, or of a scene that shows one. Needs `stylesplat[mesh]`.
 
     Returns:
-        How many Gaussians were written.
+        How many Gaussians were written; of a mesh, how many faces.
 
     Raises:
         StyleSplatError: If the format is unknown or cannot hold the splats, the file exists and
@@ -65,6 +70,13 @@ def export(
     page = path.suffix.lower() == SUFFIX
     if page and (selected or sidecar):
         raise StyleSplatError("A page has no rows to list or to mark. Export a .ply.")
+    if mesh is not None:
+        if selected or sidecar or sh_degree is not None:
+            raise StyleSplatError(
+                "A mesh has no Gaussians to mark, list or colour. Leave the selected objects, the "
+                "sidecar and the degree of colour out."
+            )
+        return _export_mesh(what, path, objects, without, mesh, overwrite=overwrite)
     if sidecar:
         refuse_file(beside, overwrite=overwrite)
     listed = listed_objects(_scene(what)) if sidecar else None
@@ -86,6 +98,35 @@ def export(
         if listed is not None:
             write_objects(listed.ordered(row_order(splats, path)), beside)
     return len(splats)
+
+
+def _export_mesh(
+    what: Scene | Splats,
+    path: Path,
+    objects: Sequence[str],
+    without: Sequence[str],
+    config: MeshConfig,
+    *,
+    overwrite: bool,
+) -> int:
+    from stylesplat.meshes.mesh import make_mesh
+    from stylesplat.meshes.mesh_files import refuse_mesh_file, write_mesh
+
+    refuse_mesh_file(path, overwrite=overwrite)
+    name, photos, paint = " and ".join(objects) or "The scene", None, None
+    if isinstance(what, Splats):
+        splats = what
+    else:
+        photos = None if has_no_photos(what) else what.working_views()[0]
+        rows = rows_of_part(what, objects, without)
+        splats = what.splats[rows]
+        painted = [each for each in what.layers if [each.object] == [*objects]]
+        if painted and painted[0].is_shown:
+            paint = painted[0], what.unpainted[rows[rows < len(what.unpainted)]]
+    mesh = make_mesh(splats, photos, config, name=name, paint=paint)
+    with changing(path):
+        write_mesh(mesh, path)
+    return len(mesh.faces)
 
 
 def export_objects(

@@ -1,0 +1,172 @@
+"""Textured meshes beside the splats that they were made of.
+
+    .venv/bin/python benchmarks/meshes.py            # demo's vase and teapot, painted, and the fox
+    .venv/bin/python benchmarks/meshes.py --repaint -o meshes
+
+Of each mesh: PSNR of its renders against the splat's inside the object's mask in held-out views,
+where the mesh stands in the scene in place of the object's Gaussians; whether it is watertight; the
+share of its edges that lie between two faces; pairs of faces that cut each other, in a sample; the
+seconds, and the process's peak memory. A picture of four sides, splat above mesh, lies beside it.
+"""
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import trimesh
+import tyro
+from bench import MIB, OUT, peak_memory, table
+from PIL import Image
+from scipy.spatial import KDTree
+
+import stylesplat as ss
+from stylesplat.meshes.mesh import make_mesh
+from stylesplat.meshes.mesh_config import MeshConfig
+from stylesplat.meshes.mesh_files import write_mesh
+from stylesplat.meshes.rasterize import NOTHING
+from stylesplat.meshes.texture import TexturedMesh
+from stylesplat.rendering.render import render
+from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.scene.cameras import Cameras, look_at, up_vector
+from stylesplat.scene.content import extent_of
+from stylesplat.scene.framing import centred_K, level_axes
+from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.choose import find_object
+
+OBJECTS = (("demo/styled", "vase"), ("demo/styled", "teapot"), ("fox", "1"))
+FINER = 3  # samples of a pixel's side
+SIDES, SIDE, AWAY = 4, 512, 3.0
+SAMPLE = 2000  # faces that are looked at for cuts
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to measure."""
+
+    scenes: Path = OUT / "test_objects"
+    output: Path = OUT / "meshes"
+    faces: int = 50_000
+    texture_size: int = 2048
+    repaint: bool = False
+
+
+def psnr_in_place(mesh: TexturedMesh, scene: Scene, picked: torch.Tensor) -> float:
+    """Mean over the held-out views."""
+    found, rest = [], scene.splats[~picked]
+    for camera in scene.working_views()[1] or scene.working_views()[0]:
+        mask = (coverage(scene.splats, camera, picked) > COVERED).numpy()
+        if not mask.any():
+            continue
+        wanted = render(scene.splats, camera)[0].clamp(0, 1).numpy()
+        image, share = supersampled(mesh, camera)
+        image += (1 - share) * render(rest, camera)[0].clamp(0, 1).numpy()
+        found.append(-10 * math.log10(np.square(image - wanted)[mask].mean()))
+    return float(np.mean(found))
+
+
+def supersampled(mesh: TexturedMesh, camera: Cameras) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh before black, and its share of each pixel."""
+    width, height = camera.size
+    image, fragments = mesh.draw(camera.resize(FINER * width, FINER * height))
+    both = np.concatenate([image, (fragments.faces != NOTHING)[..., None]], axis=2)
+    both = both.reshape(height, FINER, width, FINER, 4).mean(axis=(1, 3))
+    return both[..., :3], both[..., 3:]
+
+
+def four_sides(mesh: TexturedMesh, own: Splats, up: torch.Tensor) -> np.ndarray:
+    """The splat above the mesh."""
+    extent = extent_of(own, torch.ones(len(own), dtype=torch.bool))
+    side, ahead = level_axes(up)
+    columns, radius = [], float(extent.size.norm()) / 2
+    for turn in range(SIDES):
+        angle = 2 * math.pi * turn / SIDES
+        outward = math.cos(angle) * side + math.sin(angle) * ahead + 0.3 * up
+        outward = AWAY * radius * outward / outward.norm()
+        camera = Cameras(
+            look_at((extent.centre + outward)[None], extent.centre, up).float(),
+            centred_K(1.3 * SIDE, (SIDE, SIDE))[None],
+            torch.tensor([[SIDE, SIDE]]),
+            ("side",),
+        )
+        white = torch.ones(3)
+        splat = render(own, camera, background=white)[0].clamp(0, 1).numpy()
+        image, share = supersampled(mesh, camera)
+        columns.append(np.concatenate([splat, image + 1 - share]))
+    return np.concatenate(columns, axis=1)
+
+
+def cuts(mesh: trimesh.Trimesh) -> int:
+    """Edges of some faces that pass through faces nearby which share no corner with them."""
+    rows = np.random.default_rng(0).permutation(len(mesh.faces))[:SAMPLE]
+    centres = mesh.triangles_center
+    near = np.asarray(KDTree(centres).query(centres[rows], k=24)[1])
+    edges = np.stack([mesh.triangles[rows], np.roll(mesh.triangles[rows], -1, axis=1)], axis=2)
+    total = 0
+    for one, row, others in zip(edges, rows, near, strict=True):
+        apart = others[~np.isin(mesh.faces[others], mesh.faces[row]).any(axis=1)]
+        a, b, c = mesh.triangles[apart].transpose(1, 0, 2)
+        normal = np.cross(b - a, c - a)
+        for start, end in one:
+            height = ((start - a) * normal).sum(1)
+            fall = ((start - end) * normal).sum(1)
+            share = np.divide(height, fall, out=np.full_like(height, -1), where=fall != 0)
+            point = start + share[:, None] * (end - start)
+            inside = (share > 0) & (share < 1)
+            for one_end, other_end in ((a, b), (b, c), (c, a)):
+                turned = np.cross(other_end - one_end, point - one_end)
+                inside &= (turned * normal).sum(1) > 0
+            total += int(inside.sum())
+    return total
+
+
+def measure(options: Options, folder: str, name: str) -> list[str]:
+    """A row of the table."""
+    scene = ss.open(options.scenes / folder)
+    picked = find_object(scene, name)
+    own, start = scene.splats[picked], time.perf_counter()
+    config = MeshConfig(options.faces, options.texture_size, options.repaint)
+    paint = None
+    if options.repaint:
+        (layer,) = (each for each in scene.layers if each.object == name)
+        paint = layer, scene.unpainted[picked[: len(scene.unpainted)]]
+    path, made = options.output / f"{folder.replace('/', '_')}_{name}.glb", list[TexturedMesh]()
+
+    def work() -> None:
+        made.append(make_mesh(own, scene.working_views()[0], config, name=name, paint=paint))
+        write_mesh(made[0], path)
+
+    peak = peak_memory(work)
+    (mesh,) = made
+    seconds = time.perf_counter() - start
+    with torch.no_grad():
+        psnr = psnr_in_place(mesh, scene, picked)
+        sides = four_sides(mesh, own, up_vector(scene.cameras))
+    Image.fromarray((sides * 255).clip(0, 255).astype(np.uint8)).save(path.with_suffix(".png"))
+    loaded = trimesh.load_mesh(path)
+    loaded.merge_vertices(merge_tex=True, merge_norm=True)
+    counts = np.unique(loaded.edges_sorted, axis=0, return_counts=True)[1]
+    return [
+        name,
+        f"{psnr:.1f}",
+        str(loaded.is_watertight),
+        f"{(counts == 2).mean():.2%}",
+        str(cuts(loaded)),
+        f"{len(loaded.faces):,}",
+        f"{seconds:.0f}",
+        f"{peak / MIB:.0f}",
+    ]
+
+
+def main(options: Options) -> None:
+    options.output.mkdir(parents=True, exist_ok=True)
+    rows = [measure(options, *each) for each in OBJECTS if each[0] != "fox" or not options.repaint]
+    heads = ["object", "PSNR", "watertight", "edges of two", "cuts", "faces", "s", "MiB"]
+    print(table(heads, rows))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

@@ -1,0 +1,69 @@
+"""A textured mesh of an object: its surface, unwrapped, with the colours of its renders."""
+
+from importlib.util import find_spec
+
+import torch
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.meshes.mesh_config import MeshConfig
+from stylesplat.meshes.surface import find_mesh_surface, mesh_views, simplify
+from stylesplat.meshes.texture import TexturedMesh, bake, unwrap
+from stylesplat.progress import say
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.layer import Layer
+from stylesplat.scene.splats import Splats
+
+MODULES = ("skimage", "fast_simplification", "xatlas")
+BAKED = (160, 768)  # pixels of the views that give the texture, at least and at most
+TEXELS = 3  # along the texture's side, by pixel of a view's
+
+
+@torch.no_grad()
+def make_mesh(
+    splats: Splats,
+    photos: Cameras | None,
+    config: MeshConfig,
+    *,
+    name: str = "The object",
+    paint: tuple[Layer, Splats] | None = None,
+) -> TexturedMesh:
+    """Make a mesh of splats that are one object.
+
+    Args:
+        splats: The object alone.
+        photos: From where it was photographed; None if that is unknown.
+        config: What the mesh is to be like.
+        name: What messages call the object.
+        paint: Of a painted object its layer, and the object alone without paint, to repaint it.
+
+    Raises:
+        StyleSplatError: If the object has no surface, as smoke has none, or packages are missing.
+    """
+    if not all(map(find_spec, MODULES)):
+        raise StyleSplatError(
+            "A mesh needs scikit-image, fast-simplification and xatlas. Run `pip install "
+            "'stylesplat[mesh]'`."
+        )
+    splats = splats.detach().to("cpu")
+    surface, open_share = find_mesh_surface(splats, photos, config.faces, name)
+    if open_share > 0:
+        say(
+            f"{name} was photographed from one side only: the mesh is open where {open_share:.0%} "
+            "of its surface would be."
+        )
+    mesh = unwrap(simplify(surface, config.faces), config.texture_size)
+    views = mesh_views(
+        splats, photos, length=min(max(config.texture_size // TEXELS, BAKED[0]), BAKED[1])
+    )
+    mesh = bake(mesh, splats, views)
+    if not config.repaint:
+        return mesh
+    if paint is None:
+        raise StyleSplatError(
+            f"{name} is not painted, so that there is nothing to repaint. Style it first, or leave "
+            "--repaint out."
+        )
+    from stylesplat.meshes.repaint import repaint
+
+    layer, unpainted = paint
+    return repaint(mesh, unpainted, views, layer, name)

@@ -1,0 +1,130 @@
+"""Textured meshes as files: glTF in one file (`.glb`), or Wavefront OBJ with its material."""
+
+import json
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.atomic import atomic_path, refuse_file
+from stylesplat.io.splats.gltf import HALF_TURN_XYZW, VERTICES
+from stylesplat.io.splats.gltf_file import BINARY, CHUNK, FLOAT, HEADER, JSON, MAGIC, VERSION
+from stylesplat.meshes.texture import TexturedMesh
+
+SUFFIXES = (".glb", ".obj")
+UNLIT = "KHR_materials_unlit"
+INDICES, INTEGERS = 34963, 5125  # the target of a view that holds indices; uint32
+LINEAR, MIPMAPS = 9729, 9987  # filters of a texture: between texels, between its sizes
+MATERIAL = "newmtl paint\nKd 1 1 1\nillum 0\nmap_Kd {}\n"  # illum 0: colours without light
+
+
+def refuse_mesh_file(path: Path, *, overwrite: bool) -> None:
+    """Refuse a name that no mesh can be written to."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise StyleSplatError(
+            f"Cannot write a mesh to {path}. Use a name in {' or '.join(SUFFIXES)}."
+        )
+    for file in (path, *_beside(path)):
+        refuse_file(file, overwrite=overwrite)
+
+
+def write_mesh(mesh: TexturedMesh, path: Path) -> None:
+    """Write a mesh in the scene's frame; a GLB turns it by half about z, as it does splats."""
+    if path.suffix.lower() == ".glb":
+        with atomic_path(path) as draft:
+            draft.write_bytes(_glb(mesh))
+        return
+    material, picture = _beside(path)
+    with atomic_path(path) as obj, atomic_path(material) as mtl, atomic_path(picture) as png:
+        png.write_bytes(_png(mesh))
+        mtl.write_text(MATERIAL.format(picture.name))
+        obj.write_text(_obj(mesh, material.name))
+
+
+def _beside(path: Path) -> tuple[Path, ...]:
+    """The material and the texture of an OBJ."""
+    names = (".mtl", ".png") if path.suffix.lower() == ".obj" else ()
+    return tuple(path.with_suffix(suffix) for suffix in names)
+
+
+def _png(mesh: TexturedMesh) -> bytes:
+    file = BytesIO()
+    colors = np.rint(mesh.texture.clip(0, 1) * 255).astype(np.uint8)
+    Image.fromarray(colors).save(file, "png", compress_level=4)
+    return file.getvalue()
+
+
+def _obj(mesh: TexturedMesh, material: str) -> str:
+    uvs = np.stack([mesh.uvs[:, 0], 1 - mesh.uvs[:, 1]], axis=1)  # v is upwards
+    lines = [f"mtllib {material}", "usemtl paint"]
+    for kind, rows in (("v", mesh.vertices), ("vt", uvs), ("vn", mesh.normals)):
+        lines += [f"{kind} " + " ".join(f"{value:.7g}" for value in row) for row in rows.tolist()]
+    corners = (" ".join(f"{n}/{n}/{n}" for n in row) for row in (mesh.faces + 1).tolist())
+    lines += [f"f {row}" for row in corners]
+    return "\n".join(lines) + "\n"
+
+
+def _glb(mesh: TexturedMesh) -> bytes:
+    arrays = [np.ascontiguousarray(each, "<f4") for each in (mesh.vertices, mesh.normals, mesh.uvs)]
+    arrays.append(np.ascontiguousarray(mesh.faces.reshape(-1), "<u4"))
+    parts = [*(each.tobytes() for each in arrays), _png(mesh)]
+    views, binary = list[dict[str, Any]](), b""
+    for part, target in zip(parts, (VERTICES, VERTICES, VERTICES, INDICES, None), strict=True):
+        view = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(part)}
+        views.append(view if target is None else view | {"target": target})
+        binary += part + bytes(-len(part) % 4)
+    kinds = ("VEC3", "VEC3", "VEC2", "SCALAR")
+    accessors = [
+        {
+            "bufferView": number,
+            "componentType": INTEGERS if kind == "SCALAR" else FLOAT,
+            "count": len(array),
+            "type": kind,
+        }
+        for number, (array, kind) in enumerate(zip(arrays, kinds, strict=True))
+    ]
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    accessors[0] |= {"min": low.tolist(), "max": high.tolist()}
+    document = {
+        "asset": {"version": f"{VERSION}.0", "generator": "StyleSplat"},
+        "extensionsUsed": [UNLIT],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "rotation": HALF_TURN_XYZW}],
+        "meshes": [
+            {
+                "primitives": [
+                    {
+                        "attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2},
+                        "indices": 3,
+                        "material": 0,
+                    }
+                ]
+            }
+        ],
+        "materials": [
+            {
+                "pbrMetallicRoughness": {
+                    "baseColorTexture": {"index": 0},
+                    "metallicFactor": 0,
+                    "roughnessFactor": 1,
+                },
+                "doubleSided": True,
+                "extensions": {UNLIT: {}},
+            }
+        ],
+        "textures": [{"sampler": 0, "source": 0}],
+        "samplers": [{"magFilter": LINEAR, "minFilter": MIPMAPS}],
+        "images": [{"bufferView": 4, "mimeType": "image/png"}],
+        "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    size = HEADER.size + 2 * CHUNK.size + len(text) + len(binary)
+    head = HEADER.pack(MAGIC, VERSION, size) + CHUNK.pack(len(text), JSON)
+    return head + text + CHUNK.pack(len(binary), BINARY) + binary

@@ -1,0 +1,267 @@
+"""The surface of an object: depths from all around, fused to distances (Curless, Levoy 1996).
+
+Voxels that no photo could see count as inside the object, unless some view sees through them: so
+the surface is closed where the object stands on something.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import no_type_check
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from numba import prange
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+from torch.nn import functional as F
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.kernels.jit import kernel
+from stylesplat.rendering.shares import COVERED, expected_depth, without_looks
+from stylesplat.scene.cameras import Cameras, look_at
+from stylesplat.scene.content import extent_of
+from stylesplat.scene.framing import centred_K
+from stylesplat.scene.projection import (
+    pixel_centres,
+    project,
+    share_in_images,
+    unproject,
+)
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.views import per_view
+
+AROUND = 48  # directions all around
+PHOTOS = 64  # views from where photos were taken, at most
+AWAY = 3.0  # radii of the object from its centre to the cameras
+EMPTY = 0.25  # coverage below which the object is not there, in views that no photo supports
+PIXELS = 2  # of a view, by voxel
+SMALLEST = 160  # pixels of a view
+FINENESS = 0.9  # voxels along the longest side, times the square root of the faces wanted
+VOXELS = (48, 320)  # at least and at most: 320 take 1 GB
+TRUNCATION = 4.0  # voxels
+BEHIND = (0.08, 0.03)  # of the extent: what lies farther behind the mean depth is another side
+LEAST_COSINE = 0.15  # below which depths are too uncertain
+SMOOTHING = 0.7  # voxels
+FREE, UNKNOWN = 0.0, -1.0  # pixels that show no surface, or none to trust; else a cosine
+FAINT, SOLID = 0.1, 0.5  # coverage that shows, and the share of what shows that has to be opaque
+LEAST_SEEN = 0.05  # weight of the depths at a vertex: less is a guess
+OPEN = 0.3  # share of the surface: where more is a guess, it is left open
+SPECK = 0.05  # of the largest part's area: smaller parts are strays
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles, outside counterclockwise."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    seen: Float[np.ndarray, " V"]
+    """How well the trusted views show each vertex."""
+
+
+@dataclass(frozen=True)
+class MeshViews:
+    """Cameras all around an object, which is alone in them."""
+
+    cameras: Cameras
+    trusted: Bool[np.ndarray, " C"]
+    """Which of them look from where photos were taken: what others show may be a guess."""
+
+
+def mesh_views(splats: Splats, photos: Cameras | None, *, length: int) -> MeshViews:
+    """Square views of a whole object; without photos all of them are trusted."""
+    extent = extent_of(splats, torch.ones(len(splats), dtype=torch.bool))
+    radius = float(extent.size.norm()) / 2
+    outward = _all_around(AROUND if photos is not None else AROUND + PHOTOS)
+    trusted = torch.full((len(outward),), photos is None)
+    if photos is not None:
+        seeing = (share_in_images(splats.means, photos) > 0).nonzero()[:, 0]
+        rows = evenly(seeing.tolist(), PHOTOS)
+        towards = F.normalize(photos.positions[rows].double() - extent.centre, dim=1)
+        outward = torch.cat([towards, outward])
+        trusted = torch.cat([torch.ones(len(towards), dtype=torch.bool), trusted])
+    count, up = len(outward), torch.eye(3).double()[0]  # which no direction equals
+    viewmats = look_at(extent.centre + AWAY * radius * outward, extent.centre, up)
+    K = centred_K(length / 2 * math.sqrt(AWAY**2 - 1), (length, length))
+    cameras = Cameras(
+        viewmats=viewmats.float(),
+        Ks=K.repeat(count, 1, 1),
+        sizes=torch.full((count, 2), length),
+        names=tuple(f"{row:03d}" for row in range(count)),
+    )
+    return MeshViews(cameras, trusted.numpy())
+
+
+def _all_around(count: int) -> Float[Tensor, "M 3"]:
+    """Directions, evenly spread on a spiral of Fibonacci."""
+    steps = torch.arange(count).double()
+    heights, turns = 1 - (2 * steps + 1) / count, math.pi * (3 - math.sqrt(5)) * steps
+    widths = (1 - heights.square()).sqrt()
+    return torch.stack([widths * turns.cos(), widths * turns.sin(), heights], dim=1)
+
+
+@torch.no_grad()
+def surface_depth(splats: Splats, camera: Cameras, extent: float) -> tuple[Tensor, Tensor]:
+    """Depths of the surface nearest to a camera, and the coverage."""
+    depth, covered = expected_depth(splats, camera)
+    width, height = camera.size
+    places, depths = project(splats.means, camera)
+    x, y = places[:, 0].long().clamp(0, width - 1), places[:, 1].long().clamp(0, height - 1)
+    for share in BEHIND:
+        front = depths < depth[y, x] + share * extent
+        depth, _ = expected_depth(splats[front], camera)
+    return depth, covered
+
+
+def cosines_of(depth: Tensor, camera: Cameras) -> Tensor:
+    """Between the surface's normals and the rays, by pixel."""
+    width, height = camera.size
+    points = unproject(pixel_centres(width, height).to(depth), depth.flatten(), camera)
+    points = points.view(height, width, 3)
+    padded = F.pad(points.permute(2, 0, 1)[None], (1, 1, 1, 1), mode="replicate")[0]
+    along = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
+    down = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
+    normals = F.normalize(torch.linalg.cross(along, down, dim=0), dim=0).permute(1, 2, 0)
+    return (normals * F.normalize(camera.positions.to(points) - points, dim=2)).sum(dim=2).abs()
+
+
+def find_mesh_surface(
+    splats: Splats, photos: Cameras | None, faces: int, name: str
+) -> tuple[Surface, float]:
+    """The surface of splats that are one object, and the share of it that is left open.
+
+    It is fine enough to be simplified to so many faces.
+
+    Raises:
+        StyleSplatError: If there is none, as smoke has none.
+    """
+    voxels = int(min(max(FINENESS * math.sqrt(faces), VOXELS[0]), VOXELS[1]))
+    views = mesh_views(splats, photos, length=max(SMALLEST, PIXELS * voxels))
+    surface = largest_parts(fuse_depths(splats, views, voxels, name), is_closed=True)
+    is_seen = (surface.seen[surface.faces] > LEAST_SEEN).any(axis=1)
+    areas = face_areas(surface)
+    hidden = 1 - float(areas[is_seen].sum() / areas.sum())
+    if hidden < OPEN:
+        return surface, 0.0
+    return largest_parts(replace(surface, faces=surface.faces[is_seen]), is_closed=False), hidden
+
+
+def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Surface:
+    """The closed surface with all its parts."""
+    from skimage.measure import marching_cubes
+
+    extent = extent_of(splats, torch.ones(len(splats), dtype=torch.bool))
+    alone, side = without_looks(splats), float(extent.size.max())
+    voxel = side / voxels
+    margin = 2 * TRUNCATION * voxel
+    low = (extent.low - margin).numpy()
+    shape = tuple(((extent.size + 2 * margin) / voxel).ceil().int().tolist())
+    values, weights, support = np.zeros((3, *shape), np.float32)
+
+    def look(row: int) -> tuple[int, Tensor, Tensor, int, int]:
+        camera, trusted = views.cameras[row], bool(views.trusted[row])
+        depth, covered = surface_depth(alone, camera, side)
+        cosines = cosines_of(depth, camera)
+        kinds = torch.where((cosines > LEAST_COSINE) & trusted, cosines, UNKNOWN)
+        kinds[covered < (COVERED if trusted else EMPTY)] = FREE
+        return row, depth, kinds, int((covered > FAINT).sum()), int((covered > COVERED).sum())
+
+    every = [*per_view(look, range(len(views.cameras)), "looking for the surface")]
+    shown, solid = (sum(each[place] for each in every) for place in (3, 4))
+    if solid < SOLID * shown:
+        raise StyleSplatError(
+            f"{name} has no surface to make a mesh of: one can see through {1 - solid / shown:.0%} "
+            "of it. Export its splats."
+        )
+    for row, depth, kinds, *_ in every:
+        camera = views.cameras[row]
+        matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
+        place = low, voxel, TRUNCATION * voxel
+        _fuse(depth.numpy(), kinds.numpy(), matrix, *place, values, weights, support)
+    field = np.where(weights > 0, values / np.maximum(weights, 1e-6), -1).astype(np.float32)
+    field = np.pad(gaussian_filter(field, SMOOTHING), 1, constant_values=1.0)
+    vertices, faces, _, _ = marching_cubes(-field, 0.0, gradient_direction="ascent")
+    places = vertices - 1
+    points = low + (places + 0.5) * voxel
+    seen = map_coordinates(support, places.T, order=1)
+    return Surface(points.astype(np.float32), faces.astype(np.int32), seen)
+
+
+@no_type_check
+@kernel
+def _fuse(depth, kinds, matrix, low, voxel, truncation, values, weights, support):
+    height, width = depth.shape
+    for i in prange(values.shape[0]):
+        for j in range(values.shape[1]):
+            for k in range(values.shape[2]):
+                x = low[0] + (i + 0.5) * voxel
+                y = low[1] + (j + 0.5) * voxel
+                z = low[2] + (k + 0.5) * voxel
+                w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
+                u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w
+                v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w
+                if u < 0 or v < 0 or u >= width or v >= height:
+                    continue
+                px, py = int(u), int(v)
+                kind = kinds[py, px]
+                if kind == UNKNOWN:
+                    continue
+                if kind == FREE:
+                    values[i, j, k] += 1.0
+                    weights[i, j, k] += 1.0
+                    continue
+                distance = (depth[py, px] - w) * kind / truncation
+                if distance < -1:
+                    continue
+                share = kind * kind
+                values[i, j, k] += share * min(distance, 1.0)
+                weights[i, j, k] += share
+                if distance < 1:
+                    support[i, j, k] += share
+
+
+def face_areas(surface: Surface) -> Float[np.ndarray, " F"]:
+    """By face."""
+    return np.linalg.norm(_crossed(surface), axis=1) / 2
+
+
+def _crossed(surface: Surface) -> Float[np.ndarray, "F 3"]:
+    """Normals of faces, as long as twice their areas."""
+    one, other, third = (surface.vertices[corner] for corner in surface.faces.T)
+    return np.cross(other - one, third - one)
+
+
+def largest_parts(surface: Surface, *, is_closed: bool) -> Surface:
+    """The surface without small parts, and without cavities if it is closed."""
+    count = len(surface.vertices)
+    ends = np.concatenate([surface.faces[:, :2], surface.faces[:, 1:]]).T
+    graph = coo_array((np.ones(ends.shape[1], np.int8), (ends[0], ends[1])), shape=(count, count))
+    _, part = connected_components(graph, directed=False)
+    owner, first = part[surface.faces[:, 0]], surface.vertices[surface.faces[:, 0]]
+    areas = np.bincount(owner, face_areas(surface))
+    kept = areas > SPECK * areas.max()
+    if is_closed:
+        kept &= np.bincount(owner, (_crossed(surface) * first).sum(axis=1)) > 0
+    return compact(replace(surface, faces=surface.faces[kept[owner]]))
+
+
+def compact(surface: Surface) -> Surface:
+    """The surface without vertices of no face."""
+    used, faces = np.unique(surface.faces, return_inverse=True)
+    faces = faces.reshape(-1, 3).astype(np.int32)
+    return Surface(surface.vertices[used], faces, surface.seen[used])
+
+
+def simplify(surface: Surface, count: int) -> Surface:
+    """The surface with at most so many faces; how well it is seen is lost."""
+    from fast_simplification import simplify as collapse_edges
+
+    if len(surface.faces) <= count:
+        return surface
+    points, faces, *_ = collapse_edges(surface.vertices, surface.faces, target_count=count, agg=5)
+    points, faces = np.asarray(points, np.float32), np.asarray(faces, np.int32)
+    return compact(Surface(points, faces, np.zeros(len(points), np.float32)))

@@ -1,0 +1,246 @@
+"""The texture of a mesh: where each face lies in it, and its colours from renders."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import no_type_check
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from numba import prange
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import KDTree
+
+from stylesplat.meshes.rasterize import NOTHING, Fragments, draw_mesh, draw_triangles
+from stylesplat.meshes.surface import MeshViews, Surface
+from stylesplat.rendering.kernels.jit import kernel
+from stylesplat.rendering.render import render
+from stylesplat.rendering.shares import TINY_COVERAGE
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.views import per_view
+
+PADDING = 4  # texels between the parts of a texture
+SOLID = 0.9  # coverage from which a pixel's colour is the object's
+THINNED = 4  # one in so many texels is searched for the nearest
+HIDDEN = 0.01  # of the extent: what lies farther behind the depth buffer is hidden
+SHARP = 4  # power of the cosine between normal and ray by which a view counts
+LEAST_COSINE = 0.2
+ROUNDS = 3  # of correcting the texture by what its renders lack
+
+
+@dataclass(frozen=True)
+class TexturedMesh:
+    """A mesh with a texture; vertices lie twice where the texture has a seam."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    normals: Float[np.ndarray, "V 3"]
+    uvs: Float[np.ndarray, "V 2"]
+    """From 0 to 1, v downwards, as in glTF."""
+    faces: Int[np.ndarray, "F 3"]
+    texture: Float[np.ndarray, "S S 3"]
+    """Colours in 0..1."""
+
+    def draw(self, camera: Cameras) -> tuple[Float[np.ndarray, "H W 3"], Fragments]:
+        """The mesh before black, and where it shows."""
+        fragments = draw_mesh(self.vertices, self.faces, camera)
+        image = np.zeros((*fragments.faces.shape, 3), np.float32)
+        uvs = fragments.of_corners(self.uvs, self.faces)
+        image[fragments.faces != NOTHING] = sample(self.texture, uvs * len(self.texture))
+        return image, fragments
+
+
+def sample(
+    image: Float[np.ndarray, "H W D"], places: Float[np.ndarray, "P 2"]
+) -> Float[np.ndarray, "P D"]:
+    """An image between its pixels, whose centres lie at +0.5."""
+    height, width, _ = image.shape
+    x, y = (places - 0.5).T
+    left, top = np.clip(x, 0, width - 1.001), np.clip(y, 0, height - 1.001)
+    column, row = left.astype(int), top.astype(int)
+    right, down = ((part - part.astype(int))[:, None] for part in (left, top))
+    upper = image[row, column] * (1 - right) + image[row, column + 1] * right
+    lower = image[row + 1, column] * (1 - right) + image[row + 1, column + 1] * right
+    return (upper * (1 - down) + lower * down).astype(np.float32)
+
+
+def vertex_normals(surface: Surface) -> Float[np.ndarray, "V 3"]:
+    """Of length 1: the mean of the faces around, by area."""
+    corners = surface.vertices[surface.faces]
+    crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sums = np.zeros_like(surface.vertices)
+    for corner in surface.faces.T:
+        np.add.at(sums, corner, crossed)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(lengths > 0, sums / np.maximum(lengths, 1e-20), [0, 0, 1]).astype(np.float32)
+
+
+def unwrap(surface: Surface, size: int) -> TexturedMesh:
+    """Lay the faces of a surface flat into a texture, which is grey."""
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(surface.vertices, surface.faces.astype(np.uint32))
+    charts, pack = xatlas.ChartOptions(), xatlas.PackOptions()
+    charts.max_iterations = 1
+    pack.resolution, pack.padding, pack.bilinear = size, PADDING, True
+    atlas.generate(charts, pack)
+    origins, faces, uvs = atlas[0]
+    return TexturedMesh(
+        vertices=surface.vertices[origins],
+        normals=vertex_normals(surface)[origins],
+        uvs=uvs,
+        faces=faces.astype(np.int32),
+        texture=np.full((size, size, 3), 0.5, np.float32),
+    )
+
+
+@dataclass(frozen=True)
+class Texels:
+    """The texels that lie on a face."""
+
+    inside: Bool[np.ndarray, "S S"]
+    points: Float[np.ndarray, "T 3"]
+    normals: Float[np.ndarray, "T 3"]
+
+    @cached_property
+    def nearest(self) -> tuple[np.ndarray, ...]:
+        """The row and column of the nearest texel on a face, by texel."""
+        places = np.empty((2, *self.inside.shape), np.int32)
+        distance_transform_edt(
+            ~self.inside, return_distances=False, return_indices=True, indices=places
+        )
+        return tuple(places)
+
+
+def texels_of(mesh: TexturedMesh) -> Texels:
+    """Where the texels lie in the world."""
+    size = len(mesh.texture)
+    ones = np.ones(len(mesh.uvs), np.float32)
+    fragments = draw_triangles(mesh.uvs * size, ones, mesh.faces, (size, size))
+    rest = [fragments.of_corners(each, mesh.faces) for each in (mesh.vertices, mesh.normals)]
+    return Texels(fragments.faces != NOTHING, *rest)
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """One view of the splats and of the mesh."""
+
+    matrix: Float[np.ndarray, "3 4"]
+    """From the world to pixels."""
+    position: Float[np.ndarray, "3"]
+    image: Float[np.ndarray, "H W 4"]
+    """The splats: colours, and whether they are the object's alone."""
+    shown: Bool[np.ndarray, "H W"]
+    """Where the mesh shows."""
+    places: Float[np.ndarray, "P 2"]
+    """Where in the texture these pixels lie."""
+    depths: Float[np.ndarray, "H W"]
+
+    def lacking(self, texture: Float[np.ndarray, "S S 3"]) -> Float[np.ndarray, "H W 4"]:
+        """What the mesh lacks to look as the splats."""
+        error = np.zeros_like(self.image)
+        error[self.shown] = self.image[self.shown]
+        error[self.shown, :3] -= sample(texture, self.places)
+        return error
+
+
+@torch.no_grad()
+def bake(mesh: TexturedMesh, splats: Splats, views: MeshViews) -> TexturedMesh:
+    """Colour the texture with the renders of splats that are the object alone."""
+    texels, size = texels_of(mesh), len(mesh.texture)
+    margin = HIDDEN * float(np.ptp(mesh.vertices, axis=0).max())
+
+    def shoot(row: int) -> _Shot:
+        camera = views.cameras[row]
+        image, covered = render(splats, camera)
+        colors = (image / covered.clamp(min=TINY_COVERAGE)).clamp(0, 1)
+        fragments = draw_mesh(mesh.vertices, mesh.faces, camera)
+        return _Shot(
+            matrix=(camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy(),
+            position=camera.positions[0].double().numpy(),
+            image=torch.cat([colors, (covered > SOLID).float()], dim=2).numpy(),
+            shown=fragments.faces != NOTHING,
+            places=fragments.of_corners(mesh.uvs, mesh.faces) * size,
+            depths=fragments.depths,
+        )
+
+    def gather(image: np.ndarray, shot: _Shot, sums: np.ndarray) -> None:
+        places = shot.matrix, shot.position, shot.depths, margin
+        _gather(texels.points, texels.normals, image, *places, sums)
+
+    guessed = np.zeros((len(texels.points), 4), np.float32)
+    for shot in per_view(shoot, np.flatnonzero(~views.trusted).tolist(), "rendering the texture"):
+        gather(shot.image, shot, guessed)
+    shots = [*per_view(shoot, np.flatnonzero(views.trusted).tolist(), "rendering the texture")]
+    sums = np.zeros_like(guessed)
+    for shot in shots:
+        gather(shot.image, shot, sums)
+    seen = sums[:, 3:] > 0
+    sums = np.where(seen, sums, guessed)
+    known = sums[:, 3] > 0
+    colors = sums[:, :3] / np.maximum(sums[:, 3:], TINY_COVERAGE)
+    mesh = _filled(mesh, texels, colors, known)
+    for _ in range(ROUNDS):
+        sums = np.zeros_like(sums)
+        for shot in shots:
+            gather(shot.lacking(mesh.texture), shot, sums)
+        colors += sums[:, :3] / np.maximum(sums[:, 3:], TINY_COVERAGE)
+        colors = colors.clip(0, 1)
+        mesh = _filled(mesh, texels, colors, known)
+    return mesh
+
+
+def _filled(
+    mesh: TexturedMesh,
+    texels: Texels,
+    colors: Float[np.ndarray, "T 3"],
+    known: Bool[np.ndarray, " T"],
+) -> TexturedMesh:
+    """The mesh with colours of texels; those that nobody saw take that of the nearest one."""
+    if not known.all() and known.any():
+        some = np.flatnonzero(known)[::THINNED]
+        _, nearest = KDTree(texels.points[some]).query(texels.points[~known], workers=-1)
+        colors[~known] = colors[some[nearest]]
+    texture = np.zeros_like(mesh.texture)
+    texture[texels.inside] = colors
+    return replace(mesh, texture=texture[texels.nearest])
+
+
+@no_type_check
+@kernel
+def _gather(points, normals, image, matrix, position, depths, margin, sums):
+    """Add to `sums` what an image shows of texels, and its weight."""
+    height, width = depths.shape
+    for n in prange(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
+        u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w - 0.5
+        v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w - 0.5
+        if not (w > 0 and u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
+            continue
+        dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
+        cosine = (dx * normals[n, 0] + dy * normals[n, 1] + dz * normals[n, 2]) / np.sqrt(
+            dx * dx + dy * dy + dz * dz
+        )
+        if cosine < LEAST_COSINE:
+            continue
+        column, row = int(u), int(v)
+        right, down = u - column, v - row
+        share, red, green, blue = 0.0, 0.0, 0.0, 0.0
+        for i in range(2):
+            for j in range(2):
+                part = (down if i == 1 else 1 - down) * (right if j == 1 else 1 - right)
+                if depths[row + i, column + j] > w - margin:
+                    part *= image[row + i, column + j, 3]
+                    share += part
+                    red += part * image[row + i, column + j, 0]
+                    green += part * image[row + i, column + j, 1]
+                    blue += part * image[row + i, column + j, 2]
+        if share < 0.5:
+            continue
+        factor = cosine**SHARP
+        sums[n, 0] += factor * red
+        sums[n, 1] += factor * green
+        sums[n, 2] += factor * blue
+        sums[n, 3] += factor * share

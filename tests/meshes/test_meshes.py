@@ -1,0 +1,171 @@
+"""Textured meshes of a ball of Gaussians."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+from scenes import UP, cloud, plain_layer, shell
+from stylesplat.errors import StyleSplatError
+from stylesplat.meshes.mesh import make_mesh
+from stylesplat.meshes.mesh_config import MeshConfig
+from stylesplat.meshes.mesh_files import write_mesh
+from stylesplat.meshes.rasterize import NOTHING, draw_mesh
+from stylesplat.meshes.texture import TexturedMesh
+from stylesplat.rendering.render import render
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.compose import with_layers
+from stylesplat.scene.framing import ring_cameras
+from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.splats import Splats, sh0_from_rgb
+from stylesplat.verbs.export import export
+
+RADIUS = 0.5
+SMALL = MeshConfig(faces=2000, texture_size=256)
+
+
+def ball(opacity: float = 4.0) -> Splats:
+    """Its colours are smooth in space."""
+    points = shell(4000, RADIUS)
+    colors = 0.5 + 0.4 * torch.sin(6 * points)
+    return replace(cloud(points, 0.02, opacity), sh0=sh0_from_rgb(colors)[:, None])
+
+
+BALL = ball()
+CAMERAS = ring_cameras(BALL, UP)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> TexturedMesh:
+    return make_mesh(BALL, None, SMALL)
+
+
+def merged(mesh: TexturedMesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices, mesh.faces)  # merges vertices of one place
+
+
+def test_the_surface_is_closed_and_in_its_place(mesh: TexturedMesh):
+    found = merged(mesh)
+    assert found.is_watertight and found.is_winding_consistent and found.volume > 0
+    assert 1000 < len(mesh.faces) <= 2000
+    radii = np.linalg.norm(mesh.vertices, axis=1)
+    assert abs(radii - RADIUS).max() < 0.1 * RADIUS
+    assert (np.abs(np.linalg.norm(mesh.normals, axis=1) - 1) < 1e-4).all()
+    assert ((mesh.normals * mesh.vertices).sum(axis=1) > 0.9 * radii).all()
+
+
+def test_renders_are_those_of_the_splats(mesh: TexturedMesh):
+    for row in (0, 20):
+        camera = CAMERAS[row].downscale(4)
+        image, fragments = mesh.draw(camera)
+        wanted, covered = render(BALL, camera)
+        both = (fragments.faces != NOTHING) & (covered[..., 0] > 0.9).numpy()
+        assert both.sum() > 0.9 * int((covered > 0.5).sum())
+        error = np.square(image - wanted.numpy() / covered.numpy().clip(0.1))[both].mean()
+        assert -10 * np.log10(error) > 28
+
+
+def test_nearer_faces_hide_others():
+    vertices = np.array([[-1, -1, 0], [3, -1, 0], [-1, 3, 0]], np.float32)
+    ahead = np.array([0, 0, 1], np.float32)
+    both = np.concatenate([vertices + 2 * ahead, vertices + ahead])
+    faces = np.array([[0, 1, 2], [3, 4, 5]], np.int32)
+    K = torch.tensor([[[8.0, 0, 4], [0, 8, 4], [0, 0, 1]]])
+    camera = Cameras(torch.eye(4)[None], K, torch.tensor([[8, 8]]), ("a",))
+    fragments = draw_mesh(both, faces, camera)
+    assert (fragments.faces == 1).all() and np.allclose(fragments.depths, 1)
+    assert np.allclose(fragments.weights.sum(axis=2), 1, atol=1e-5)
+
+
+def test_a_hole_where_it_stands_is_closed(said: list[str]):
+    standing = BALL[BALL.means[:, 2] > -0.9 * RADIUS]
+    found = merged(make_mesh(standing, CAMERAS, SMALL))
+    assert found.is_watertight and not said
+    assert found.bounds[0, 2] < -0.85 * RADIUS
+
+
+def test_what_nobody_photographed_is_open(said: list[str]):
+    front = CAMERAS[[row for row in range(len(CAMERAS)) if CAMERAS[row].positions[0, 0] > 1]]
+    found = merged(make_mesh(BALL, front, SMALL, name="vase"))
+    assert not found.is_watertight
+    assert any("vase was photographed from one side only" in line for line in said)
+
+
+def test_smoke_has_no_surface():
+    with pytest.raises(StyleSplatError, match=r"smoke has no surface.*see through"):
+        make_mesh(ball(opacity=-4.5), None, SMALL, name="smoke")
+
+
+@pytest.mark.parametrize(
+    ("settings", "fact"),
+    [
+        ({"faces": 99}, "99 faces"),
+        ({"texture_size": 1000}, "1000 pixels"),
+        ({"texture_size": 16384}, "8192 at most"),
+        ({"texture_size": 0}, "0 pixels"),
+    ],
+)
+def test_settings_out_of_range(settings: dict[str, Any], fact: str):
+    with pytest.raises(StyleSplatError, match=fact):
+        MeshConfig(**settings)
+
+
+def test_packages_that_are_missing(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "xatlas", None)
+    with pytest.raises(StyleSplatError, match=r"xatlas.*stylesplat\[mesh\]"):
+        make_mesh(BALL, None, SMALL)
+
+
+def test_other_programs_read_the_files(mesh: TexturedMesh, tmp_path: Path):
+    cameras = CAMERAS.downscale(4)
+    picked = torch.ones(len(BALL), dtype=torch.bool)
+    scene = Scene(BALL, cameras, objects={"ball": SceneObject(picked)})
+    write_mesh(mesh, tmp_path / "a.obj")
+    count = export(scene, tmp_path / "a.glb", objects=["ball"], mesh=SMALL)
+    for name in ("a.glb", "a.obj"):
+        found = trimesh.load_mesh(tmp_path / name)
+        assert len(found.faces) == (count if name == "a.glb" else len(mesh.faces))
+        assert found.visual.uv.shape == (len(found.vertices), 2)
+        colors = found.visual.to_color().vertex_colors[:, :3] / 255
+        turned = found.vertices * ([-1, -1, 1] if name == "a.glb" else [1, 1, 1])
+        assert np.abs(colors - 0.5 - 0.4 * np.sin(6 * turned)).mean() < 0.06
+    with pytest.raises(StyleSplatError, match=r"a\.png exists"):
+        (tmp_path / "a.obj").unlink()
+        export(scene, tmp_path / "a.obj", mesh=SMALL)
+    with pytest.raises(StyleSplatError, match=r"\.glb or \.obj"):
+        export(scene, tmp_path / "a.ply", mesh=SMALL)
+    with pytest.raises(StyleSplatError, match="A mesh has no Gaussians"):
+        export(scene, tmp_path / "b.glb", mesh=SMALL, sidecar=True)
+
+
+def test_repainting_brings_the_style(
+    mesh: TexturedMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("stylesplat.meshes.repaint.STEPS", 12)
+    stripes = np.zeros((96, 96, 3), np.uint8)
+    stripes[:, ::6], stripes[:, 1::6], stripes[:, 2::6] = 250, 250, 250
+    Image.fromarray(stripes).save(tmp_path / "stripes.png")
+    picked = torch.ones(len(BALL), dtype=torch.bool)
+    scene = Scene(BALL, CAMERAS.downscale(4), objects={"ball": SceneObject(picked)})
+    config = replace(SMALL, repaint=True)
+    with pytest.raises(StyleSplatError, match="ball is not painted"):
+        export(scene, tmp_path / "a.glb", objects=["ball"], mesh=config)
+    layer = plain_layer(BALL, picked.nonzero()[:, 0], "ball", settings={}, form=0.0)
+    layer = replace(layer, sh0=BALL.sh0, opacity_factors=torch.ones(len(BALL)))
+    painted = with_layers(scene, [layer])
+    with pytest.raises(StyleSplatError, match="a picture of its style is gone"):
+        export(painted, tmp_path / "a.glb", objects=["ball"], mesh=config)
+    (source,) = layer.styles
+    layer = replace(layer, styles=(replace(source, path=tmp_path / "stripes.png", sha256=None),))
+    painted = with_layers(scene, [layer])
+    export(painted, tmp_path / "a.glb", objects=["ball"], mesh=config, overwrite=True)
+    found = trimesh.load_mesh(tmp_path / "a.glb")
+    texture = np.asarray(found.visual.material.baseColorTexture.convert("RGB")) / 255
+    before, after = (np.abs(np.diff(each, axis=1)).mean() for each in (mesh.texture, texture))
+    assert after > 1.2 * before, "strokes are sharper than what was there"
