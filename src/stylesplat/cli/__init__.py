@@ -14,6 +14,7 @@ from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Delete, Objects, Rename
+from stylesplat.cli.recolor import Recolor
 from stylesplat.cli.render import Render
 from stylesplat.cli.results import exit_status
 from stylesplat.cli.select import Select
@@ -36,6 +37,7 @@ VERBS: dict[str, type] = {
     "rename": Rename,
     "delete": Delete,
     "stylize": Stylize,
+    "recolor": Recolor,
     "adjust": Adjust,
     "sheet": Sheet,
     "render": Render,
