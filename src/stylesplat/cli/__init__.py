@@ -13,6 +13,7 @@ from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
+from stylesplat.cli.mcp import Mcp
 from stylesplat.cli.objects import Delete, Objects, Rename
 from stylesplat.cli.recolor import Recolor
 from stylesplat.cli.render import Render
@@ -46,6 +47,7 @@ VERBS: dict[str, type] = {
     "batch": Batch,
     "view": ViewCommand,
     "studio": StudioCommand,
+    "mcp": Mcp,
 }
 
 

@@ -42,6 +42,9 @@ class Export(MakingCommand):
     sh_degree: Literal[0, 1, 2, 3] | None = None
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
 
+    spz_version: Literal[2, 3, 4] | None = None
+    """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs."""
+
     def run(self) -> dict[str, Any]:
         from stylesplat.io.gaussian_lists import LISTS
         from stylesplat.verbs.export import export_each, export_objects
@@ -52,6 +55,8 @@ class Export(MakingCommand):
         (file,) = places
         others = (self.without, self.selected, self.sidecar)
         options = {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
+        if self.spz_version is not None and file.suffix.lower() != ".spz":
+            raise StyleSplatError(f"{file} is no .spz. Leave --spz-version out.")
         if self.each is not None:
             if self.object or any(others):
                 raise StyleSplatError(
@@ -75,6 +80,7 @@ class Export(MakingCommand):
             without=self.without,
             selected=self.selected,
             sidecar=self.sidecar,
+            spz_version=self.spz_version,
             **options,
         )
         return {"file": file, "gaussians": count}

@@ -30,6 +30,7 @@ def export(
     sidecar: bool = False,
     overwrite: bool = False,
     sh_degree: int | None = None,
+    spz_version: int | None = None,
 ) -> int:
     """Write a scene's splats for a viewer, in the format that the file's suffix names.
 
@@ -51,6 +52,7 @@ def export(
         sh_degree: Highest degree of spherical harmonics, 0 to 3, that is written. By default no
             band is lost: `.ply` has the columns of degree 3, as INRIA's, the others as many as are
             not all zero.
+        spz_version: Version of a `.spz`: 4 by default; 3 or 2 for programs that read no newer one.
 
     Returns:
         How many Gaussians were written.
@@ -63,6 +65,8 @@ def export(
     path = Path(path)
     beside = path.with_name(path.name + SIDECAR)
     page = path.suffix.lower() == SUFFIX
+    if page and spz_version is not None:
+        raise StyleSplatError(f"{path} is no SPZ, so it has no version of SPZ. Leave it out.")
     if page and (selected or sidecar):
         raise StyleSplatError("A page has no rows to list or to mark. Export a .ply.")
     if sidecar:
@@ -82,7 +86,8 @@ def export(
         if page:
             write_page(part, path, overwrite=overwrite, sh_degree=sh_degree)
         else:
-            write_splats(splats, path, overwrite=overwrite, sh_degree=sh_degree, besides=besides)
+            options = {"sh_degree": sh_degree, "spz_version": spz_version, "besides": besides}
+            write_splats(splats, path, overwrite=overwrite, **options)
         if listed is not None:
             write_objects(listed.ordered(row_order(splats, path)), beside)
     return len(splats)
