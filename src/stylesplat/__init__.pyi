@@ -23,6 +23,7 @@ from .verbs.mask import mask as mask
 from .verbs.objects import delete as delete
 from .verbs.objects import objects as objects
 from .verbs.objects import rename as rename
+from .verbs.recolor import recolor as recolor
 from .verbs.render import orbit as orbit
 from .verbs.render import render as render
 from .verbs.select import select as select

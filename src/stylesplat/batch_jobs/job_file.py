@@ -43,6 +43,7 @@ class _Entry(msgspec.Struct, forbid_unknown_fields=True, rename={"import_": "imp
     mask: Options = UNSET
     select: Options = UNSET
     stylize: Options = UNSET
+    recolor: Options = UNSET
     sheet: Options = UNSET
     render: Options = UNSET
     export: Options = UNSET

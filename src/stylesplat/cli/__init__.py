@@ -11,7 +11,9 @@ from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
+from stylesplat.cli.mcp import Mcp
 from stylesplat.cli.objects import Delete, Objects, Rename, Select
+from stylesplat.cli.recolor import Recolor
 from stylesplat.cli.render import Render
 from stylesplat.cli.results import exit_status
 from stylesplat.cli.sfm import Check, Sfm
@@ -33,6 +35,7 @@ VERBS: dict[str, type] = {
     "rename": Rename,
     "delete": Delete,
     "stylize": Stylize,
+    "recolor": Recolor,
     "adjust": Adjust,
     "sheet": Sheet,
     "render": Render,
@@ -41,6 +44,7 @@ VERBS: dict[str, type] = {
     "batch": Batch,
     "view": ViewCommand,
     "studio": StudioCommand,
+    "mcp": Mcp,
 }
 
 

@@ -19,6 +19,7 @@ from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Select
 from stylesplat.cli.options import CONTINUES, NAMES, Command, Output
+from stylesplat.cli.recolor import Recolor
 from stylesplat.cli.render import Render
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Stylize
@@ -36,6 +37,7 @@ JOB_VERBS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
     "import": (Import, ("splat",), "scene"),
     "mask": (Mask, ("capture", "scene"), None),
     "select": (Select, ("scene",), "scene"),
+    "recolor": (Recolor, ("scene",), "scene"),
     "stylize": (Stylize, ("scene",), "scene"),
     "sheet": (Sheet, ("scene",), "files"),
     "render": (Render, ("scene",), "files"),

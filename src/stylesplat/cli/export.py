@@ -47,6 +47,8 @@ class Export(MakingCommand):
     mesh_settings: Annotated[
         dict[str, Any], from_config(MeshConfig, "faces", "texture_size", "repaint")
     ] = field(default_factory=dict)
+    spz_version: Literal[2, 3, 4] | None = None
+    """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs."""
 
     def run(self) -> dict[str, Any]:
         from stylesplat.io.gaussian_lists import LISTS
@@ -61,6 +63,8 @@ class Export(MakingCommand):
             names = ", ".join(f"--{name.replace('_', '-')}" for name in self.mesh_settings)
             raise StyleSplatError(f"{names} means nothing without --mesh. Add it, or leave it out.")
         options = {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
+        if self.spz_version is not None and file.suffix.lower() != ".spz":
+            raise StyleSplatError(f"{file} is no .spz. Leave --spz-version out.")
         if self.each is not None:
             if self.object or any(others):
                 raise StyleSplatError(
@@ -85,6 +89,7 @@ class Export(MakingCommand):
             selected=self.selected,
             sidecar=self.sidecar,
             mesh=MeshConfig(**self.mesh_settings) if self.mesh else None,
+            spz_version=self.spz_version,
             **options,
         )
         return {"file": file, "faces" if self.mesh else "gaussians": count}

@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import torch
@@ -17,7 +17,7 @@ from stylesplat.io.json_files import FilePath, fitting, read_json_as, write_json
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import GAUSSIANS, Declared, read_tensors, write_tensors
 from stylesplat.scene.arguments import MAX_INTENSITY
-from stylesplat.scene.layer import Layer, Source
+from stylesplat.scene.layer import Kind, Layer, Source, recoloring
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.scene.splats import Splats
 
@@ -43,7 +43,7 @@ class _Source(msgspec.Struct):
 class _Layer(msgspec.Struct):
     file: Annotated[str, Meta(pattern=FILE)]
     object: str
-    kind: Literal["paint"] = "paint"
+    kind: Kind = "paint"
     strength: Intensity = 1.0
     form: Intensity = 0.0
     visible: bool = True
@@ -113,10 +113,10 @@ def file_name(number: int, layer: Layer) -> str:
 def recipe_of(layers: Sequence[Layer]) -> dict[str, Any]:
     """The content of `recipe.json`: the objects, bottom layer first, and how they were painted.
 
-    The settings of the first layer apply to all; each object lists those that differ. `intensity`
-    and `form` are the values of now.
+    The settings of the first paint apply to all paint; each object lists those that differ.
+    `intensity` and `form` are the values of now. A recolouring is an entry of its own.
     """
-    shared = dict(layers[0].settings)
+    shared = dict(next((each.settings for each in layers if each.color_map is None), {}))
     return {"objects": [_recipe_entry(layer, shared) for layer in layers], "settings": shared}
 
 
@@ -130,11 +130,16 @@ def as_tuple(values: Any) -> tuple[Any, ...]:
 def _recipe_entry(layer: Layer, shared: Mapping[str, Any]) -> dict[str, Any]:
     weights = layer.weights
     paths, digests = ([getattr(s, name) for s in layer.styles] for name in ("path", "sha256"))
+    intensity = layer.strength if layer.visible else 0.0
+    if layer.color_map is not None:
+        picture = {"match": paths[0], "sha256": digests[0]} if paths else {}
+        recolor = {**layer.settings, **picture}
+        return {"name": layer.object, "recolor": recolor, "intensity": intensity}
     entry = {
         "name": layer.object,
         "style": paths[0] if len(paths) == 1 else paths,
         "sha256": digests[0] if len(digests) == 1 else digests,
-        "intensity": layer.strength if layer.visible else 0.0,
+        "intensity": intensity,
         "form": layer.form,
         "settings": {k: v for k, v in layer.settings.items() if k not in shared or v != shared[k]},
         "features": layer.features,
@@ -160,6 +165,8 @@ def _entry(number: int, layer: Layer) -> dict[str, Any]:
 
 def _tensors(layer: Layer) -> dict[str, Tensor]:
     """The content of a layer's file; higher bands that are all 0 are left out."""
+    if layer.color_map is not None:
+        return {"rows": layer.rows, "shares": layer.shares, "color_map": layer.color_map}
     own, canvas = layer.relief.split([len(layer.rows), len(layer.parents)])
     shN, canvas_shN = (
         pad_bands(each) if each.any() else each[:, :0] for each in (layer.shN, layer.canvas.shN)
@@ -179,15 +186,17 @@ def _tensors(layer: Layer) -> dict[str, Tensor]:
     }
 
 
-def _declared(count: int) -> dict[str, Declared]:
+def _declared(count: int, kind: Kind) -> dict[str, Declared]:
     """What the file of a layer on a base of `count` Gaussians holds."""
     index = Declared(("R",), torch.int64, low=0, high=count - 1)
     row = Declared(("R",))
+    covered = {"rows": replace(index, unique=True), "shares": replace(row, **UNIT)}
+    if kind == "recolour":
+        return covered | {"color_map": Declared((3, 4))}
     shapes = {name: each.shape[1:] for name, each in GAUSSIANS.items()}
     shapes["shN"] = ("canvas bands", 3)
     return {
-        "rows": replace(index, unique=True),
-        "shares": replace(row, **UNIT),
+        **covered,
         "sh0": replace(GAUSSIANS["sh0"], shape=("R", 1, 3)),
         "shN": replace(GAUSSIANS["shN"], shape=("R", "bands", 3)),
         "opacity_factors": replace(row, **UNIT),
@@ -203,7 +212,11 @@ def _declared(count: int) -> dict[str, Declared]:
 
 
 def _read(path: Path, entry: _Layer, count: int) -> Layer:
-    tensors = read_tensors(path, _declared(count), N=count)
+    tensors = read_tensors(path, _declared(count, entry.kind), N=count)
+    if entry.kind == "recolour":
+        columns = {n: getattr(entry, n) for n in ("strength", "visible", "settings")}
+        styles = tuple(map(_source, entry.styles))
+        return recoloring(entry.object, **tensors, **columns, styles=styles)
     for name in ("shN", "canvas_shN"):
         if tensors[name].shape[1] not in (0, FULL_BANDS):
             raise StyleSplatError(

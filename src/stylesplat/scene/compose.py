@@ -12,9 +12,9 @@ from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.arguments import pasted
-from stylesplat.scene.layer import Layer
+from stylesplat.scene.layer import RECOLOR, Layer
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.scene.splats import SH_C0, Splats
+from stylesplat.scene.splats import SH_C0, Splats, map_bands
 
 UNSEEN = -16.0  # logit of an opacity that no picture shows
 THROUGH = 0.003  # transmittance of a whole canvas, which makes the visible strength linear
@@ -72,19 +72,19 @@ def with_layers(scene: Scene, layers: Sequence[Layer]) -> Scene:
 
 
 def beneath(scene: Scene, name: str) -> tuple[Scene, int]:
-    """The scene beneath an object's layer, and the layer's index; of a new layer, the top."""
-    place = next((n for n, each in enumerate(scene.layers) if each.object == name), None)
+    """The scene beneath the layer of a name, and the layer's index; of a new layer, the top."""
+    place = next((n for n, each in enumerate(scene.layers) if each.name == name), None)
     if place is None:
         return scene, len(scene.layers)
     return replace(with_layers(scene, scene.layers[:place]), path=scene.path), place
 
 
 def without_layers(scene: Scene, names: Collection[str] | None = None) -> Scene:
-    """The scene without the layers of some objects, by default of all."""
+    """The scene without the layers of some names, by default without any."""
     if names is not None and not names:
         return scene
     require_painted(scene, names or ())
-    left = [each for each in scene.layers if names is not None and each.object not in names]
+    left = [each for each in scene.layers if names is not None and each.name not in names]
     metrics = scene.metrics.get("train", {})
     return replace(with_layers(scene, left), metrics={"train": metrics} if left else metrics)
 
@@ -92,11 +92,11 @@ def without_layers(scene: Scene, names: Collection[str] | None = None) -> Scene:
 def with_strengths(
     scene: Scene, strengths: Mapping[str, float], forms: Mapping[str, float] | None = None
 ) -> Scene:
-    """The scene with other strengths and forms of some objects' layers."""
+    """The scene with other strengths and forms of some layers, by name."""
     layers = list[Layer]()
     for each in scene.layers:
-        strength = strengths.get(each.object, each.strength)
-        form = (forms or {}).get(each.object, each.form)
+        strength = strengths.get(each.name, each.strength)
+        form = (forms or {}).get(each.name, each.form)
         same = (strength, form) == (each.strength, each.form)
         layers.append(each if same else replace(each, strength=strength, form=form))
     unchanged = all(new is old for new, old in zip(layers, scene.layers, strict=True))
@@ -104,22 +104,31 @@ def with_strengths(
 
 
 def strengths_of(scene: Scene) -> dict[str, float]:
-    """The strength of each layer by object."""
-    return {each.object: each.strength for each in scene.layers}
+    """The strength of each layer by name."""
+    return {each.name: each.strength for each in scene.layers}
+
+
+def named_layers(scene: Scene, names: Collection[str]) -> list[str]:
+    """The layers that names stand for: an object's paint, or what recolours it if it has none."""
+    known = strengths_of(scene)
+    own = [n if n in known or f"{n}{RECOLOR}" not in known else f"{n}{RECOLOR}" for n in names]
+    require_painted(scene, own)
+    return own
 
 
 def require_painted(scene: Scene, names: Collection[str] = ()) -> None:
-    """Refuse a scene without layers, or without layers of some objects."""
+    """Refuse a scene without layers, or without layers of some names."""
     if not scene.layers:
         way = pasted("stylize", scene.path or "SCENE", "--style", "OBJECT=IMAGE", "-o", "STYLED")
         raise StyleSplatError(
             f"{scene.path or 'The scene'} is not styled. Style it first: `{way}`."
         )
-    unknown = next((name for name in names if name not in scene.painted_objects), None)
+    known = strengths_of(scene)
+    unknown = next((name for name in names if name not in known), None)
     if unknown is not None:
         raise StyleSplatError(
             f"{unknown} is not styled in {scene.path or 'this scene'}. "
-            f"Styled objects: {', '.join(scene.painted_objects)}."
+            f"Styled objects: {', '.join(known)}."
         )
 
 
@@ -179,6 +188,11 @@ def _covered(splats: Splats, family: Int[Tensor, " M"], layer: Layer, count: int
     rows = (entries >= 0).nonzero()[:, 0]
     entries = entries[rows]
     weights = (layer.strength * layer.shares)[entries, None, None]
+    if layer.color_map is not None:
+        under = splats.sh0[rows], splats.shN[rows]
+        mapped = map_bands(*under, layer.color_map)
+        bands = (torch.lerp(*pair, weights) for pair in zip(under, mapped, strict=True))
+        return splats.with_rows(rows, dict(zip(("sh0", "shN"), bands, strict=True)))
     paint = layer.sh0 + _form(layer)[: len(layer.rows), None, None]
     factors = layer.opacity_factors[entries]
     return splats.with_rows(

@@ -1,4 +1,4 @@
-"""The `Layer` noun: the paint of one object, apart from the splat that it lies on."""
+"""The `Layer` noun: the paint of one object, or its change of colours, apart from the splat."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,8 @@ from stylesplat.errors import some
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.splats import Splats
 
-Kind = Literal["paint"]
+Kind = Literal["paint", "recolour"]
+RECOLOR = "/recolor"  # after an object's name, in which there is no slash: its recolouring
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Layer:
     """The paint of one object at full strength, and how much of it shows.
 
     Gaussians of layers beneath belong to a row of the base (see `parents`); this layer treats them
-    as it treats that row.
+    as it treats that row. A recolouring has no paint but a `color_map` (see `recoloring`).
     """
 
     object: str
@@ -72,15 +73,25 @@ class Layer:
     """The network's file, if it was not the network's own."""
     precision: str | None = None
     """The precision of the features; None if it was not recorded."""
+    color_map: Float[Tensor, "3 4"] | None = None
+    """Of a recolouring: colours in 0..1 become `color_map @ (red, green, blue, 1)`."""
 
     def __repr__(self) -> str:
         pictures = some(each.path.name if each.path else "a picture" for each in self.styles)
+        if self.color_map is not None:
+            shown = f"strength {self.strength:g}" if self.visible else "hidden"
+            return one_line(self, self.name, counted(len(self.rows), "Gaussian"), shown)
         gaussians = counted(len(self.rows), "Gaussian")
         new = f"{len(self.canvas):,} new" if len(self.canvas) else None
         shown = f"strength {self.strength:g}" if self.visible else "hidden"
         return one_line(
             self, f"{self.object} like {pictures}", gaussians, new, shown, self.features
         )
+
+    @property
+    def name(self) -> str:
+        """The layer's own name: the object's, with "/recolor" behind it for a recolouring."""
+        return self.object if self.color_map is None else f"{self.object}{RECOLOR}"
 
     @property
     def is_shown(self) -> bool:
@@ -96,6 +107,32 @@ class Layer:
         """The same layer on another device."""
         moved = {n: t.to(device) for n, t in vars(self).items() if isinstance(t, Tensor)}
         return replace(self, **moved, canvas=self.canvas.to(device))
+
+
+def recoloring(
+    object: str, rows: Int[Tensor, " R"], color_map: Float[Tensor, "3 4"], **columns: Any
+) -> Layer:
+    """The layer that maps the colours of some rows, and of what lies on them; columns as given."""
+    count, nothing = len(rows), torch.zeros(0)
+    one = torch.ones(1).expand(count)
+    bands = torch.zeros(0, 1, 3)
+    canvas = Splats(
+        nothing.view(0, 3), nothing.view(0, 4), nothing.view(0, 3), nothing, bands, bands[:, :0]
+    )
+    return Layer(
+        object,
+        rows,
+        **{"shares": one, **columns},
+        sh0=torch.zeros(1, 1, 3).expand(count, 1, 3),
+        shN=torch.zeros(1, 0, 3).expand(count, 0, 3),
+        opacity_factors=one,
+        canvas=canvas,
+        canvas_sh0=bands,
+        parents=rows[:0],
+        relief=torch.zeros(1).expand(count),
+        kind="recolour",
+        color_map=color_map,
+    )
 
 
 def without_identities(splats: Splats) -> Splats:

@@ -109,8 +109,8 @@ class Scene:
 
     @property
     def painted_objects(self) -> tuple[str, ...]:
-        """The names of the layers' objects, the lowest first."""
-        return tuple(layer.object for layer in self.layers)
+        """The names of the layers' objects, the lowest first, each once."""
+        return tuple(dict.fromkeys(layer.object for layer in self.layers))
 
     def with_object(self, name: str, found: SceneObject) -> "Scene":
         """The scene with a named object, which replaces an earlier one of that name."""

@@ -180,3 +180,12 @@ def sh0_from_rgb(rgb: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
 def rgb_from_sh0(sh0: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
     """The mean colour of a constant band, in 0..1 unless it is out of range."""
     return 0.5 + SH_C0 * sh0
+
+
+def map_bands(
+    sh0: Float[Tensor, "N 1 3"], shN: Float[Tensor, "N _ 3"], color_map: Float[Tensor, "3 4"]
+) -> tuple[Float[Tensor, "N 1 3"], Float[Tensor, "N _ 3"]]:
+    """The bands that show `color_map @ (red, green, blue, 1)` of each colour, from everywhere."""
+    matrix, offset = color_map[:, :3], color_map[:, 3]
+    shift = sh0_from_rgb(0.5 * matrix.sum(dim=1) + offset)  # zero coefficients show 0.5
+    return sh0 @ matrix.T + shift, shN @ matrix.T

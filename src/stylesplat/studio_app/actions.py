@@ -390,7 +390,7 @@ class Actions:
         box = self._content if not state.picked else session.masks.extent(scene, state.picked)
         return m.StateMessage(
             objects=[self._object(name) for name in object_names(scene)],
-            layers=[_layer_info(state, each.object) for each in scene.layers],
+            layers=[_layer_info(state, each.name) for each in scene.layers],
             variants=[self._variant_info(n, each) for n, each in enumerate(self.variants)],
             snapshots=[(n, name) for n, (name, _) in enumerate(self.snapshots)],
             styles=[self._style_info(n, e) for n, e in enumerate(self.gallery.pictures.values())],
@@ -455,7 +455,7 @@ def _corners(points: list[m.Place]) -> tuple[m.Place, m.Place]:
 def _layer_info(state: StudioState, name: str) -> m.LayerInfo:
     layer = find_layer(state.scene, name)
     names = (each.path.stem if each.path else "a picture" for each in layer.styles)
-    title = ", ".join(names).replace("_", " ")
+    title = ", ".join(names).replace("_", " ") or "recoloured"
     return m.LayerInfo(
         object=name,
         title=title,

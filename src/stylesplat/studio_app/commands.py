@@ -24,9 +24,9 @@ def command_lines(
     new = [
         each for each in state.scene.layers if not any(_is_same(each, other) for other in layers)
     ]
-    before = [layer.object for layer in layers]
-    added = [layer.object for layer in new if layer.object not in before]
-    objects = [layer.object for layer in state.scene.layers]
+    before = [layer.name for layer in layers]
+    added = [layer.name for layer in new if layer.name not in before]
+    objects = [layer.name for layer in state.scene.layers]
     if state.commands[: len(known)] != known or [*before, *added] != objects:
         return None
     lines = [_with_folder(words, folder) for words in state.commands[len(known) :]]
@@ -34,13 +34,14 @@ def command_lines(
     for number, layer in enumerate(new):
         last = number == len(new) - 1
         after = output if last else output.with_name(f"{output.name}-{number + 1}")
-        lines.append(pasted("stylize", source, *_options(layer), "-o", after))
+        verb = "stylize" if layer.color_map is None else "recolor"
+        lines.append(pasted(verb, source, *_options(layer), "-o", after))
         source = after
     return lines
 
 
 def _is_same(a: Layer, b: Layer) -> bool:
-    names = ("object", "styles", "settings", "strength", "form")
+    names = ("name", "styles", "settings", "strength", "form")
     return all(getattr(a, n) == getattr(b, n) for n in names) and torch.equal(a.rows, b.rows)
 
 
@@ -52,6 +53,13 @@ def _with_folder(words: tuple[str, ...], folder: Path) -> str:
 
 def _options(layer: Layer) -> Iterator[str]:
     pictures = ",".join(str(source.path or "PICTURE") for source in layer.styles)
+    if layer.color_map is not None:
+        yield from ("--object", layer.object)
+        match = {"match": pictures} if pictures else {}
+        for name, value in {**layer.settings, **match, "strength": layer.strength}.items():
+            if (name, value) != ("strength", 1):
+                yield f"--{name}={value}"
+        return
     yield from ("--style", f"{layer.object}={pictures}")
     usual = plain_settings(StyleConfig())
     for field in fields(StyleConfig):

@@ -94,7 +94,7 @@ def replace_scene(state: StudioState, scene: Scene, note: str) -> StudioState:
         scene=scene,
         picked=tuple(name for name in state.picked if name in known),
         hidden=state.hidden & known,
-        locked=state.locked & {*scene.painted_objects},
+        locked=state.locked & {layer.name for layer in scene.layers},
         note=note,
     )
 

@@ -23,13 +23,13 @@ class Variant:
 
 
 def find_layer(scene: Scene, name: str) -> Layer:
-    """The layer of an object.
+    """The layer of a name, which is its object's if it is paint.
 
     Raises:
         StyleSplatError: If it is not painted.
     """
     for layer in scene.layers:
-        if layer.object == name:
+        if layer.name == name:
             return layer
     raise StyleSplatError(f"{name} is not painted.")
 
@@ -95,9 +95,9 @@ def refuse_locked(state: StudioState, name: str) -> None:
 
 def _with_layer(state: StudioState, layer: Layer, note: str) -> StudioState:
     """The state with a layer in place of its object's, or on top."""
-    scene, others = state.scene, [each.object for each in state.scene.layers]
-    layers = [layer if each.object == layer.object else each for each in scene.layers]
-    if layer.object not in others:
+    scene, others = state.scene, [each.name for each in state.scene.layers]
+    layers = [layer if each.name == layer.name else each for each in scene.layers]
+    if layer.name not in others:
         layers.append(layer)
     return _with_scene(state, with_layers(scene, layers), note)
 

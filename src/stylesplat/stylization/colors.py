@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.metrics.lab import LUMA, distinct, lab_from_rgb, nearest_colors, thinned
-from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
+from stylesplat.scene.splats import SH_C0, Splats, map_bands, sh0_from_rgb
 from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_bands
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
@@ -94,10 +94,9 @@ def map_colors(
     offset: Float[Tensor, " 3"],
 ) -> Splats:
     """Apply an affine map to the colours of some Gaussians, in all bands."""
-    grey = torch.full((3,), 0.5).to(offset)  # what zero coefficients show
-    shift = (matrix @ grey + offset - grey) / SH_C0
     rows = mask.nonzero()[:, 0]
-    sh0, shN = splats.sh0[rows] @ matrix.T + shift, splats.shN[rows] @ matrix.T
+    color_map = torch.cat([matrix, offset[:, None]], dim=1)
+    sh0, shN = map_bands(splats.sh0[rows], splats.shN[rows], color_map)
     return splats.with_rows(rows, {"sh0": sh0, "shN": shN})
 
 

@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from itertools import accumulate, pairwise
+from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
+from PIL import ImageColor
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.scene.arguments import MAX_FORM, MAX_INTENSITY
@@ -24,6 +26,14 @@ LIMITS = {  # of settings, the least and the most: what lies beyond is a slip of
     "object_size": (1, 10_000),
     "lr": (1e-9, 10_000),
     "seed": (-(10**18), 10**18),  # torch takes somewhat larger ones
+}
+
+RECOLOR_LIMITS = {  # of settings; with larger factors hardly anything but clipped colours is left
+    "hue": (-360, 360),
+    "saturation": (0, 4),
+    "temperature": (-1, 1),
+    "brightness": (0, 4),
+    "contrast": (0, 4),
 }
 
 Network = Literal["compact", "vgg16", "vgg19"]
@@ -247,3 +257,66 @@ def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict
             remedy = f" Use {' or '.join(choices)}." if choices else ""
             raise StyleSplatError(f"{key} cannot be {shown}: {error}.{remedy}") from error
     return fit
+
+
+@dataclass(frozen=True)
+class RecolorConfig:
+    """How to change colours, in this order. Hue to contrast are as the filters of CSS."""
+
+    match: str | None = None
+    """File of a picture whose colours the object is to have, in mean and covariance."""
+    tint: str | None = None
+    """Colour that the object is to have, but for its light and shade: #rrggbb or a name."""
+    hue: float = 0.0
+    """Degrees to turn the hues by; luma stays."""
+    saturation: float = 1.0
+    """Distance of the colours from grey: 0 for grey, 1 as it is, up to 4."""
+    temperature: float = 0.0
+    """-1 for bluish light to 1 for yellowish light."""
+    brightness: float = 1.0
+    """Factor on the colours, 0 to 4."""
+    contrast: float = 1.0
+    """Factor on their distance from mid-grey, 0 to 4."""
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in RECOLOR_LIMITS.items():
+            if not least <= getattr(self, name) <= most:
+                raise StyleSplatError(
+                    f"Cannot recolor with {name} {getattr(self, name)}: use {least} to {most}."
+                )
+        if self.tint is not None:
+            parse_color(self.tint)
+
+    @property
+    def changed(self) -> dict[str, Any]:
+        """The settings that are not the defaults."""
+        return {k: v for k, v in asdict(self).items() if v != getattr(RecolorConfig, k)}
+
+
+RECOLOR_SETTINGS = get_type_hints(RecolorConfig)
+
+
+def recolor_config(settings: Mapping[str, Any]) -> RecolorConfig:
+    """The settings of a recolouring, which are not all the defaults.
+
+    Raises:
+        StyleSplatError: If there is no such setting, one is out of range, or none changes anything.
+    """
+    settings = {name: str(v) if isinstance(v, Path) else v for name, v in settings.items()}
+    config = RecolorConfig(**convert_settings(settings, RECOLOR_SETTINGS))
+    if not config.changed:
+        raise StyleSplatError(
+            "Nothing to recolor. Pass a --hue, --saturation, --brightness, --contrast, "
+            "--temperature, --tint or --match."
+        )
+    return config
+
+
+def parse_color(text: str) -> tuple[float, ...]:
+    """The colour of `#rrggbb` or a name, in 0..1."""
+    try:
+        return tuple(level / 255 for level in ImageColor.getrgb(text)[:3])
+    except ValueError:
+        raise StyleSplatError(
+            f"There is no color {brief(text)!r}. Use #rrggbb or a name such as teal."
+        ) from None

@@ -22,9 +22,10 @@ from stylesplat.stylization.config import (
     Precision,
     StyleConfig,
     convert_settings,
+    recolor_config,
     with_settings,
 )
-from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
+from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
 
 Preset = Literal["default", "paper"]
 VARIED = SETTINGS | {"preset": Preset, "stroke_size": SETTINGS["scale"]}  # what a sheet may vary
@@ -81,16 +82,19 @@ def read_recipe(
         config = defaults if defaults and "preset" not in shared else None
         shared = {"preset": preset, **shared}
         config = with_settings(config or PRESETS[shared["preset"]], settings | own)
-        objects, entries = [], _named_entries(shared.get("objects"))
+        objects, recolors, entries = [], [], _named_entries(shared.get("objects"))
         for name, entry in entries:
             with within(name):
-                objects.append(_styled_object(name, entry, config, shared, path.parent))
+                if "recolor" in entry:
+                    recolors.append(_recolored_object(name, entry, len(objects), path.parent))
+                else:
+                    objects.append(_styled_object(name, entry, config, shared, path.parent))
         if shared.get("gone") or any("upon" in entry for _, entry in entries):
             say(
                 f"{path} is of an earlier version: which objects it says were there while others "
                 "were painted (`gone`, `upon`) is ignored."
             )
-    return Recipe(tuple(objects))
+    return Recipe(tuple(objects), tuple(recolors))
 
 
 def parse_variation(text: str) -> tuple[str, tuple[Any, ...]]:
@@ -136,12 +140,12 @@ def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str
         pairs = [(str(entry.pop("name")), entry) for entry in entries]
     else:
         pairs = [*objects.items()]
-    names = [name for name, _ in pairs]
+    kinds = [(name, "recolor" in entry) for name, entry in pairs if isinstance(entry, dict)]
     for name, entry in pairs:
         check_name_or_id(name)
         if not isinstance(entry, dict):
             raise StyleSplatError(f"{name} must be KEY: VALUE. Write {name}: {{style: IMAGE}}.")
-        if names.count(name) > 1:
+        if kinds.count((name, "recolor" in entry)) > 1:
             raise StyleSplatError(f"{name} is listed twice. Keep one of them.")
     return pairs
 
@@ -170,6 +174,18 @@ def _styled_object(
         form=others.get("form"),
         precision=others.get("precision"),
     )
+
+
+def _recolored_object(
+    name: str, entry: dict[str, Any], place: int, folder: Path
+) -> RecoloredObject:
+    own = convert_settings(entry, {"recolor": dict, "intensity": float})
+    settings = dict(own["recolor"])
+    digests = as_tuple(settings.pop("sha256", None))
+    if "match" in settings:
+        (settings["match"],) = _pictures((settings["match"],), digests, folder)
+    config = recolor_config(settings)
+    return RecoloredObject(name, config, own.get("intensity", 1.0), place)
 
 
 def _pictures(files: tuple[Any, ...], digests: tuple[Any, ...], folder: Path) -> list[Path]:

@@ -1,7 +1,7 @@
 """What an object is to look like: pictures, and how to take their style."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from stylesplat.stylization.config import (
     PRESETS,
     Network,
     Precision,
+    RecolorConfig,
     StyleConfig,
     with_settings,
 )
@@ -113,11 +114,25 @@ class StyledObject:
 
 
 @dataclass(frozen=True)
+class RecoloredObject:
+    """A recolouring of a recipe."""
+
+    name: str
+    """A name, or a label id."""
+    config: RecolorConfig
+    strength: float = 1.0
+    place: int = 0
+    """How many of the recipe's objects are painted before."""
+
+
+@dataclass(frozen=True)
 class Recipe:
     """Which objects to repaint, and how."""
 
-    objects: tuple[StyledObject, ...] = field(default_factory=tuple)
+    objects: tuple[StyledObject, ...] = ()
     """The lowest layer first, each once."""
+    recolors: tuple[RecoloredObject, ...] = ()
+    """Recolourings, the lowest first."""
 
     def __repr__(self) -> str:
         pictures = (some(map(_title, each.style.pictures)) for each in self.objects)

@@ -154,8 +154,9 @@ def paint_tasks(
             f"{weights} is the file of one network, but the recipe has {' and '.join(networks)}. "
             "Pass --features too, or write `weights:` into the recipe's objects."
         )
-    check_targets(tasks)
-    painted = [*scene.painted_objects, *(task.name for task in tasks)]
+    if tasks or not recipe.recolors:
+        check_targets(tasks)
+    painted = [*(each.name for each in scene.layers), *(task.name for task in tasks)]
     return sorted(tasks, key=lambda task: painted.index(task.name))
 
 

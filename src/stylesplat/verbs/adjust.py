@@ -6,7 +6,14 @@ from dataclasses import replace
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.arguments import check_form, check_intensity
-from stylesplat.scene.compose import require_painted, with_strengths, without_layers
+from stylesplat.scene.compose import (
+    named_layers,
+    require_painted,
+    strengths_of,
+    with_strengths,
+    without_layers,
+)
+from stylesplat.scene.layer import RECOLOR
 from stylesplat.scene.scene import Scene
 
 
@@ -27,7 +34,8 @@ def adjust(
         scene: A styled scene.
         intensity: 0 for what is beneath, 1 for the style's, up to 1.5 to exaggerate.
         form: How much of the object's own light and relief shows in the paint, 0 to 1.5.
-        objects: What to adjust; all that were styled by default.
+        objects: What to adjust; all that were styled by default. `vase/recolor` is what recolours
+            the vase, and so is `vase` if it has no paint.
         undo: Give the scene as it was before these objects were styled, to the bit; what else was
             styled stays as it is.
 
@@ -35,7 +43,8 @@ def adjust(
         StyleSplatError: If the scene is not styled, or not in these objects, or nothing says what
             to do.
     """
-    names = [objects] if isinstance(objects, str) else list(objects)
+    require_painted(scene)
+    names = named_layers(scene, [objects] if isinstance(objects, str) else objects)
     if undo:
         return without_layers(scene, names or None)
     if intensity is None and form is None:
@@ -44,8 +53,9 @@ def adjust(
         check_intensity(intensity)
     if form is not None:
         check_form(form)
-    require_painted(scene, names)
-    names = names or scene.painted_objects
+    names = names or [*strengths_of(scene)]
+    if form is not None and all(name.endswith(RECOLOR) for name in names):
+        raise StyleSplatError(f"{names[0]} has no paint, and form shows in paint only.")
     strengths = {} if intensity is None else dict.fromkeys(names, float(intensity))
     forms = {} if form is None else dict.fromkeys(names, float(form))
     scene = with_strengths(scene, strengths, forms)

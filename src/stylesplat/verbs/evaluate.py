@@ -99,6 +99,8 @@ def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
     picks = {each.object: mask_of(each, before).to(base.device) for each in scene.layers}
     objects = {}
     for layer in scene.layers:
+        if layer.color_map is not None:
+            continue
         picked = picks[layer.object]
         boxes, views = find_boxes(base, cameras, picked), cameras
         if not boxes and held_out:

@@ -33,6 +33,7 @@ def export(
     overwrite: bool = False,
     sh_degree: int | None = None,
     mesh: MeshConfig | None = None,
+    spz_version: int | None = None,
 ) -> int:
     """Write a scene's splats for a viewer, in the format that the file's suffix names.
 
@@ -56,6 +57,7 @@ def export(
             not all zero.
         mesh: Settings of a textured mesh, which is written instead of splats, into a `.glb` or
             `.obj`: of one object, or of a scene that shows one. Needs `stylesplat[mesh]`.
+        spz_version: Version of a `.spz`: 4 by default; 3 or 2 for programs that read no newer one.
 
     Returns:
         How many Gaussians were written; of a mesh, how many faces.
@@ -68,6 +70,8 @@ def export(
     path = Path(path)
     beside = path.with_name(path.name + SIDECAR)
     page = path.suffix.lower() == SUFFIX
+    if page and spz_version is not None:
+        raise StyleSplatError(f"{path} is no SPZ, so it has no version of SPZ. Leave it out.")
     if page and (selected or sidecar):
         raise StyleSplatError("A page has no rows to list or to mark. Export a .ply.")
     if mesh is not None:
@@ -94,7 +98,8 @@ def export(
         if page:
             write_page(part, path, overwrite=overwrite, sh_degree=sh_degree)
         else:
-            write_splats(splats, path, overwrite=overwrite, sh_degree=sh_degree, besides=besides)
+            options = {"sh_degree": sh_degree, "spz_version": spz_version, "besides": besides}
+            write_splats(splats, path, overwrite=overwrite, **options)
         if listed is not None:
             write_objects(listed.ordered(row_order(splats, path)), beside)
     return len(splats)

@@ -40,6 +40,7 @@ from stylesplat.stylization.target import (
     paint_tasks,
 )
 from stylesplat.stylization.views import Box
+from stylesplat.verbs.recolor import recolor
 
 ContextOf = Callable[[Splats, PaintTask], PaintContext]
 
@@ -122,13 +123,14 @@ def stylize(
             under, _ = beneath(scene, task.name)
             context = context_of(under.splats, task)
             check_visible(context, task.target(family(under)).to(context.splats))
-    shown = {layer.object for layer in scene.layers if layer.is_shown}
+    shown = {layer.name for layer in scene.layers if layer.is_shown}
     anew = [task.name for task in tasks if task.name in shown]
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
     seconds, precision = dict[str, float](), ""
     crops, surveys = dict[str, SceneCrop](), dict[str, Sequence[Box]]()
-    for task in tasks:
+    for number, task in enumerate(tasks):
+        scene = _recolored(scene, recipe, number)
         began = time.perf_counter()
         under, place = beneath(scene, task.name)
         context, rows = context_of(under.splats, task), family(under).to(torch_device)
@@ -139,6 +141,7 @@ def stylize(
         if crop is not None:
             crops[task.name] = crop.of_base(rows)
         seconds[task.name] = time.perf_counter() - began
+    scene = _recolored(scene, recipe, len(tasks))
     strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
     forms = {each.name: each.form for each in recipe.objects if each.form is not None}
     scene = with_strengths(scene, strengths, forms)
@@ -159,6 +162,14 @@ def stylize(
 
 
 stylise = stylize
+
+
+def _recolored(scene: Scene, recipe: Recipe, place: int) -> Scene:
+    """The scene after the recolourings of a recipe that follow so many paintings."""
+    for each in recipe.recolors:
+        if each.place == place:
+            scene = recolor(scene, each.name, strength=each.strength, **each.config.changed)
+    return scene
 
 
 def with_layer(scene: Scene, place: int, layer: Layer) -> Scene:

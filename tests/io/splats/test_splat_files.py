@@ -8,8 +8,10 @@ import torch
 import zstandard
 
 from balls import CAMERAS, SPLATS
+from scenes import random_splats
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.splats.splat_files import read_splats
+from stylesplat.io.splats.splat_files import read_splats, write_splats
+from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.export import export
@@ -49,6 +51,27 @@ def spz(content: bytes, path: Path) -> Path:
 
 def spz_header(count: int, degree: int = 0) -> bytes:
     return struct.pack("<4sIIBBBB", b"NGSP", 2, count, degree, 12, 0, 0)
+
+
+@pytest.mark.parametrize(("version", "degrees"), [(4, 0.3), (3, 0.3), (2, 1.3)])
+def test_all_versions_of_spz(version: int, degrees: float, tmp_path: Path):
+    splats = random_splats(300)
+    splats = replace(splats, shN=splats.shN.clamp(-0.9, 0.9))  # SPZ clips at 1
+    path = tmp_path / "a.spz"
+    write_splats(splats, path, spz_version=version)
+    content = path.read_bytes()
+    head = content if version == 4 else gzip.decompress(content)
+    assert head[:8] == b"NGSP" + version.to_bytes(4, "little")
+    found = read_splats(path)
+    for name, most in (("means", 1e-5), ("scales", 0.04), ("shN", 0.05)):
+        assert (getattr(found, name) - getattr(splats, name)).abs().max() < most, name
+    axes, others = (rotation_matrices(s.quats).double() for s in (found, splats))
+    cosines = (axes * others).sum(dim=1).abs()  # half a turn about an axis changes no Gaussian
+    assert cosines.min().clamp(max=1).acos().rad2deg() < degrees
+    with pytest.raises(StyleSplatError, match=r"a\.ply is no SPZ"):
+        write_splats(splats, tmp_path / "a.ply", spz_version=version)
+    with pytest.raises(StyleSplatError, match="version of SPZ"):
+        write_splats(splats, path, spz_version=1)
 
 
 def test_hostile_spz(tmp_path: Path):

@@ -84,6 +84,7 @@ def write_splats(
     *,
     overwrite: bool = True,
     sh_degree: int | None = None,
+    spz_version: int | None = None,
     besides: Mapping[str, Tensor] | None = None,
 ) -> None:
     """Write splats in the format that the file's suffix names; `export` describes the formats.
@@ -105,6 +106,8 @@ def write_splats(
             f"Cannot export to {path}: a .splat has one colour per Gaussian, which is degree 0. "
             "Leave the degree out, or choose a .ply or .spz."
         )
+    if spz_version is not None and suffix != ".spz":
+        raise StyleSplatError(f"{path} is no SPZ, so it has no version of SPZ. Leave it out.")
     if besides and suffix != ".ply":
         raise StyleSplatError(
             f"Cannot export to {path}: it has no more columns than its format says. Choose a .ply."
@@ -115,7 +118,9 @@ def write_splats(
     if sh_degree is None:
         sh_degree = MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
     splats = of_degree(splats, sh_degree)
-    if suffix == ".ply":
+    if spz_version is not None:
+        write_spz(splats, path, version=spz_version)
+    elif suffix == ".ply":
         write_splat_ply(splats, path, bands=splats.shN.shape[1], besides=besides)
     else:
         WRITERS[suffix](splats, path)

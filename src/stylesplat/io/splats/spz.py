@@ -1,5 +1,6 @@
 """Splats as SPZ, Niantic's compressed format: gzip (versions 1 to 3) or zstd (version 4)."""
 
+import gzip
 import re
 import struct
 import zlib
@@ -10,15 +11,16 @@ from tempfile import TemporaryDirectory
 import gsply
 import torch
 import zstandard
+from torch.nn import functional as F
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.compressed_ply import from_gsply, to_gsply
 from stylesplat.io.splats.splat_ply import BANDS
 from stylesplat.scene.splats import Splats
 
-WRITTEN = 4  # version; 3 is larger by a twelfth
+SPZ_VERSIONS = (4, 3, 2)  # that are written; 3 is larger by a twelfth, 2 has coarser rotations
 POSITION = 2**23 - 1  # largest fixed-point coordinate
 FRACTION = range(1, 21)  # bits behind the point; 20 resolve a millionth
 SURE = 30.0  # a logit beyond which the byte of an opacity is 0 or 255; exp(88) overflows
@@ -28,6 +30,7 @@ GZIP = b"\x1f\x8b"
 HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, degree, fraction, flags, 0
 TABLE = struct.Struct("<4sIIBBBBI")  # version 4: the same, but number of streams, their table
 STREAM = struct.Struct("<QQ")  # bytes before and after compression
+ROTATIONS = 16  # bytes of a Gaussian before its rotation: place, opacity, colour, size
 SMALLEST_ROW = 19  # bytes of a Gaussian without higher bands, before compression
 EXTENSIONS = 2**20  # bytes that may follow the Gaussians
 LARGEST_RATIO = 200  # of compression: real files reach 20, zeros 1000
@@ -52,8 +55,9 @@ def spz_within(content: bytes, path: Path) -> Splats:
     return from_gsply(data, path)
 
 
-def write_spz(splats: Splats, path: Path | str) -> None:
-    """Write SPZ of version 4: six times smaller than PLY or more, its numbers rounded."""
+def write_spz(splats: Splats, path: Path | str, *, version: int = SPZ_VERSIONS[0]) -> None:
+    """Write SPZ: six times smaller than PLY or more, its numbers rounded."""
+    check_choice(version, "version of SPZ", SPZ_VERSIONS)
     reach = float(splats.means.abs().max()) if len(splats) else 0.0
     bits = [b for b in FRACTION if reach * 2**b <= POSITION]
     if not bits:
@@ -64,7 +68,27 @@ def write_spz(splats: Splats, path: Path | str) -> None:
     flipped = _flip(splats)
     data = to_gsply(replace(flipped, opacities=flipped.opacities.clamp(-SURE, SURE)))
     with atomic_path(path) as draft:
-        gsply.write_spz(draft, data, version=WRITTEN, fractional_bits=max(bits))
+        gsply.write_spz(draft, data, version=max(version, 3), fractional_bits=max(bits))
+        if version == 2:
+            draft.write_bytes(_of_version_2(draft.read_bytes(), flipped))
+
+
+def _of_version_2(content: bytes, flipped: Splats) -> bytes:
+    """An SPZ file of version 3 as one of version 2, whose rotations lack the real part.
+
+    Half a turn about its own axis leaves a Gaussian as it is. Of four such quaternions, that of the
+    largest real part loses least.
+    """
+    unpacked = gzip.decompress(content)
+    start = HEADER.size + ROTATIONS * len(flipped)
+    w, x, y, z = F.normalize(flipped.quats, dim=1).unbind(dim=1)
+    turned = [(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
+    four = torch.stack([torch.stack(each, dim=1) for each in turned], dim=1)  # [N, 4, 4]
+    quats = four[torch.arange(len(four)), four[..., 0].abs().argmax(dim=1)]
+    imaginary = quats[:, 1:] * quats[:, :1].sign()
+    rotations = (imaginary * 127.5 + 127.5).round().clamp(0, 255).byte()
+    head = unpacked[:4] + struct.pack("<I", 2) + unpacked[8:start]
+    return gzip.compress(head + rotations.numpy().tobytes() + unpacked[start + 4 * len(flipped) :])
 
 
 def _flip(splats: Splats) -> Splats:

@@ -1,0 +1,124 @@
+"""`stylesplat mcp`: the verbs as tools of the Model Context Protocol, over stdin and stdout."""
+
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from inspect import getdoc
+from io import BytesIO
+from pathlib import Path
+from subprocess import DEVNULL
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+from stylesplat.cli.options import PICTURES, Command
+from stylesplat.errors import StyleSplatError, brief
+
+if TYPE_CHECKING:
+    from mcp.server.mcpserver import MCPServer
+
+LEFT_OUT = ("demo", "batch", "view", "studio", "mcp")  # they serve, or run files of commands
+LONGER_SIDE = 1024  # pixels of a picture in an answer
+MOST_PICTURES = 4  # in one answer
+SEPARATORS = re.compile(r"[=,:]")  # between a name and a path in an argument
+
+
+@dataclass(frozen=True)
+class Mcp(Command):
+    """Serve the verbs to an assistant as tools (Model Context Protocol), over stdin and stdout.
+
+    Example: stylesplat mcp MyScenes
+    """
+
+    root: Positional[Path] = Path()
+    """Folder that all paths have to lie in; relative ones start there."""
+
+    def run(self) -> dict[str, Any]:
+        from stylesplat.cli import VERBS
+
+        mcp_server(self.root, VERBS).run("stdio")
+        return {}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        yield from ()
+
+
+def mcp_server(root: Path, verbs: Mapping[str, type]) -> "MCPServer":
+    """A server with a tool for each verb, whose paths are confined to a folder.
+
+    Raises:
+        StyleSplatError: If the folder does not exist, or the extra is not installed.
+    """
+    try:
+        from mcp.server.mcpserver import MCPServer
+    except ImportError as error:
+        raise StyleSplatError(
+            "`stylesplat mcp` needs the extra: pip install 'stylesplat[mcp]'."
+        ) from error
+    if not root.is_dir():
+        raise StyleSplatError(f"There is no folder {root}. Name the one that holds your scenes.")
+    server = MCPServer("stylesplat", log_level="ERROR")
+    for verb, command in verbs.items():
+        if verb not in LEFT_OUT:
+            about = f"{getdoc(command)}\n\nArguments are words of the command line after "
+            about += f"`stylesplat {verb}`; ['--help'] explains them all."
+            tool = _tool(verb, root.resolve())
+            server.add_tool(tool, verb, description=about, structured_output=False)
+    return server
+
+
+def _tool(verb: str, root: Path) -> Callable[..., Any]:
+    from anyio import run_process
+    from mcp.server.mcpserver import Image
+    from mcp.server.mcpserver.exceptions import ToolError
+
+    async def tool(arguments: list[str]) -> list[Any]:
+        try:
+            check_confined(arguments, root)
+        except StyleSplatError as error:
+            raise ToolError(str(error)) from error
+        command = [sys.executable, "-m", "stylesplat", verb, *arguments, "--json"]
+        done = await run_process(command, cwd=root, stdin=DEVNULL, check=False)
+        answer = done.stdout.decode(errors="replace").strip()
+        if done.returncode:
+            raise ToolError(done.stderr.decode(errors="replace").strip()[-2000:])
+        pictures = [*_pictures(answer, root)][:MOST_PICTURES]
+        return [answer, *(Image(data=_shrunk(each), format="jpeg") for each in pictures)]
+
+    return tool
+
+
+def check_confined(arguments: list[str], root: Path) -> None:
+    """Refuse arguments that name something outside of a folder, whatever option they belong to."""
+    for word in arguments:
+        if re.fullmatch("--recipe(=.*)?|--tyro.*", word):
+            raise StyleSplatError(f"{brief(word)} is not for tools. Pass its content as options.")
+        for part in SEPARATORS.split(word):
+            if part.startswith("~") or not (root / part).resolve().is_relative_to(root):
+                raise StyleSplatError(f"{brief(word)!r} leads out of {root}. Use paths within it.")
+
+
+def _pictures(answer: str, root: Path) -> Iterator[Path]:
+    """The pictures that an answer names, and those of a folder that it names as its output."""
+    try:
+        values = json.loads(answer)
+    except ValueError:  # help
+        return
+    for name, value in values.items() if isinstance(values, dict) else ():
+        path = root / value if isinstance(value, str) and value else None
+        if path is None or not path.resolve().is_relative_to(root):
+            continue
+        inside = sorted(path.rglob("*")) if name == "output" and path.is_dir() else [path]
+        yield from (e for e in inside if e.suffix.lower() in PICTURES and e.is_file())
+
+
+def _shrunk(path: Path) -> bytes:
+    from PIL import Image
+
+    with Image.open(path) as image:
+        small, content = image.convert("RGB"), BytesIO()
+    small.thumbnail((LONGER_SIDE, LONGER_SIDE))
+    small.save(content, "JPEG", quality=90)
+    return content.getvalue()

@@ -1,0 +1,79 @@
+"""Recolouring in closed form: one affine map of colours, which is exact on all bands."""
+
+import math
+from functools import reduce
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from stylesplat.metrics.lab import LUMA
+from stylesplat.rendering.render import render
+from stylesplat.rendering.shares import COVERED
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import Splats, rgb_from_sh0
+from stylesplat.stylization.colors import color_map
+from stylesplat.stylization.config import RecolorConfig, parse_color
+from stylesplat.stylization.style_image import read_style, resize
+
+# W3C, Filter Effects 1, hueRotate: what the sine of the angle is multiplied by
+HUE_SINE = ((-0.213, -0.715, 0.928), (0.143, 0.140, -0.283), (-0.787, 0.715, 0.072))
+WARMTH = 0.25  # logarithm of red's factor, and of 1 / blue's, at temperature 1
+STEEPEST = 2.0  # times the shading of a dark object: more shows its noise
+DARKEST = 1e-3  # luma to divide by
+VIEWS, LONGER_SIDE = 4, 160  # of renders that show the colours of an object
+PICTURE_SIDE = 256.0  # pixels of the picture whose colours are matched
+
+
+@torch.no_grad()
+def recolor_map(
+    config: RecolorConfig, splats: Splats, mask: Bool[Tensor, " N"], cameras: Cameras
+) -> Float[Tensor, "3 4"]:
+    """The affine map of a recolouring; matching and tinting depend on the colours of the object."""
+    luma, one = torch.tensor(LUMA), torch.eye(3)
+    grey = torch.ones(3, 1) * luma  # [3, 3], shows the luma of a colour
+    steps = []
+    if config.match is not None or config.tint is not None:
+        own = _shown_colors(splats, mask, cameras)
+        if config.match is not None:
+            picture = resize(read_style(config.match), PICTURE_SIDE)
+            steps.append(color_map(own, picture.reshape(-1, 3)))
+            own = own @ steps[0][0].T + steps[0][1]
+        if config.tint is not None:
+            steps.append(_tint(torch.tensor(parse_color(config.tint)), own.mean(dim=0)))
+    sine, cosine = math.sin(math.radians(config.hue)), math.cos(math.radians(config.hue))
+    gains = torch.tensor([WARMTH, 0.0, -WARMTH]).mul(config.temperature).exp()
+    matrices = [
+        grey + cosine * (one - grey) + sine * torch.tensor(HUE_SINE),
+        grey + config.saturation * (one - grey),
+        torch.diag(gains / (gains @ luma)),
+        config.brightness * one,
+    ]
+    steps += [(matrix, torch.zeros(3)) for matrix in matrices]
+    steps.append((config.contrast * one, torch.full((3,), (1 - config.contrast) / 2)))
+    matrix, offset = reduce(lambda a, b: (b[0] @ a[0], b[0] @ a[1] + b[1]), steps)
+    return torch.cat([matrix, offset[:, None]], dim=1)
+
+
+def _tint(
+    color: Float[Tensor, " 3"], mean: Float[Tensor, " 3"]
+) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
+    """The map that takes the mean to a colour, and what is lighter or darker to shades of it."""
+    luma = torch.tensor(LUMA)
+    shade = color / (color @ luma).clamp(min=DARKEST)  # of luma 1
+    steepness = ((color @ luma) / (mean @ luma).clamp(min=DARKEST)).clamp(max=STEEPEST)
+    matrix = steepness * shade[:, None] * luma
+    return matrix, color - matrix @ mean
+
+
+def _shown_colors(
+    splats: Splats, mask: Bool[Tensor, " N"], cameras: Cameras
+) -> Float[Tensor, "P 3"]:
+    """The colours of an object alone in a few views; where none shows it, its Gaussians'."""
+    own, shown = splats[mask.nonzero()[:, 0]], []
+    for row in evenly(range(len(cameras)), VIEWS):
+        image, alphas = render(own, cameras[row].at_most(LONGER_SIDE))
+        shown.append((image / alphas)[alphas[..., 0] > COVERED])
+    colors = torch.cat(shown)
+    return (colors if len(colors) else rgb_from_sh0(own.sh0[:, 0])).clamp(0, 1)
