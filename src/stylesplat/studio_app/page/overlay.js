@@ -35,22 +35,29 @@ export class Overlay {
   }
 
   async setPicked({ look, size, names }, bytes) {
-    this.picked = { look, names };
-    if (bytes.length) {
-      const shares = await inflated(bytes);
-      outlined(this.glow, size, (row) => shares[row] > 100, PICKED, glowing(names));
-    } else this.glow.width = 0;
+    const shares = bytes.length ? await inflated(bytes) : null;
+    this.setGlow({ look, size, names, inside: shares && ((row) => shares[row] > 100) });
     this.viewport.root.dataset.picked = `${look} ${names.join(",")}`;
-    this.draw();
   }
 
   // Of objects that are picked at this moment, before the server has told
   guessPicked(names) {
     if (!this.isCurrent(this.map)) return;
+    const { look, size, ids } = this.map;
     const numbers = new Set(names.map((name) => this.map.names.indexOf(name) + 1).filter(Boolean));
-    outlined(this.glow, this.map.size, (row) => numbers.has(this.map.ids[row]), PICKED, glowing(names));
-    this.picked = { look: this.map.look, names };
+    this.setGlow({ look, size, names, inside: (row) => numbers.has(ids[row]) });
+  }
+
+  setGlow(picked) {
+    this.picked = { ...picked, tint: glowing(picked.names) };
+    if (picked.inside) outlined(this.glow, picked.size, picked.inside, PICKED, this.picked.tint);
+    else this.glow.width = 0;
     this.draw();
+  }
+
+  // The tint goes when a painting begins
+  tintAgain() {
+    if (this.picked && this.picked.tint !== glowing(this.picked.names)) this.setGlow(this.picked);
   }
 
   setPointed(name, again = false) {

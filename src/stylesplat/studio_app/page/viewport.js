@@ -47,6 +47,7 @@ export class Viewport {
     new ResizeObserver(() => this.moved()).observe(root);
     effect(() => this.compare(mode.value, Boolean(state.value?.layers.length)));
     effect(() => state.value?.painting || this.overlay.setPattern(null));
+    effect(() => state.value && this.overlay.tintAgain());
     effect(() => settings.value && this.overlay.draw());
     effect(() => showPhotos.value || this.overlay.draw());
     window.addEventListener("keydown", (event) => event.key === "b" && !isTyping(event) && this.hold(true));
