@@ -4,15 +4,17 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test clean
+.PHONY: demo check test clean
 
 demo: $(VENV)/installed
 	$(BIN)/stylesplat demo -o demo-output
 
-test: $(VENV)/installed-dev
+check: $(VENV)/installed-dev
 	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
+
+test: check
 	$(BIN)/pytest -q -n 2
 
 clean:
