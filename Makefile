@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo check test clean
+.PHONY: demo check test wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/stylesplat demo -o demo-output
@@ -17,8 +17,12 @@ check: $(VENV)/installed-dev
 test: check
 	$(BIN)/pytest -q -n 2
 
+# Builds sdist and wheel into dist/, and runs the demo of the wheel in an environment without the checkout
+wheel:
+	$(PYTHON) scripts/check_wheel.py
+
 clean:
-	rm -rf $(VENV) demo-output
+	rm -rf $(VENV) demo-output dist
 
 # Of what is installed Python compiles, later, what is imported: that is sooner than all of it
 $(VENV)/installed: pyproject.toml constraints.txt
