@@ -1,8 +1,8 @@
-"""A hook of mkdocs: pages made at build time, pages from outside docs/, and links between all of them.
+"""A hook of mkdocs: pages made at build time, pages from outside docs/, and links between them.
 
-The command line's page is what `--help` prints, which comes from the commands' dataclasses; the page of
-functions and classes lists what the package exports. On the site, links to files that have no page
-there, such as sources, are text.
+The page of the command line is what `--help` prints, which comes from the commands' dataclasses.
+The page of functions and classes lists what the package exports. Links to files that have no page
+on the site, such as sources, are text there.
 """
 
 import os
@@ -82,7 +82,7 @@ def command_line() -> str:
     from stylesplat.cli.arguments import read_arguments
 
     parts = [
-        "# Command line\n\nWhat `stylesplat VERB --help` prints. The [manual](manual.md) explains it."
+        "# Command line\n\nWhat `stylesplat VERB --help` prints. The [manual](manual.md) says more."
     ]
     for verb in VERBS:
         with suppress(SystemExit), redirect_stdout(StringIO()) as printed:
