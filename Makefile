@@ -4,19 +4,29 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test clean
+.PHONY: demo check test docs wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/stylesplat demo -o demo-output
 
-test: $(VENV)/installed-dev
+check: $(VENV)/installed-dev
 	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
+
+test: check
 	$(BIN)/pytest -q -n 2
 
+# Builds the documentation site into site/: a dead link or an unknown name fails, and nothing is downloaded
+docs: $(VENV)/installed-docs
+	$(BIN)/mkdocs build --strict
+
+# Builds sdist and wheel into dist/, and runs the demo of the wheel in an environment without the checkout
+wheel:
+	$(PYTHON) scripts/check_wheel.py
+
 clean:
-	rm -rf $(VENV) demo-output
+	rm -rf $(VENV) demo-output dist site
 
 # Of what is installed Python compiles, later, what is imported: that is sooner than all of it
 $(VENV)/installed: pyproject.toml constraints.txt
@@ -27,4 +37,9 @@ $(VENV)/installed: pyproject.toml constraints.txt
 $(VENV)/installed-dev: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --editable '.[dev]' --constraint constraints.txt
+	touch $(VENV)/installed $@
+
+$(VENV)/installed-docs: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --no-compile --editable '.[docs]' --constraint constraints.txt
 	touch $(VENV)/installed $@

@@ -1,0 +1,109 @@
+"""A hook of mkdocs: pages made at build time, pages from outside docs/, and links between them.
+
+The page of the command line is what `--help` prints, which comes from the commands' dataclasses.
+The page of functions and classes lists what the package exports. Links to files that have no page
+on the site, such as sources, are text there.
+"""
+
+import os
+import re
+from contextlib import redirect_stdout, suppress
+from io import StringIO
+from pathlib import Path
+from posixpath import join, normpath, relpath
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+OUTSIDE = {  # files of the repository that are pages of the site
+    "README.md": "index.md",
+    "SECURITY.md": "security.md",
+    "CHANGELOG.md": "changelog.md",
+    "CODE_OF_CONDUCT.md": "conduct.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "benchmarks/README.md": "benchmarks.md",
+    "src/stylesplat/stylization/features/compact.md": "compact.md",
+}
+NOUNS = ("Capture", "Cameras", "Splats", "Scene", "Style", "Stroke", "StyleSplatError")
+CONFIGS = ("training.train_config.TrainConfig", "stylization.config.StyleConfig")
+CORE = (  # the functions over tensors that docs/python.md names
+    "rendering.render.rasterize",
+    "rendering.linear.contributions",
+    "training.loop.fit",
+    "training.lifting.lift",
+    "selection.pick.pick",
+    "selection.soft_picks.own_shares",
+    "stylization.paint.paint",
+    "stylization.optimize.paint_steps",
+    "stylization.matching.nnfm_loss",
+    "scene.compose.compose",
+    "metrics.images.psnr",
+    "metrics.images.ssim",
+)
+LINK = re.compile(r"(!?)\[((?:[^][]|\[[^]]*\])*)\]\(([^)\s]+)\)")
+EXPORT = re.compile(r"^from \.(\S+) import (\w+) as (\w+)$", re.MULTILINE)
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the pages that do not lie in docs/."""
+    pages = {page: (ROOT / path).read_text("utf-8") for path, page in OUTSIDE.items()}
+    for page, text in {**pages, "cli.md": command_line(), "api.md": functions()}.items():
+        files.append(File.generated(config, page, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
+    """Point links of the repository to pages of the site."""
+    here = page.file.src_uri
+    sources = {site: path for path, site in OUTSIDE.items()}
+    folder = sources.get(here, f"docs/{here}").rpartition("/")[0]
+
+    def link(match: re.Match[str]) -> str:
+        picture, text, target = match.groups()
+        path, hash_, anchor = target.partition("#")
+        if not path or ":" in path:
+            return match[0]
+        path = normpath(join(folder, path))
+        site = OUTSIDE.get(path, path.removeprefix("docs/"))
+        if site != path:
+            return (
+                f"{picture}[{text}]({relpath(site, Path(here).parent.as_posix())}{hash_}{anchor})"
+            )
+        return text if (ROOT / path).exists() else match[0]  # what is dead stays, and is reported
+
+    return LINK.sub(link, markdown)
+
+
+def command_line() -> str:
+    """What each verb's `--help` prints."""
+    os.environ |= {"COLUMNS": "96", "NO_COLOR": "1"}
+    from stylesplat.cli import VERBS
+    from stylesplat.cli.arguments import read_arguments
+
+    parts = [
+        "# Command line\n\nWhat `stylesplat VERB --help` prints. The [manual](manual.md) says more."
+    ]
+    for verb in VERBS:
+        with suppress(SystemExit), redirect_stdout(StringIO()) as printed:
+            read_arguments(VERBS, [verb, "--help"])
+        parts.append(f"## {verb}\n\n```text\n{printed.getvalue().strip()}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def functions() -> str:
+    """A page that mkdocstrings fills with signatures and docstrings."""
+    stub = (ROOT / "src/stylesplat/__init__.pyi").read_text("utf-8")
+    public = {name: f"{module}.{name}" for module, name, _ in EXPORT.findall(stub)}
+    verbs = sorted(public.keys() - {*NOUNS, "stylise"})
+    groups = {
+        "Nouns": [public[name] for name in NOUNS],
+        "Verbs": [public[name] for name in verbs],
+        "Settings": CONFIGS,
+        "Functions over tensors": CORE,
+    }
+    parts = ["# Functions and classes\n\n[In Python](python.md) shows how they go together."]
+    for title, names in groups.items():
+        parts.append(f"## {title}")
+        parts += (f"::: stylesplat.{name}" for name in names)
+    return "\n\n".join(parts) + "\n"
