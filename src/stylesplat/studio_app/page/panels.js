@@ -123,7 +123,7 @@ export function Layers() {
     ${variants.length > 0 && html`<section aria-label="Variants"><h3>Variants${chosen.length ? ` of ${chosen.join(", ")}` : ""}</h3>
       <ul class="cards">${variants.map((each) => html`<li key=${each.number}>
         <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { number: each.number })}>
-          <img src=${thumbnail("variant", each.number, 0)} alt="" /><span class="name">${each.object}: ${each.title}</span></button>
+          <img src=${thumbnail("variant", each.number, 0)} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span></button>
         <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></li>`)}</ul></section>`}
     <section aria-label="Snapshots"><h3>Snapshots</h3>
       ${now.snapshots.map(([number, name]) => html`<div class="line" key=${number}><span>${name}</span>
