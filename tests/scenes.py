@@ -103,6 +103,11 @@ def box(count: int, low: list[float], high: list[float], seed: int = 0) -> torch
     return corner + (opposite - corner) * rand(count, 3, seed=seed)
 
 
+def shell(count: int, radius: float, seed: int = 0) -> torch.Tensor:
+    """Points on a sphere around the origin."""
+    return radius * torch.nn.functional.normalize(randn(count, 3, seed=seed), dim=1)
+
+
 def guitar() -> Splats:
     """A body of 0.3 with most of the Gaussians, and a thin neck: 1 x 0.3 x 0.1 in all."""
     body = box(3000, [-0.15, -0.05, 0.0], [0.15, 0.05, 0.4])

@@ -129,7 +129,7 @@ def test_other_programs_read_the_files(mesh: TexturedMesh, tmp_path: Path):
     write_mesh(mesh, tmp_path / "a.obj")
     count = export(scene, tmp_path / "a.glb", objects=["ball"], mesh=SMALL)
     for name in ("a.glb", "a.obj"):
-        found = trimesh.load_mesh(tmp_path / name)
+        found: Any = trimesh.load_mesh(tmp_path / name)
         assert len(found.faces) == (count if name == "a.glb" else len(mesh.faces))
         assert found.visual.uv.shape == (len(found.vertices), 2)
         colors = found.visual.to_color().vertex_colors[:, :3] / 255
@@ -165,7 +165,7 @@ def test_repainting_brings_the_style(
     layer = replace(layer, styles=(replace(source, path=tmp_path / "stripes.png", sha256=None),))
     painted = with_layers(scene, [layer])
     export(painted, tmp_path / "a.glb", objects=["ball"], mesh=config, overwrite=True)
-    found = trimesh.load_mesh(tmp_path / "a.glb")
+    found: Any = trimesh.load_mesh(tmp_path / "a.glb")
     texture = np.asarray(found.visual.material.baseColorTexture.convert("RGB")) / 255
     before, after = (np.abs(np.diff(each, axis=1)).mean() for each in (mesh.texture, texture))
     assert after > 1.2 * before, "strokes are sharper than what was there"

@@ -110,7 +110,7 @@ class Texels:
         distance_transform_edt(
             ~self.inside, return_distances=False, return_indices=True, indices=places
         )
-        return tuple(places)
+        return places[0], places[1]
 
 
 def texels_of(mesh: TexturedMesh) -> Texels:
