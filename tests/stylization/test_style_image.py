@@ -11,6 +11,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.stylization import style_image as pictures
 from stylesplat.stylization.config import USUAL_SCALE
 from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.materials import MATERIALS
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_image import (
     coarsen_style,
@@ -45,6 +46,21 @@ def test_tensors_are_cropped_and_turned_as_files_are(tmp_path: Path, settings: d
     assert torch.equal(Style(levels, **settings).read()[0], expected)
     found = Style(levels.double() / 255, **settings).read()[0]
     torch.testing.assert_close(found, expected, atol=0.5 / 255 + 1e-6, rtol=0)  # levels of files
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_materials_are_drawn_alike_and_have_texture(name: str):
+    (colors,) = Style(f"material:{name}", rotate=90).read()
+    assert torch.equal(colors, Style(Path(f"material:{name}"), rotate=90).read()[0])
+    assert colors.shape == (512, 512, 3)
+    assert float(colors.std()) > 0.05
+    assert Style(f"material:{name}").sources()[0].path == Path(f"material:{name}")
+
+
+def test_unknown_materials_are_refused_with_those_known():
+    for use in (Style("material:tin").read, Style("material:tin").sources):
+        with pytest.raises(StyleSplatError, match="'tin'.+material:bronze.+material:jade"):
+            use()
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from stylesplat.batch_jobs.job import Content, Job, JobVerb, Needs, OptionValue
 from stylesplat.errors import StyleSplatError, brief, some, within
 from stylesplat.io.files import is_there, read_bytes
 from stylesplat.io.kinds import SPLATS, Kind, kind_of, no_capture, no_scene, no_splat
+from stylesplat.stylization.materials import is_material
 from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
 
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks
@@ -338,7 +339,10 @@ def _styles(value: Any, folder: Path) -> list[OptionValue]:
     for name, listed in styles.items():
         several = listed if isinstance(listed, list) else [listed]
         each_in_turn = [[each] if isinstance(each, str) else each for each in several]
-        paths = [tuple(_absolute(folder, each) for each in pictures) for pictures in each_in_turn]
+        paths = [
+            tuple(p if is_material(p) else _absolute(folder, p) for p in pictures)
+            for pictures in each_in_turn
+        ]
         if not all(paths) or not paths:
             raise StyleSplatError(f"style lists no pictures for {name}.")
         if any("," in str(path) for pictures in paths for path in pictures if len(pictures) > 1):

@@ -64,8 +64,8 @@ class Stylize(MakingCommand):
     output: Output
     """Folder of the styled scene to make."""
     style: UseAppendAction[tuple[str, ...]] = ()
-    """OBJECT=IMAGE or OBJECT=IMAGE,IMAGE; OBJECT is a name that `select` gave, or a label id. May
-    be repeated."""
+    """OBJECT=IMAGE or OBJECT=IMAGE,IMAGE; OBJECT is a name that `select` gave, or a label id, IMAGE
+    a file or a material (material:bronze, marble, gold-leaf, clay or jade). May be repeated."""
     recipe: Path | None = None
     """YAML file with objects, styles and settings instead of --style; options given here precede
     its own. A styled scene's recipe.json is one too."""

@@ -31,6 +31,7 @@ from stylesplat.stylization.colors import build_palette, color_map
 from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings
 from stylesplat.stylization.form import SURVEY_LENGTH, survey_form
 from stylesplat.stylization.matching import build_index
+from stylesplat.stylization.materials import is_material
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import (
     CANVAS_RATE,
@@ -159,7 +160,8 @@ def _context(
     unpainted: Splats, views: MeshViews, layer: Layer, name: str
 ) -> tuple[PaintContext, Style]:
     files = [source.path for source in layer.styles]
-    if not files or not all(file is not None and file.is_file() for file in files):
+    there = (file and (is_material(file) or file.is_file()) for file in files)
+    if not files or not all(there):
         raise StyleSplatError(
             f"Cannot repaint {name}: a picture of its style is gone. Put it back, or leave "
             "--repaint out."

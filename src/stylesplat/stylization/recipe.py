@@ -25,6 +25,7 @@ from stylesplat.stylization.config import (
     recolor_config,
     with_settings,
 )
+from stylesplat.stylization.materials import is_material
 from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
 
 Preset = Literal["default", "paper"]
@@ -195,11 +196,13 @@ def _pictures(files: tuple[Any, ...], digests: tuple[Any, ...], folder: Path) ->
             if not digests
             else "it was painted with colours that were never a file. Save them, add `style: FILE`."
         )
-    pictures = [folder / file for file in files]
+    pictures = [Path(file) if is_material(file) else folder / file for file in files]
     if digests and len(digests) != len(pictures):
         raise StyleSplatError(f"sha256 must have {len(pictures)} digests, not {len(digests)}.")
     for picture, expected in zip_longest(pictures, digests):
-        if not picture.is_file():
+        if is_material(picture):
+            digest(picture)  # refuses unknown ones
+        elif not picture.is_file():
             raise StyleSplatError(
                 f"there is no picture {picture}. Paths are relative to the recipe's folder."
             )

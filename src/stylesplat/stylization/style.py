@@ -23,6 +23,7 @@ from stylesplat.stylization.config import (
     StyleConfig,
     with_settings,
 )
+from stylesplat.stylization.materials import is_material, material_digest
 from stylesplat.stylization.style_image import Picture, read_style
 
 
@@ -53,7 +54,8 @@ class Style:
         """Take a style.
 
         Args:
-            pictures: Files, or colours: floats in 0..1, or bytes.
+            pictures: Files; names of materials, such as `material:bronze`; or colours: floats in
+                0..1, or bytes.
             config: All settings; by default those of the preset.
             preset: `default`, or `paper` for the method as published, VGG16 included.
             settings: Fields of `StyleConfig` to change, such as `scale=2`.
@@ -87,7 +89,7 @@ class Style:
 
     def sources(self) -> tuple[Source, ...]:
         """Where the pictures come from, with the digests of their content."""
-        return tuple(map(_source, self.pictures))
+        return tuple(map(source_of, self.pictures))
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,9 @@ def as_recipe(styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe
 
 
 def digest(path: Path) -> str:
-    """The SHA-256 of a file."""
+    """The SHA-256 of a file; of a material, that of its name."""
+    if is_material(path):
+        return material_digest(path)
     return sha256(read_bytes(path)).hexdigest()
 
 
@@ -161,9 +165,10 @@ def _title(picture: Picture) -> str:
     return "a picture" if isinstance(picture, Tensor) else Path(picture).name
 
 
-def _source(picture: Picture) -> Source:
+def source_of(picture: Picture) -> Source:
+    """Where a picture comes from. The path of a material is its name."""
     if isinstance(picture, Tensor):
         colors = picture.detach().to("cpu", torch.float32).contiguous()
         return Source(None, sha256(colors.numpy().tobytes()).hexdigest())
-    path = Path(picture).resolve()
+    path = Path(picture) if is_material(picture) else Path(picture).resolve()
     return Source(path, digest(path))

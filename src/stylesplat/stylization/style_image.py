@@ -16,6 +16,7 @@ from stylesplat.io.images import open_image, read_image
 from stylesplat.progress import say
 from stylesplat.stylization.config import USUAL_SCALE
 from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.materials import draw_material, is_material
 
 MIN_SIDE = 32  # pixels; in less is no texture: one feature of VGG's block 3 sees 40
 SHOCKS = 4.0  # steps of the filter that coarsens a style image, for every unit of scale
@@ -27,7 +28,7 @@ MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory
 
 
 Picture = Path | str | Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
-"""A file, or colours: floats in 0..1, or bytes."""
+"""A file, the name of a material, or colours: floats in 0..1, or bytes."""
 Pixels = UInt8[np.ndarray, "_ _ 3"] | Float[np.ndarray, "_ _ 3"]
 
 
@@ -39,8 +40,8 @@ def read_style(
     Longer sides than 4096 pixels are scaled down, which the user is told.
 
     Args:
-        picture: A file with one frame, of JPEG, PNG, TIFF, WebP, AVIF, BMP, GIF, PPM or TGA; or
-            colours.
+        picture: A file with one frame, of JPEG, PNG, TIFF, WebP, AVIF, BMP, GIF, PPM or TGA;
+            a material, such as `material:bronze`; or colours.
         rotate: Degrees counter-clockwise; of what is turned, the largest upright rectangle
             without empty corners is kept. Multiples of 90 keep every pixel as it is.
         region: x0, y0, x1, y1 to crop to before all else, in pixels of the upright picture.
@@ -49,11 +50,13 @@ def read_style(
         Colours in 0..1.
 
     Raises:
-        StyleSplatError: If the file is no picture or animated, colours are out of range, the
+        StyleSplatError: If the file is no picture or animated, no material has the name, colours are out of range, the
             region does not lie in it, or less than 32 pixels remain of a side.
     """
     if isinstance(picture, Tensor):
         name, pixels = "the style tensor", _colors_of(picture)
+    elif is_material(picture):
+        name, pixels = str(picture), draw_material(str(picture))
     else:
         name, pixels = str(picture), _decoded(Path(picture))
     if region is not None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -12,12 +11,12 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
 from stylesplat.scene.arguments import check_intensity
 from stylesplat.scene.compose import beneath, family, with_layers
-from stylesplat.scene.layer import RECOLOR, Source, recoloring
+from stylesplat.scene.layer import RECOLOR, recoloring
 from stylesplat.scene.scene import Scene, check_name_or_id
 from stylesplat.selection.choose import background_of, find_object
 from stylesplat.stylization.config import RecolorConfig, recolor_config
 from stylesplat.stylization.recolor import recolor_map
-from stylesplat.stylization.style import digest
+from stylesplat.stylization.style import source_of
 
 BACKGROUND = "background"
 
@@ -77,13 +76,12 @@ def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) 
         under, place = with_layers(scene, layers), len(layers)
     own = torch.zeros(len(scene.unpainted), dtype=torch.bool).index_fill(0, rows, True)
     mask = own[family(under)].to(under.splats.device)
-    picture = Path(config.match) if config.match else None
     layer = recoloring(
         name,
         rows,
         recolor_map(config, under.splats, mask, scene.cameras),
         strength=strength,
-        styles=(Source(picture.resolve(), digest(picture)),) if picture else (),
+        styles=(source_of(config.match),) if config.match else (),
         settings={key: value for key, value in config.changed.items() if key != "match"},
     )
     return with_layers(scene, [*layers[:place], layer, *layers[place:]])

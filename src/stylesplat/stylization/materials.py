@@ -1,0 +1,119 @@
+"""Materials as styles: pictures that are drawn, not stored, such as `material:bronze`."""
+
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from scipy.spatial import KDTree
+
+from stylesplat.errors import StyleSplatError
+
+PREFIX = "material:"
+EDITION = 1  # of the drawings: whoever changes one raises it, so that older recipes are refused
+SIDE = 512  # pixels
+Random = np.random.RandomState  # draws the same numbers in all versions of numpy
+Plane = Float[np.ndarray, "512 512"]
+Colors = Float[np.ndarray, "512 512 3"]
+
+
+def is_material(picture: Any) -> bool:
+    """Whether a style is the name of a material, not a file or colours."""
+    return isinstance(picture, str | Path) and str(picture).startswith(PREFIX)
+
+
+def material_digest(picture: Path | str) -> str:
+    """The SHA-256 of name and edition: pixels may differ in rounding from machine to machine."""
+    return sha256(f"{PREFIX}{_known_name(picture)} {EDITION}".encode()).hexdigest()
+
+
+@cache
+def draw_material(picture: Path | str) -> UInt8[np.ndarray, "512 512 3"]:
+    """The picture of a material, always the same. Raises a StyleSplatError for unknown ones."""
+    colors = MATERIALS[_known_name(picture)](Random(0))
+    return (colors.clip(0, 1) * 255).round().astype(np.uint8)
+
+
+def _known_name(picture: Path | str) -> str:
+    name = str(picture).removeprefix(PREFIX)
+    if name not in MATERIALS:
+        known = ", ".join(PREFIX + each for each in MATERIALS)
+        raise StyleSplatError(f"There is no material {name!r}. Use a picture, or one of {known}.")
+    return name
+
+
+def _noise(random: Random, *widths: float, across: float = 1.0) -> Plane:
+    """Smooth periodic noise of unit deviation; spots are `across` times as long along x."""
+    y, x = np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE) * across
+    total = np.zeros((SIDE, SIDE))
+    for width in widths:
+        white = np.fft.rfft2(random.standard_normal((SIDE, SIDE)))
+        smooth = np.fft.irfft2(white * np.exp(-2 * (np.pi * width) ** 2 * (x**2 + y**2)))
+        total += smooth / smooth.std() * width**0.5
+    return (total - total.mean()) / total.std()
+
+
+def _ramp(values: Plane, *colors: str) -> Colors:
+    """The colours that lie between these, which are evenly spaced from 0 to 1."""
+    stops = np.array([[*bytes.fromhex(color)] for color in colors]) / 255
+    places = np.linspace(0, 1, len(stops))
+    return np.stack([np.interp(values, places, channel) for channel in stops.T], axis=-1)
+
+
+def _bronze(random: Random) -> Colors:
+    """Highlights brushed along x, and a little verdigris in the hollows."""
+    broad, brushed = _noise(random, 50, 20), _noise(random, 1, 2, across=24)
+    metal = _ramp(0.46 + 0.2 * broad + 0.07 * brushed, "1d0f08", "5a3416", "a8692c", "f6d28c")
+    hollow = 1 / (1 + np.exp(4 * (broad + 1.7 + 0.3 * _noise(random, 3, 8))))
+    return metal + 0.6 * hollow[..., None] * (_ramp(0.5 + 0.3 * broad, "2f5c50", "6fa08c") - metal)
+
+
+def _marble(random: Random) -> Colors:
+    """Clouds of white and grey, with veins where noise crosses 0."""
+    cloud, veins = _noise(random, 60, 25, 8), np.zeros((SIDE, SIDE))
+    for width, strength, sharpness in ((70, 1.0, 12), (35, 0.7, 16), (20, 0.3, 20)):
+        warped = _noise(random, width) + 0.12 * _noise(random, 4, 9)
+        veins += strength * np.exp(-sharpness * abs(warped)) * (0.6 + 0.4 * np.tanh(cloud))
+    return _ramp(0.84 + 0.07 * cloud - 0.7 * veins, "3a3d44", "8f9298", "d3d2d0", "faf8f4")
+
+
+def _gold_leaf(random: Random) -> Colors:
+    """Crinkled foil: flat facets, each with its own light, and bright creases between them."""
+    y, x = np.mgrid[:SIDE, :SIDE] + 5 * np.stack([_noise(random, 9), _noise(random, 9)])
+    points = random.random_sample((450, 2)) * SIDE
+    distances, facets = KDTree(points).query(np.stack([y, x], axis=-1), k=2)
+    crease = np.exp(-(distances[..., 1] - distances[..., 0]) / 1.5)
+    tilt, light = random.standard_normal((2, len(points)))[:, facets[..., 0]]
+    light = light + 0.05 * tilt * (y - points[facets[..., 0], 0]) + 0.8 * _noise(random, 60, 20)
+    light += 1.4 * crease + 0.25 * _noise(random, 1, 3)
+    return _ramp(0.5 + 0.13 * light, "4d2a06", "a86f16", "e0b03c", "fff3b8")
+
+
+def _clay(random: Random) -> Colors:
+    """Terracotta with dents of thumbs, in which there are fine ridges."""
+    y, x = np.mgrid[:SIDE, :SIDE]
+    height = 4 * _noise(random, 30, 12)
+    for _ in range(45):
+        (cy, cx), turn = random.random_sample(2) * SIDE, random.random_sample() * np.pi
+        along = (x - cx) * np.cos(turn) + (y - cy) * np.sin(turn)
+        aside = (y - cy) * np.cos(turn) - (x - cx) * np.sin(turn)
+        dent = np.exp(-(((along / 46) ** 2 + (aside / 30) ** 2) ** 2))
+        height = height * (1 - 0.8 * dent) - dent * (
+            14 - 0.25 * np.sin(np.hypot(along + 90, aside))
+        )
+    down, right = np.gradient(height)  # the light comes from above left
+    light = -(down + right) / np.sqrt(1 + down**2 + right**2) + 0.1 * _noise(random, 0.7, 2, 5)
+    return _ramp(0.55 + 0.35 * light, "4a2016", "9a4f34", "c67a55", "ecb795")
+
+
+def _jade(random: Random) -> Colors:
+    """Soft clouds of green with milky streaks."""
+    streaks = np.exp(-2 * _noise(random, 34, 12, across=2) ** 2)
+    cloud = 0.15 * _noise(random, 60, 30, 12, 5) + 0.3 * streaks
+    return _ramp(0.36 + cloud, "123d2a", "2f7a52", "6fb287", "d8ecd6")
+
+
+MATERIALS = {"bronze": _bronze, "marble": _marble, "gold-leaf": _gold_leaf, "clay": _clay}
+MATERIALS |= {"jade": _jade}
