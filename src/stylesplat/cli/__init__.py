@@ -7,6 +7,7 @@ from contextlib import closing
 from stylesplat.cli.arguments import read_arguments
 from stylesplat.cli.batch import Batch
 from stylesplat.cli.demo import Demo
+from stylesplat.cli.doctor import Doctor
 from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
@@ -45,6 +46,7 @@ VERBS: dict[str, type] = {
     "view": ViewCommand,
     "studio": StudioCommand,
     "mcp": Mcp,
+    "doctor": Doctor,
 }
 
 

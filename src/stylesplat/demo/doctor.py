@@ -1,0 +1,200 @@
+"""`doctor`: what this machine has, and whether StyleSplat computes correctly on its devices."""
+
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from math import log10
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from stylesplat.demo.demo_run import STYLES, copy_capture
+from stylesplat.rendering.render import pick_device, rasterize, render
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.scene import Scene
+from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.style import Style
+from stylesplat.verbs.load import load
+from stylesplat.verbs.select import select
+from stylesplat.verbs.stylize import stylize
+from stylesplat.verbs.train import train
+
+LIBRARIES = "stylesplat torch torchvision numba numpy scipy pycolmap gsplat transformers".split()
+GIB = 2**30
+RENDERS = 10  # that are timed
+LEAST_AGREEMENT = 40.0  # dB of a device's picture and the reference's: float32 gives over 60
+LEAST_FIT = 12.0  # dB of held-out photos after 50 steps; a grey picture has less
+COMPILE = 'python -c "from gsplat.cuda._backend import _C"'
+WHEELS = "https://docs.gsplat.studio/whl/"
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """How much the self-test does: by default less than a minute's work of two cores."""
+
+    downscale: float = 4.0
+    """How many times smaller than 480x360 the photos are."""
+    gaussians: int = 4000
+    train_steps: int = 50
+    paint_steps: int = 20
+
+
+def doctor(device: str = "auto", budget: SelfTest | None = None) -> dict[str, Any]:
+    """Describe the machine, and render, train and paint on its devices: `auto` is all of them.
+
+    A GPU whose gsplat is not compiled is tested only if `device` is `cuda`: compiling takes
+    minutes. What is wrong is under `problems`. Raises a StyleSplatError if `device` is `cuda` and
+    torch sees no GPU.
+    """
+    start = time.perf_counter()
+    if device != "auto":
+        pick_device(device)
+    gpus = [f"cuda:{number}" for number in range(torch.cuda.device_count())]
+    state, remedy = gsplat_state()
+    problems = []
+    if gpus and remedy:
+        problems.append(f"gsplat is {state}: {remedy}")
+    if not gpus and (seen := _gpus_of_driver()):
+        problems.append(
+            f"The driver sees {seen}, and torch {torch.__version__} does not: install a CUDA build "
+            "of torch, see https://pytorch.org/get-started/locally/"
+        )
+    tested = ["cpu"] if device in ("auto", "cpu") else []
+    tested += gpus if device == "cuda" or (device == "auto" and not remedy) else []
+    rows = [*_test_devices(tested, budget or SelfTest())]
+    problems += [f"{row['device']}: {row['problem']}" for row in rows if row["problem"]]
+    return {
+        "versions": {"python": platform.python_version(), **_versions()},
+        "system": {
+            "platform": platform.platform(),
+            "processor": _processor(),
+            "threads": torch.get_num_threads(),
+            "memory_gib": _memory(),
+        },
+        "gpus": {
+            gpu: {"name": card.name, "memory_gib": round(card.total_memory / GIB, 1)}
+            for gpu, card in zip(gpus, map(torch.cuda.get_device_properties, gpus), strict=True)
+        },
+        "gsplat": state if remedy is None else f"{state}: {remedy}",
+        "self_test": rows,
+        "seconds": round(time.perf_counter() - start, 1),
+        "problems": problems,
+    }
+
+
+def gsplat_state() -> tuple[str, str | None]:
+    """Whether gsplat's CUDA kernels are compiled; and if not, how to get them."""
+    if find_spec("gsplat") is None:
+        return "not installed", "run `pip install 'stylesplat[cuda]'`"
+    if find_spec("gsplat.csrc") is not None:
+        return "compiled, from a wheel", None
+    cuda, (major, minor, *_) = torch.version.cuda, sys.version_info
+    cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser()
+    build = f"py{major}{minor}{sys.abiflags}_" + (f"cu{cuda.replace('.', '')}" if cuda else "cpu")
+    root = os.environ.get("TORCH_EXTENSIONS_DIR") or cache / "torch_extensions" / build
+    if (Path(root) / "gsplat_cuda" / "gsplat_cuda.so").is_file():
+        return "compiled, on this machine", None
+    toolkits = os.environ.get("CUDA_HOME"), os.environ.get("CUDA_PATH"), "/usr/local/cuda"
+    if shutil.which("nvcc") or any(
+        (Path(each) / "bin/nvcc").is_file() for each in toolkits if each
+    ):
+        return "not compiled", f"run `{COMPILE}` once, which takes some minutes"
+    toolkit = f"the CUDA toolkit {cuda or ''}".rstrip()
+    return "not compiled", f"install {toolkit} (nvcc) and run `{COMPILE}`, or a wheel of {WHEELS}"
+
+
+def _versions() -> dict[str, str | None]:
+    found = dict[str, str | None].fromkeys(LIBRARIES)
+    for name in LIBRARIES:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found | {"torch": torch.__version__, "cuda": torch.version.cuda}  # of torch's build
+
+
+def _processor() -> str:
+    with suppress(OSError, IndexError):
+        return re.findall(r"model name\s*: (.+)", Path("/proc/cpuinfo").read_text())[0]
+    return platform.processor() or platform.machine()
+
+
+def _memory() -> float | None:
+    with suppress(AttributeError, OSError, ValueError):  # not on Windows
+        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / GIB, 1)
+
+
+def _gpus_of_driver() -> str:
+    """The first GPU that NVIDIA's driver lists; empty if there is none, or no driver."""
+    try:
+        done = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, timeout=20)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    found = done.stdout.partition("\n")[0]
+    return found if done.returncode == 0 and found.startswith("GPU") else ""
+
+
+def _test_devices(devices: list[str], budget: SelfTest) -> Iterator[dict[str, Any]]:
+    with tempfile.TemporaryDirectory() as folder:
+        place = copy_capture(Path(folder) / "capture")
+        capture = load(place, downscale=budget.downscale)
+        for device in devices:
+            row, start = {"device": device, "problem": None}, time.perf_counter()
+            try:
+                for numbers in _test_device(device, capture, place / "styles", budget):
+                    row |= numbers
+                row["problem"] = _problem(row)
+            except Exception as error:  # whatever goes wrong belongs into the report
+                row["problem"] = " ".join(f"{type(error).__name__}: {error}".split())
+            yield row | {"seconds": round(time.perf_counter() - start, 1)}
+
+
+def _test_device(
+    device: str, capture: Capture, styles: Path, budget: SelfTest
+) -> Iterator[dict[str, Any]]:
+    """Train, render and paint; yields the numbers of each."""
+    scene = train(capture, device=device, steps=budget.train_steps, max_gaussians=budget.gaussians)
+    speed, psnr = scene.metrics["steps_per_second"], scene.metrics["psnr"]
+    yield {"steps_per_second": speed, "psnr": round(psnr, 2)} | _test_rendering(device, scene)
+    config = StyleConfig(steps=budget.paint_steps, object_size=80)
+    style = Style(styles / f"{STYLES['vase']}.jpg", config=config)
+    scene = stylize(select(scene, "vase", id=1), {"vase": style}, device=device)
+    names = "seconds_by_object", "nnfm_before", "nnfm_after"
+    numbers = {name: round(scene.metrics[name]["vase"], 4) for name in names}
+    yield numbers | {"precision": scene.metrics["precision"]}
+
+
+def _test_rendering(device: str, scene: Scene) -> dict[str, Any]:
+    """Milliseconds of a picture at the photos' size, and its likeness to the reference's."""
+    small, large = scene.working_views()[0][0], scene.cameras[0]
+    splats = scene.splats.to(device)
+    exact = replace(scene.splats, classifier=None, identities=None).map(torch.Tensor.double)
+    expected, _, _ = rasterize(exact, small, backend="reference")
+    error = (render(splats, small)[0].cpu() - expected[0]).square().mean().item()
+    render(splats, large)[0].cpu()  # warm
+    start = time.perf_counter()
+    for _ in range(RENDERS):
+        image, _ = render(splats, large)
+    image.cpu()  # waits for a GPU
+    milliseconds = 1000 * (time.perf_counter() - start) / RENDERS
+    agreement = -10 * log10(max(error, 1e-20))
+    return {"render_ms": round(milliseconds, 2), "agreement": round(agreement, 1)}
+
+
+def _problem(row: dict[str, Any]) -> str | None:
+    if not row["agreement"] >= LEAST_AGREEMENT:
+        return f"its pictures agree with the reference rasteriser to {row['agreement']} dB only"
+    if not row["psnr"] >= LEAST_FIT:
+        return f"training leaves held-out photos at {row['psnr']:.1f} dB"
+    if not row["nnfm_after"] < row["nnfm_before"]:
+        return "painting does not bring the object closer to its style"
+    return None
