@@ -206,14 +206,14 @@ def write_pictures(folder: Path) -> tuple[Path, Path]:
 def painted(
     scene: Scene,
     name: str,
-    pictures: Sequence[Path] | Path,
+    pictures: Sequence[Path] | Path | str,
     network: Any = None,
     *,
     measured: bool = True,
     **settings: Any,
 ) -> Scene:
     """A scene with one more object painted."""
-    pictures = [pictures] if isinstance(pictures, Path) else pictures
+    pictures = [pictures] if isinstance(pictures, Path | str) else pictures
     style = Style(*pictures, config=PAINTED_FAST, **settings)
     rest = {"device": "cpu", "measured": measured, **(network or {})}
     return stylize(scene, {name: style}, **rest)

@@ -49,7 +49,7 @@ class FakeGenerator(torch.Generator):
 
     def __new__(cls, device: torch.device | str = "cpu") -> "FakeGenerator":
         made = super().__new__(cls)
-        made.on_gpu = torch.device(device).type == "cuda"
+        made.on_gpu = torch.device(device).type == "cuda"  # pyright: ignore[reportAttributeAccessIssue]
         return made
 
     def __init__(self, device: torch.device | str = "cpu") -> None:

@@ -44,9 +44,11 @@ class Export(MakingCommand):
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
     mesh: Flag = False
     """Write a textured mesh into a .glb or .obj, of one object or of a scene that shows one."""
-    mesh_settings: Annotated[
-        dict[str, Any], from_config(MeshConfig, "faces", "texture_size", "repaint")
-    ] = field(default_factory=dict)
+    mesh_settings: Annotated[dict[str, Any], from_config(MeshConfig, "faces", "texture_size")] = (
+        field(default_factory=dict)
+    )
+    repaint: Flag = False
+    """Paint the mesh's texture anew in the object's style: its strokes are finer than Gaussians."""
     spz_version: Literal[2, 3, 4] | None = None
     """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs."""
 
@@ -59,8 +61,9 @@ class Export(MakingCommand):
             raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
         (file,) = places
         others = (self.without, self.selected, self.sidecar, self.mesh)
-        if self.mesh_settings and not self.mesh:
-            names = ", ".join(f"--{name.replace('_', '-')}" for name in self.mesh_settings)
+        settings = self.mesh_settings | ({"repaint": True} if self.repaint else {})
+        if settings and not self.mesh:
+            names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
             raise StyleSplatError(f"{names} means nothing without --mesh. Add it, or leave it out.")
         options = {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
         if self.spz_version is not None and file.suffix.lower() != ".spz":
@@ -88,7 +91,7 @@ class Export(MakingCommand):
             without=self.without,
             selected=self.selected,
             sidecar=self.sidecar,
-            mesh=MeshConfig(**self.mesh_settings) if self.mesh else None,
+            mesh=MeshConfig(**settings) if self.mesh else None,
             spz_version=self.spz_version,
             **options,
         )

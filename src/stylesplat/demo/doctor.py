@@ -180,7 +180,7 @@ def _test_rendering(device: str, scene: Scene) -> dict[str, Any]:
     exact = replace(scene.splats, classifier=None, identities=None).map(torch.Tensor.double)
     expected, _, _ = rasterize(exact, small, backend="reference")
     error = (render(splats, small)[0].cpu() - expected[0]).square().mean().item()
-    render(splats, large)[0].cpu()  # warm
+    image = render(splats, large)[0].cpu()  # warm
     start = time.perf_counter()
     for _ in range(RENDERS):
         image, _ = render(splats, large)

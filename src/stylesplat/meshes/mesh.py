@@ -12,6 +12,7 @@ from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.materials import is_material
 
 MODULES = ("skimage", "fast_simplification", "xatlas")
 BAKED = (160, 768)  # pixels of the views that give the texture, at least and at most
@@ -37,13 +38,16 @@ def make_mesh(
         paint: Of a painted object its layer, and the object alone without paint, to repaint it.
 
     Raises:
-        StyleSplatError: If the object has no surface, as smoke has none, or packages are missing.
+        StyleSplatError: If the object has no surface, as smoke has none, packages are missing, or
+            it cannot be repainted.
     """
     if not all(map(find_spec, MODULES)):
         raise StyleSplatError(
             "A mesh needs scikit-image, fast-simplification and xatlas. Run `pip install "
             "'stylesplat[mesh]'`."
         )
+    if config.repaint:
+        _refuse_repainting(paint, name)
     splats = splats.detach().to("cpu")
     surface, open_share = find_mesh_surface(splats, photos, config.faces, name)
     if open_share > 0:
@@ -58,12 +62,23 @@ def make_mesh(
     mesh = bake(mesh, splats, views)
     if not config.repaint:
         return mesh
+    from stylesplat.meshes.repaint import repaint
+
+    assert paint is not None
+    layer, unpainted = paint
+    return repaint(mesh, unpainted, views, layer, name)
+
+
+def _refuse_repainting(paint: tuple[Layer, Splats] | None, name: str) -> None:
     if paint is None:
         raise StyleSplatError(
             f"{name} is not painted, so that there is nothing to repaint. Style it first, or leave "
             "--repaint out."
         )
-    from stylesplat.meshes.repaint import repaint
-
-    layer, unpainted = paint
-    return repaint(mesh, unpainted, views, layer, name)
+    files = [source.path for source in paint[0].styles]
+    there = (file and (is_material(file) or file.is_file()) for file in files)
+    if not files or not all(there):
+        raise StyleSplatError(
+            f"Cannot repaint {name}: a picture of its style is gone. Put it back, or leave "
+            "--repaint out."
+        )

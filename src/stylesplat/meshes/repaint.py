@@ -19,7 +19,6 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.surface import MeshViews
 from stylesplat.meshes.texture import Texels, TexturedMesh, texels_of
@@ -31,7 +30,6 @@ from stylesplat.stylization.colors import build_palette, color_map
 from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings
 from stylesplat.stylization.form import SURVEY_LENGTH, survey_form
 from stylesplat.stylization.matching import build_index
-from stylesplat.stylization.materials import is_material
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import (
     CANVAS_RATE,
@@ -106,15 +104,12 @@ def repaint(
         mesh: The mesh with the paint of the Gaussians.
         unpainted: The object alone before it was painted, for its form.
         views: From where to paint.
-        layer: The object's paint: its style and settings.
+        layer: The object's paint: its style, whose pictures are there, and settings.
         name: What messages call the object.
-
-    Raises:
-        StyleSplatError: If a picture of the style is gone.
     """
     texels = texels_of(mesh)
     paint = _as_splats(mesh, texels)
-    context, style = _context(unpainted, views, layer, name)
+    context, style = _context(unpainted, views, layer)
     boxes = find_boxes(unpainted, context.cameras, torch.ones(len(unpainted), dtype=torch.bool))
     side, area = np.ptp(mesh.vertices, axis=0).max(), _area(mesh)
     length = min(LONGEST, float(side) * math.sqrt(len(texels.points) / area))
@@ -156,16 +151,8 @@ def _as_splats(mesh: TexturedMesh, texels: Texels) -> Splats:
     )
 
 
-def _context(
-    unpainted: Splats, views: MeshViews, layer: Layer, name: str
-) -> tuple[PaintContext, Style]:
+def _context(unpainted: Splats, views: MeshViews, layer: Layer) -> tuple[PaintContext, Style]:
     files = [source.path for source in layer.styles]
-    there = (file and (is_material(file) or file.is_file()) for file in files)
-    if not files or not all(there):
-        raise StyleSplatError(
-            f"Cannot repaint {name}: a picture of its style is gone. Put it back, or leave "
-            "--repaint out."
-        )
     config = with_settings(PRESETS["default"], layer.settings)
     style = Style(*(file for file in files if file is not None), config=config)
     network = load_network([style], layer.features, layer.weights)

@@ -83,10 +83,11 @@ def _gold_leaf(random: Random) -> Colors:
     """Crinkled foil: flat facets, each with its own light, and bright creases between them."""
     y, x = np.mgrid[:SIDE, :SIDE] + 5 * np.stack([_noise(random, 9), _noise(random, 9)])
     points = random.random_sample((450, 2)) * SIDE
-    distances, facets = KDTree(points).query(np.stack([y, x], axis=-1), k=2)
+    distances, near = map(np.asarray, KDTree(points).query(np.stack([y, x], axis=-1), k=2))
+    facets = near[..., 0]
     crease = np.exp(-(distances[..., 1] - distances[..., 0]) / 1.5)
-    tilt, light = random.standard_normal((2, len(points)))[:, facets[..., 0]]
-    light = light + 0.05 * tilt * (y - points[facets[..., 0], 0]) + 0.8 * _noise(random, 60, 20)
+    tilt, light = random.standard_normal((2, len(points)))[:, facets]
+    light = light + 0.05 * tilt * (y - points[facets, 0]) + 0.8 * _noise(random, 60, 20)
     light += 1.4 * crease + 0.25 * _noise(random, 1, 3)
     return _ramp(0.5 + 0.13 * light, "4d2a06", "a86f16", "e0b03c", "fff3b8")
 
