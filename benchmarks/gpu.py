@@ -14,7 +14,8 @@ Prints
 5. a table of the figures measured beside those that docs/scale.md derives for an H100, with the
    peak of the GPU's memory. Where they differ by more than 2, read that derivation first.
 
-It takes 8 minutes at most on an H100, once gsplat is compiled. It exits with 1 if correctness fails.
+It takes 8 minutes at most on an H100, once gsplat is compiled, and exits with 1 if correctness
+fails.
 """
 
 import argparse

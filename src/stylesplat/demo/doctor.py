@@ -42,8 +42,7 @@ WHEELS = "https://docs.gsplat.studio/whl/"
 class SelfTest:
     """How much the self-test does: by default less than a minute's work of two cores."""
 
-    downscale: float = 4.0
-    """How many times smaller than 480x360 the photos are."""
+    downscale: float = 4.0  # of photos of 480x360
     gaussians: int = 4000
     train_steps: int = 50
     paint_steps: int = 20
