@@ -206,15 +206,15 @@ def write_pictures(folder: Path) -> tuple[Path, Path]:
 def painted(
     scene: Scene,
     name: str,
-    pictures: Sequence[Path] | Path | str,
+    pictures: Sequence[Path | str] | Path | str,
     network: Any = None,
     *,
     measured: bool = True,
     **settings: Any,
 ) -> Scene:
     """A scene with one more object painted."""
-    pictures = [pictures] if isinstance(pictures, Path | str) else pictures
-    style = Style(*pictures, config=PAINTED_FAST, **settings)
+    files = [pictures] if isinstance(pictures, Path | str) else pictures
+    style = Style(*files, config=PAINTED_FAST, **settings)
     rest = {"device": "cpu", "measured": measured, **(network or {})}
     return stylize(scene, {name: style}, **rest)
 

@@ -37,23 +37,10 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda: False)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
-    monkeypatch.setattr(torch, "Generator", FakeGenerator)
     card = SimpleNamespace(name="stand-in", total_memory=2**34)
     monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: card)
     with FakeCuda():
         yield "cuda"
-
-
-class FakeGenerator(torch.Generator):
-    """A generator that knows which device it was made for."""
-
-    def __new__(cls, device: torch.device | str = "cpu") -> "FakeGenerator":
-        made = super().__new__(cls)
-        made.on_gpu = torch.device(device).type == "cuda"  # pyright: ignore[reportAttributeAccessIssue]
-        return made
-
-    def __init__(self, device: torch.device | str = "cpu") -> None:
-        super().__init__()
 
 
 def _kernel(function: Callable) -> Callable:
@@ -93,16 +80,14 @@ class FakeCuda(TorchFunctionMode):
             raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu().")
         if func in (Tensor.to, Tensor.cpu):
             return self._moved(func, *args, **kwargs)
-        if func is Tensor.pin_memory:
-            return args[0]
         given = _tensors((args, kwargs))
         place = kwargs.get("device")
         if place is not None:
             kwargs["device"] = "cpu"
             gpu = torch.device(place).type == "cuda"
             generator = kwargs.get("generator")
-            if generator is not None and gpu != getattr(generator, "on_gpu", False):
-                raise RuntimeError("Expected a generator of the device of the tensor.")
+            if generator is not None and gpu:
+                raise RuntimeError("Expected a 'cuda' device type for generator, found 'cpu'.")
         else:
             gpu = self._same_device(func, own, given)
         found = func(*args, **kwargs)
