@@ -17,7 +17,7 @@ export function listen(canvas, camera, changed, taken = () => false) {
     if (taken(event)) return;
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, [event.clientX, event.clientY]);
-    canvas.focus();
+    canvas.focus({ focusVisible: false });
   });
   canvas.addEventListener("pointermove", (event) => {
     if (!fingers.has(event.pointerId)) return;

@@ -60,7 +60,7 @@ export class Tools {
     this.start.draws = draws || frames;
     if (!this.start.draws && !this.start.handle) return false;
     this.viewport.canvas.setPointerCapture(event.pointerId);
-    this.viewport.canvas.focus();
+    this.viewport.canvas.focus({ focusVisible: false });
     this.overlay.width = tool.value === "brush" && draws ? 2 * brush.value * this.viewport.size[1] : null;
     this.overlay.line = this.start.draws ? [at] : [];
     this.overlay.draw();
