@@ -101,7 +101,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> Surface:
     count = cluster.max() + 1
     member = coo_array((weights[own], (cluster[own], own)), (count, len(rows))).tocsr()
     member = diags_array(1 / member.sum(axis=1)) @ member
-    one, other = np.repeat(cluster, NEIGHBOURS), cluster[near[:, 1:]].ravel()
+    one, other = np.repeat(cluster, NEIGHBOURS), cluster[np.asarray(near)[:, 1:]].ravel()
     touch = (distances[:, 1:].ravel() < GAP * gap) & (one >= 0) & (other >= 0) & (one != other)
     pairs = coo_array((np.ones(touch.sum()), (one[touch], other[touch])), (count, count)).tocsr()
     owners = cluster[np.asarray(KDTree(points).query(means, workers=-1)[1])]
