@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
@@ -116,6 +116,9 @@ class Select(MakingCommand):
     """VIEW:x,y in the photo's pixels: the object that shows there. May be repeated."""
     not_point: UseAppendAction[tuple[str, ...]] = ()
     """VIEW:x,y of an object that is not meant. May be repeated."""
+    size: Literal["part", "object", "group"] | None = None
+    """How much a point means in a scene without labels: a part of one colour, an object (the
+    default there), or all that touches. In a scene with labels, instead of these."""
     text: UseAppendAction[tuple[str, ...]] = ()
     """A few words: the object that they mean, if it is clear which one. May be repeated."""
     model: str | None = None
@@ -178,6 +181,7 @@ class Select(MakingCommand):
             box=_places(self.box, "VIEW:x0,y0,x1,y1"),
             point=_places(self.point, "VIEW:x,y"),
             not_point=_places(self.not_point, "VIEW:x,y"),
+            size=self.size,
             text=self.text,
             box3d=_places(self.box3d, "x0,y0,z0,x1,y1,z1"),
             sphere=_places(self.sphere, "x,y,z,RADIUS", "VIEW:x,y,RADIUS"),

@@ -13,6 +13,7 @@ from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import family, mask_of
 from stylesplat.scene.scene import Scene, SceneObject, is_id
+from stylesplat.selection.clicks import Size, pick_clicked
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import (
     THRESHOLD,
@@ -29,7 +30,7 @@ from stylesplat.selection.text import Detector, clear_winner, rank_objects
 
 # Selections with these are not the whole object
 SHAPING = frozenset(
-    {"plus", "minus", "box3d", "sphere", "rows", "all", "background", "grow", "shrink"}
+    {"plus", "minus", "box3d", "sphere", "rows", "all", "background", "grow", "shrink", "size"}
 )
 ALONE = frozenset({"text", "box3d", "sphere"})  # no list in objects.json where there is one
 
@@ -46,6 +47,8 @@ class Choice:
     """A view and a pixel: the object that shows there."""
     not_points: tuple[tuple[str, Point], ...] = ()
     """Objects to exclude."""
+    size: Size | None = None
+    """How much points mean on the surface, whatever the labels; None to go by labels if known."""
     text: tuple[str, ...] = ()
     """A few words each: the object that fits them best."""
     box3d: tuple[tuple[float, ...], ...] = ()
@@ -90,11 +93,15 @@ def choose(
     An object that is called `name` now counts as background. For `threshold` and
     `remove_outliers` see `pick`.
     """
-    excluded = _ids_at(scene, choice.not_points)
+    clicks = choice.size is not None or scene.splats.classifier is None
+    excluded = [] if clicks else _ids_at(scene, choice.not_points)
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
     if choice.background:
         masks.append(background_of(scene, name, threshold=threshold))
+    if clicks and (choice.points or choice.not_points or choice.size):
+        masks.append(_clicked(scene, choice))
     named, scores = _ids(scene, choice), dict[int, float]()
+    named += [] if clicks else _ids_at(scene, choice.points)
     names = {id: name for name, each in scene.objects.items() for id in each.how.get("ids", [])}
     for text in choice.text:
         assert detector is not None  # whoever takes texts loads one
@@ -197,12 +204,21 @@ def whole_ids(scene: Scene, name: str) -> tuple[int, ...]:
 
 
 def _ids(scene: Scene, choice: Choice) -> list[int]:
-    """The label ids of `ids`, boxes and points."""
+    """The label ids of `ids` and boxes."""
     splats, folder = scene.splats, scene.path
     found = [*resolve_ids(splats, object_id=choice.ids, folder=folder)] if choice.ids else []
     for view, box in choice.boxes:
         found += resolve_ids(splats, box=box, camera=_camera(scene, view), folder=folder)
-    return [*found, *_ids_at(scene, choice.points)]
+    return found
+
+
+def _clicked(scene: Scene, choice: Choice) -> Bool[Tensor, " N"]:
+    """What is clicked on the surface, whether or not there are labels."""
+    if not choice.points:
+        raise StyleSplatError("--size and --not-point on a surface go with --point. Add one.")
+    size = choice.size or "object"
+    picked = pick_clicked(scene.unpainted, scene.cameras, choice.points, choice.not_points, size)
+    return _with_canvases(scene, picked)
 
 
 def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:

@@ -14,8 +14,8 @@ MIN_COVERAGE = 0.5  # of a pixel, below which it shows mostly what lies behind a
 
 UNLABELLED = (
     "Train from a capture with label maps, or import with one (`object_mask/` or --masks); of a "
-    "splat without photos `stylesplat mask SCENE --box NAME=VIEW:x0,y0,x1,y1` makes some; or pick "
-    "by shape, with --box3d or --sphere."
+    "splat without photos `stylesplat mask SCENE --box NAME=VIEW:x0,y0,x1,y1` makes some; or "
+    "select without labels, with --point, --box3d or --sphere."
 )
 
 

@@ -15,6 +15,7 @@ from stylesplat.rendering.render import pick_device
 from stylesplat.scene.arguments import Places, check_box, parse_places, several
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, choose
+from stylesplat.selection.clicks import Size
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD
 from stylesplat.selection.text import load_detector
@@ -29,6 +30,7 @@ def select(
     box: Places = (),
     point: Places = (),
     not_point: Places = (),
+    size: Size | None = None,
     text: str | Sequence[str] | None = None,
     box3d: Sequence[Any] = (),
     sphere: Places | None = None,
@@ -56,6 +58,8 @@ def select(
         box: `(view, x0, y0, x1, y1)`, or several: the object that shows most inside.
         point: `(view, x, y)`, or several: the object that shows there.
         not_point: The same for objects that are not meant.
+        size: How much a point means in a scene without labels: `part`, `object` (the default
+            there) or `group`, all that touches; in a scene with labels, instead of these.
         text: A few words: the object that they mean, if it is clear which one. Or several texts.
         box3d: `(x0, y0, z0, x1, y1, z1)` in world units, or several: what lies inside, whatever
             it is.
@@ -88,6 +92,7 @@ def select(
         boxes=parse_places(box, 4, "box"),
         points=parse_places(point, 2, "point"),
         not_points=parse_places(not_point, 2, "not_point"),
+        size=size,
         text=texts,
         box3d=tuple(map(_box3d, several(box3d))),
         sphere=tuple(map(_sphere, several(sphere))),

@@ -1,0 +1,263 @@
+"""Objects of a splat without labels, by clicks: a graph over its surface, cut around the clicks.
+
+Visible Gaussians make up the surface. Large planes (a table, a wall) are background. The other
+Gaussians are gathered into small clusters, which are connected where they touch: weakly across a
+concave fold, as where one object leans on another, and for parts also across a change of
+colour. Random walks that start at a click and end with a small probability at each step visit its
+object first; the clusters, ordered by visits, are cut where the boundary is weakest for its size
+(Andersen, Chung, Lang: Local graph partitioning using PageRank vectors, FOCS 2006).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import cg
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.progress import track
+from stylesplat.rendering.shares import AT_ONCE, COVERED, contributed, without_looks
+from stylesplat.scene.arguments import check_point
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import crop
+from stylesplat.scene.splats import Splats, rgb_from_sh0
+from stylesplat.selection.soft_picks import sampled_views
+
+Size = Literal["part", "object", "group"]
+
+SEEN = 1.0  # pixels in all sampled views, from which a Gaussian belongs to the surface
+CLUSTERS = 5000
+NEIGHBOURS = 16
+# All lengths are in median distances to the eighth neighbour
+MIDDLE, GAP, LONE = 8, 4.0, 6.0  # farther neighbours do not touch; lone Gaussians are background
+FLAT = 2.0  # half the thickness of a plane
+PLANE = (
+    0.15  # share of what shows from which a plane is background: demo's table .35, fox's wall .35
+)
+SAMPLE, TRIES = 4000, 200  # points and candidates to find a plane
+SPREAD, TINT = 3.0, 3.0  # extent of a cluster; weight of its colours beside its normals
+FOLD, SHARP_FOLD, COLOR = 2.0, 4.0, 3.0  # how fast connections weaken
+ENDS = 1e-4  # probability with which a walk ends at a step
+# Cut connections over the root of the smaller side's, below which an object ends. Two touching
+# objects of the demo have 0.1, the weakest cuts through its single ones 2 to 9.
+WEAK = 1.0
+SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The surface of a splat as a graph of K clusters."""
+
+    owners: Int[np.ndarray, " N"]
+    """The cluster of each Gaussian or of the surface next to it, -1 for background."""
+    points: Float[np.ndarray, "K 3"]
+    colors: Float[np.ndarray, "K 3"]
+    normals: Float[np.ndarray, "K 3"]
+    touching: csr_array
+    """The number of pairs of neighbours of two clusters."""
+
+    def connections(self, fold: float, color: float) -> csr_array:
+        """How strongly clusters are connected."""
+        pairs = self.touching.tocoo()
+        one, other = pairs.coords
+        away = self.points[other] - self.points[one]
+        away /= np.linalg.norm(away, axis=1, keepdims=True).clip(1e-12)
+        concave = -((self.normals[other] - self.normals[one]) * away).sum(axis=1).clip(max=0)
+        differs = ((self.colors[other] - self.colors[one]) ** 2).sum(axis=1)
+        strengths = np.exp(-((fold * concave) ** 2) - color * differs) + 1e-6
+        return coo_array((pairs.data * strengths, pairs.coords), pairs.shape).tocsr()
+
+
+@lru_cache(maxsize=1)  # more clicks on the same splat
+def surface_of(splats: Splats, cameras: Cameras) -> Surface:
+    """The graph over the surface of a splat on the CPU."""
+    rng = np.random.default_rng(0)
+    seen, towards = _seen(without_looks(splats), sampled_views(cameras))
+    rows = np.flatnonzero(seen > SEEN)
+    if len(rows) <= NEIGHBOURS:
+        raise StyleSplatError("Hardly any Gaussian shows in the views. Select by --box3d.")
+    means = splats.means.double().numpy()
+    points, weights = means[rows], seen[rows]
+    colors = rgb_from_sh0(splats.sh0[:, 0]).double().numpy()[rows].clip(0, 1)
+    distances, near = KDTree(points).query(points, k=NEIGHBOURS + 1, workers=-1)
+    gap = max(float(np.median(distances[:, MIDDLE])), 1e-12)
+    around = points[near] - points[near].mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][:, :, 0]
+    normals *= np.sign((normals * towards[rows]).sum(axis=1))[:, None]
+    flat = _planes(points / gap, normals, weights, rng)
+    own = np.flatnonzero(~flat & (distances[:, MIDDLE] <= LONE * gap))
+    cluster = np.full(len(rows), -1)
+    features = np.hstack([points / (SPREAD * gap), TINT * colors, normals])[own]
+    if len(own):
+        cluster[own] = _clusters(features, weights[own], rng)
+    count = cluster.max() + 1
+    member = coo_array((weights[own], (cluster[own], own)), (count, len(rows))).tocsr()
+    member = diags_array(1 / member.sum(axis=1)) @ member
+    one, other = np.repeat(cluster, NEIGHBOURS), cluster[np.asarray(near)[:, 1:]].ravel()
+    touch = (distances[:, 1:].ravel() < GAP * gap) & (one >= 0) & (other >= 0) & (one != other)
+    pairs = coo_array((np.ones(touch.sum()), (one[touch], other[touch])), (count, count)).tocsr()
+    owners = cluster[np.asarray(KDTree(points).query(means, workers=-1)[1])]
+    touching = csr_array(pairs + pairs.T)
+    return Surface(owners, member @ points, member @ colors, member @ normals, touching)
+
+
+def _seen(splats: Splats, cameras: Sequence[Cameras]) -> tuple[np.ndarray, np.ndarray]:
+    """The contribution of each Gaussian to all views, and its mean direction to their cameras."""
+    seen, towards = torch.zeros(len(splats)), torch.zeros(len(splats), 3)
+    for camera in track(cameras, "finding the surface"):
+        everywhere = torch.ones(*camera.size[::-1], AT_ONCE)
+        part = contributed(splats, camera, everywhere)[:, 0]
+        rays = camera.positions.to(splats.means) - splats.means
+        towards += part[:, None] * rays / rays.norm(dim=1, keepdim=True).clamp(min=1e-12)
+        seen += part
+    return seen.double().numpy(), towards.double().numpy()
+
+
+def _planes(
+    points: Float[np.ndarray, "M 3"],
+    normals: Float[np.ndarray, "M 3"],
+    weights: Float[np.ndarray, " M"],
+    rng: np.random.Generator,
+) -> Bool[np.ndarray, " M"]:
+    """Which points lie on large planes, by RANSAC; lengths are in gaps."""
+    free = np.ones(len(points), bool)
+    while weights[free].sum() >= PLANE * weights.sum():
+        rows = np.flatnonzero(free)
+        some, tries = rng.choice(rows, SAMPLE), rng.choice(rows, TRIES)
+        offsets = (points[tries] * normals[tries]).sum(axis=1)
+        near = np.abs(points[some] @ normals[tries].T - offsets) < FLAT
+        along = np.abs(normals[some] @ normals[tries].T) > 0.9
+        best = tries[(weights[some] @ (near & along)).argmax()]
+        centre, normal, on = points[best], normals[best], free
+        for _ in range(3):
+            on = free & (np.abs((points - centre) @ normal) < FLAT)
+            on &= np.abs(normals @ normal) > 0.8
+            if weights[on].sum() < PLANE * weights.sum():
+                return ~free
+            centre = np.average(points[on], axis=0, weights=weights[on])
+            away = points[on] - centre
+            normal = np.linalg.eigh((away * weights[on, None]).T @ away)[1][:, 0]
+        free &= np.abs((points - centre) @ normal) >= FLAT
+    return ~free
+
+
+def _clusters(
+    features: Float[np.ndarray, "M D"], weights: Float[np.ndarray, " M"], rng: np.random.Generator
+) -> Int[np.ndarray, " M"]:
+    """The number of the cluster of each row, by two rounds of k-means."""
+    count = min(CLUSTERS, len(features))
+    centres = features[rng.choice(len(features), count, replace=False)]
+    of = np.zeros(len(features), int)
+    for _ in range(2):
+        of = np.asarray(KDTree(centres).query(features, workers=-1)[1])
+        sums = coo_array((weights, (of, np.arange(len(of)))), (count, len(of))).tocsr()
+        centres = (sums @ features) / sums.sum(axis=1).clip(1e-12)[:, None]
+    return np.unique(of, return_inverse=True)[1]  # none is empty
+
+
+def pick_clicked(
+    splats: Splats,
+    cameras: Cameras,
+    points: Iterable[tuple[str, tuple[float, float]]],
+    not_points: Iterable[tuple[str, tuple[float, float]]] = (),
+    size: Size = "object",
+) -> Bool[Tensor, " N"]:
+    """The Gaussians of the clicked objects of a splat; labels are not needed.
+
+    Args:
+        splats: The splat.
+        cameras: Views of it.
+        points: Views and pixels of the objects.
+        not_points: The same for what touches them and does not belong to them.
+        size: `group` is everything that touches, `object` ends at weak folds, and `part` is a
+            piece of an object by its folds and colours.
+
+    Raises:
+        StyleSplatError: If a point shows nothing or background, or is excluded again.
+    """
+    device = splats.device
+    if device.type != "cpu":
+        splats = splats.to("cpu")
+    surface = surface_of(splats, cameras)
+    clicked, others = (
+        np.array([_cluster_at(surface, splats, cameras, *each) for each in some], int)
+        for some in (points, not_points)
+    )
+    chosen = np.zeros(len(surface.points), bool)
+    _, parts = connected_components(surface.touching, directed=False)
+    for part in np.unique(parts[clicked]):
+        rows = np.flatnonzero(parts == part)
+        seeds, rivals = (each[parts[each] == part] for each in (clicked, others))
+        if len(np.intersect1d(seeds, rivals)):
+            raise StyleSplatError("A point and a point to exclude hit the same place. Move one.")
+        chosen[_cut(surface, rows, seeds, rivals, size)] = True
+    return torch.from_numpy(np.append(chosen, False)[surface.owners]).to(device)
+
+
+def _cut(
+    surface: Surface, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: Size
+) -> np.ndarray:
+    """The clusters of the seeds among connected ones, without those of the rivals."""
+    sharp, soft = (surface.connections(SHARP_FOLD, COLOR), surface.connections(FOLD, 0.0))
+    if len(rivals):
+        mine, theirs = (_visits(sharp[rows][:, rows], np.isin(rows, s)) for s in (seeds, rivals))
+        rows = rows[(mine > theirs) | np.isin(rows, seeds)]
+    if size != "group":
+        rows = _weakest(soft, rows, seeds, WEAK)
+    return _weakest(sharp, rows, seeds, np.inf) if size == "part" else rows
+
+
+def _weakest(
+    connections: csr_array, rows: np.ndarray, seeds: np.ndarray, limit: float
+) -> np.ndarray:
+    """The clusters around the seeds up to the weakest cut; all of them if none is weak."""
+    graph, seeded = connections[rows][:, rows], np.isin(rows, seeds)
+    order = np.argsort(-_visits(graph, seeded) - seeded * 1e9, kind="stable")
+    ranks = np.empty_like(order)
+    ranks[order] = np.arange(len(order))
+    pairs = graph.tocoo()
+    inner = np.bincount(np.maximum(*(ranks[each] for each in pairs.coords)), pairs.data, len(rows))
+    sums = graph.sum(axis=1)[order].cumsum()
+    smaller = np.minimum(sums, sums[-1] - sums)
+    cost = (sums - inner.cumsum()) / np.sqrt(smaller.clip(1e-12))
+    cost[(smaller < SMALLEST * sums[-1]) | (np.arange(len(rows)) < seeded.sum() - 1)] = np.inf
+    best = int(cost.argmin())
+    return rows[order[: best + 1]] if cost[best] < limit else rows
+
+
+def _visits(graph: csr_array, seeded: Bool[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+    """Visits of walks from the seeds to each cluster, over the sum of its connections."""
+    sums = graph.sum(axis=1).clip(1e-12)
+    damped = sums * (1 + ENDS)
+    starts = seeded * sums / max((seeded * sums).sum(), 1e-12)
+    system = csr_array(diags_array(damped) - graph)
+    return cg(system, starts, rtol=1e-6, maxiter=2000, M=diags_array(1 / damped))[0]
+
+
+def _cluster_at(
+    surface: Surface, splats: Splats, cameras: Cameras, view: str, point: tuple[float, float]
+) -> int:
+    """The cluster that shows most at a pixel."""
+    camera = cameras[cameras.index(view)]
+    check_point(point, camera.size, view)
+    pixel = crop(camera, (int(point[0]), int(point[1])), (1, 1))
+    shown = contributed(without_looks(splats), pixel, torch.ones(1, 1, AT_ONCE))[:, 0].numpy()
+    if shown.sum() < COVERED:
+        raise StyleSplatError(
+            f"Nothing solid shows at {point[0]:g},{point[1]:g} in {view}. Choose another pixel."
+        )
+    best = int(np.bincount(surface.owners + 1, shown).argmax()) - 1
+    if best < 0:
+        raise StyleSplatError(
+            f"Background shows at {point[0]:g},{point[1]:g} in {view}: a large plane, or what is "
+            "far away. Point at an object, or pick by shape with --sphere or --box3d."
+        )
+    return best
