@@ -59,7 +59,7 @@ def test_materials_are_drawn_alike_and_have_texture(name: str):
 
 def test_unknown_materials_are_refused_with_those_known():
     for use in (Style("material:tin").read, Style("material:tin").sources):
-        with pytest.raises(StyleSplatError, match="'tin'.+material:bronze.+material:jade"):
+        with pytest.raises(StyleSplatError, match=r"'tin'.+material:bronze.+material:jade"):
             use()
 
 

@@ -50,8 +50,9 @@ def read_style(
         Colours in 0..1.
 
     Raises:
-        StyleSplatError: If the file is no picture or animated, no material has the name, colours are out of range, the
-            region does not lie in it, or less than 32 pixels remain of a side.
+        StyleSplatError: If the file is no picture or animated, no material has the name,
+            colours are out of range, the region does not lie in it, or less than 32 pixels remain
+            of a side.
     """
     if isinstance(picture, Tensor):
         name, pixels = "the style tensor", _colors_of(picture)
