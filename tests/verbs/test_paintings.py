@@ -76,7 +76,7 @@ def test_a_recipe_makes_again_what_took_several_runs(
     """What the strengths were meanwhile is that of the settings, in the end they are others."""
     wave, night = pictures
     scene = painted(scene_folder.open(trained), "green", (night, wave), seed=4)
-    scene = painted(scene, "3", "material:jade", intensity=0.8, steps=2)
+    scene = painted(scene, "3", Path("material:jade"), intensity=0.8, steps=2)
     scene = adjust(scene, 0.5, objects="green")
     assert scene.painted_objects == ("green", "3")
     assert [each.strength for each in scene.layers] == [0.5, 0.8]

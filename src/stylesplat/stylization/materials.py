@@ -44,7 +44,7 @@ def _known_name(picture: Path | str) -> str:
     return name
 
 
-def _noise(random: Random, *widths: float, across: float = 1.0) -> Plane:
+def _noise(random: Random, *widths: int | float, across: int | float = 1) -> Plane:
     """Smooth periodic noise of unit deviation; spots are `across` times as long along x."""
     y, x = np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE) * across
     total = np.zeros((SIDE, SIDE))
