@@ -155,7 +155,7 @@ def stylize(
     scene = replace(scene, metrics=metrics)
     if on_painted is not None:
         on_painted(scene)
-    if not measured:
+    if not (measured and tasks):  # a recipe may hold recolourings alone
         return scene
     found = _measure(context_of, tasks, scene, crops, surveys)
     return replace(scene, metrics=metrics | found)
