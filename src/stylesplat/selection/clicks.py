@@ -39,9 +39,7 @@ NEIGHBOURS = 16
 # All lengths are in median distances to the eighth neighbour
 MIDDLE, GAP, LONE = 8, 4.0, 6.0  # farther neighbours do not touch; lone Gaussians are background
 FLAT = 2.0  # half the thickness of a plane
-PLANE = (
-    0.15  # share of what shows from which a plane is background: demo's table .35, fox's wall .35
-)
+PLANE = 0.15  # share of what shows from which a plane is background; the demo's table has .35
 SAMPLE, TRIES = 4000, 200  # points and candidates to find a plane
 SPREAD, TINT = 3.0, 3.0  # extent of a cluster; weight of its colours beside its normals
 FOLD, SHARP_FOLD, COLOR = 2.0, 4.0, 3.0  # how fast connections weaken
@@ -53,7 +51,7 @@ SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
 
 
 @dataclass(frozen=True)
-class Surface:
+class ClusterGraph:
     """The surface of a splat as a graph of K clusters."""
 
     owners: Int[np.ndarray, " N"]
@@ -77,7 +75,7 @@ class Surface:
 
 
 @lru_cache(maxsize=1)  # more clicks on the same splat
-def surface_of(splats: Splats, cameras: Cameras) -> Surface:
+def surface_of(splats: Splats, cameras: Cameras) -> ClusterGraph:
     """The graph over the surface of a splat on the CPU."""
     rng = np.random.default_rng(0)
     seen, towards = _seen(without_looks(splats), sampled_views(cameras))
@@ -106,7 +104,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> Surface:
     pairs = coo_array((np.ones(touch.sum()), (one[touch], other[touch])), (count, count)).tocsr()
     owners = cluster[np.asarray(KDTree(points).query(means, workers=-1)[1])]
     touching = csr_array(pairs + pairs.T)
-    return Surface(owners, member @ points, member @ colors, member @ normals, touching)
+    return ClusterGraph(owners, member @ points, member @ colors, member @ normals, touching)
 
 
 def _seen(splats: Splats, cameras: Sequence[Cameras]) -> tuple[np.ndarray, np.ndarray]:
@@ -203,7 +201,7 @@ def pick_clicked(
 
 
 def _cut(
-    surface: Surface, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: Size
+    surface: ClusterGraph, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: Size
 ) -> np.ndarray:
     """The clusters of the seeds among connected ones, without those of the rivals."""
     sharp, soft = (surface.connections(SHARP_FOLD, COLOR), surface.connections(FOLD, 0.0))
@@ -243,7 +241,7 @@ def _visits(graph: csr_array, seeded: Bool[np.ndarray, " K"]) -> Float[np.ndarra
 
 
 def _cluster_at(
-    surface: Surface, splats: Splats, cameras: Cameras, view: str, point: tuple[float, float]
+    surface: ClusterGraph, splats: Splats, cameras: Cameras, view: str, point: tuple[float, float]
 ) -> int:
     """The cluster that shows most at a pixel."""
     camera = cameras[cameras.index(view)]

@@ -37,22 +37,22 @@ def read_style(
 ) -> Float[Tensor, "_ _ 3"]:
     """Read a picture to take a style from.
 
-        Longer sides than 4096 pixels are scaled down, which the user is told.
+    Longer sides than 4096 pixels are scaled down, which the user is told.
 
-        Args:
-            picture: A file with one frame, of JPEG, PNG, TIFF, WebP, AVIF, BMP, GIF, PPM or TGA;
-                a material, such as `material:bronze`; or colours.
-            rotate: Degrees counter-clockwise; of what is turned, the largest upright rectangle
-                without empty corners is kept. Multiples of 90 keep every pixel as it is.
-            region: x0, y0, x1, y1 to crop to before all else, in pixels of the upright picture.
+    Args:
+        picture: A file with one frame, of JPEG, PNG, TIFF, WebP, AVIF, BMP, GIF, PPM or TGA;
+            a material, such as `material:bronze`; or colours.
+        rotate: Degrees counter-clockwise; of what is turned, the largest upright rectangle
+            without empty corners is kept. Multiples of 90 keep every pixel as it is.
+        region: x0, y0, x1, y1 to crop to before all else, in pixels of the upright picture.
 
-        Returns:
-            Colours in 0..1.
+    Returns:
+        Colours in 0..1.
 
-        Raises:
-                StyleSplatError: If the file is no picture or animated, no material has the name, colours
-                are out of range, the region lies beside it, or less than 32 pixels of a side remain.
-        """
+    Raises:
+        StyleSplatError: If the file is no picture or animated, no material has the name, colours
+            are out of range, the region lies beside it, or less than 32 pixels of a side remain.
+    """
     if isinstance(picture, Tensor):
         name, pixels = "the style tensor", _colors_of(picture)
     elif is_material(picture):
