@@ -14,7 +14,7 @@ from stylesplat.demo.doctor import SelfTest, doctor, gsplat_state
 from stylesplat.rendering.render import render as real_render
 from stylesplat.verbs.train import train as real_train
 
-TINY = SelfTest(downscale=8.0, gaussians=300, train_steps=20, paint_steps=2, renders=1)
+TINY = SelfTest(downscale=6.0, gaussians=2000, train_steps=60, paint_steps=4, renders=1)
 pytestmark = pytest.mark.usefixtures("quick_painting")
 REPORT = {
     "versions": {"stylesplat": "1", "python": "3", "torch": "2", "numba": "0", "gsplat": None},

@@ -5,12 +5,15 @@ Pixels are those of the photo at its full size, at whatever size it is processed
 
 import shlex
 from collections.abc import Sequence, Sized
-from typing import Any
+from typing import Any, Literal
 
 from stylesplat.errors import StyleSplatError
 
 Places = Sequence[Any]
 """A view's name and its numbers, `("a.jpg", x, y)` or `("a.jpg", (x, y))`; or several of these."""
+
+PickSize = Literal["part", "object", "group"]
+"""How much a click picks."""
 
 OVERSHOOT = 0.05  # of a side, by which boxes may exceed a photo: `sfm` crops while undistorting
 

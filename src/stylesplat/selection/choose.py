@@ -9,11 +9,10 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.arguments import pasted
+from stylesplat.scene.arguments import PickSize, pasted
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import family, mask_of
 from stylesplat.scene.scene import Scene, SceneObject, is_id
-from stylesplat.selection.clicks import Size, pick_clicked
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import (
     THRESHOLD,
@@ -47,7 +46,7 @@ class Choice:
     """A view and a pixel: the object that shows there."""
     not_points: tuple[tuple[str, Point], ...] = ()
     """Objects to exclude."""
-    size: Size | None = None
+    size: PickSize | None = None
     """How much points mean on the surface, whatever the labels; None to go by labels if known."""
     text: tuple[str, ...] = ()
     """A few words each: the object that fits them best."""
@@ -216,6 +215,8 @@ def _clicked(scene: Scene, choice: Choice) -> Bool[Tensor, " N"]:
     """What is clicked on the surface, whether or not there are labels."""
     if not choice.points:
         raise StyleSplatError("--size and --not-point on a surface go with --point. Add one.")
+    from stylesplat.selection.clicks import pick_clicked  # slow to load
+
     size = choice.size or "object"
     picked = pick_clicked(scene.unpainted, scene.cameras, choice.points, choice.not_points, size)
     return _with_canvases(scene, picked)

@@ -11,7 +11,6 @@ object first; the clusters, ordered by visits, are cut where the boundary is wea
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 import torch
@@ -25,13 +24,11 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
 from stylesplat.rendering.shares import AT_ONCE, COVERED, contributed, without_looks
-from stylesplat.scene.arguments import check_point
+from stylesplat.scene.arguments import PickSize, check_point
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.selection.soft_picks import sampled_views
-
-Size = Literal["part", "object", "group"]
 
 SEEN = 1.0  # pixels in all sampled views, from which a Gaussian belongs to the surface
 CLUSTERS = 5000
@@ -166,7 +163,7 @@ def pick_clicked(
     cameras: Cameras,
     points: Iterable[tuple[str, tuple[float, float]]],
     not_points: Iterable[tuple[str, tuple[float, float]]] = (),
-    size: Size = "object",
+    size: PickSize = "object",
 ) -> Bool[Tensor, " N"]:
     """The Gaussians of the clicked objects of a splat; labels are not needed.
 
@@ -201,7 +198,7 @@ def pick_clicked(
 
 
 def _cut(
-    surface: ClusterGraph, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: Size
+    surface: ClusterGraph, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: PickSize
 ) -> np.ndarray:
     """The clusters of the seeds among connected ones, without those of the rivals."""
     sharp, soft = (surface.connections(SHARP_FOLD, COLOR), surface.connections(FOLD, 0.0))

@@ -12,10 +12,9 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_rows
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
-from stylesplat.scene.arguments import Places, check_box, parse_places, several
+from stylesplat.scene.arguments import PickSize, Places, check_box, parse_places, several
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, choose
-from stylesplat.selection.clicks import Size
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD
 from stylesplat.selection.text import load_detector
@@ -30,7 +29,7 @@ def select(
     box: Places = (),
     point: Places = (),
     not_point: Places = (),
-    size: Size | None = None,
+    size: PickSize | None = None,
     text: str | Sequence[str] | None = None,
     box3d: Sequence[Any] = (),
     sphere: Places | None = None,
