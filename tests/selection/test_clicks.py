@@ -8,7 +8,7 @@ from scenes import cloud, randn
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.clicks import Size
+from stylesplat.selection.clicks import PickSize
 from stylesplat.verbs.select import select
 
 # A table, two balls that touch, and one apart
@@ -28,7 +28,7 @@ def at(place: tuple[float, ...] | torch.Tensor) -> tuple[str, float, float]:
 
 
 def picked(
-    *balls: int, size: Size | None = None, but: int | None = None
+    *balls: int, size: PickSize | None = None, but: int | None = None
 ) -> Bool[torch.Tensor, " N"]:
     """What clicks on balls select."""
     others = [] if but is None else [at(CENTRES[but])]
