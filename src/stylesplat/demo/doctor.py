@@ -21,6 +21,7 @@ import torch
 
 from stylesplat.demo.demo_run import STYLES, copy_capture
 from stylesplat.rendering.render import pick_device, rasterize, render
+from stylesplat.scene.cache import GIB
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.config import StyleConfig
@@ -31,7 +32,6 @@ from stylesplat.verbs.stylize import stylize
 from stylesplat.verbs.train import train
 
 LIBRARIES = "stylesplat torch torchvision numba numpy scipy pycolmap gsplat transformers".split()
-GIB = 2**30
 LEAST_AGREEMENT = 40.0  # dB of a device's picture and the reference's: float32 gives over 60
 LEAST_FIT = 12.0  # dB of held-out photos after 50 steps; a grey picture has less
 COMPILE = 'python -c "from gsplat.cuda._backend import _C"'

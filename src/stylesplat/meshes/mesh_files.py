@@ -1,6 +1,5 @@
 """Textured meshes as files: glTF in one file (`.glb`), or Wavefront OBJ with its material."""
 
-import json
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from PIL import Image
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.io.splats.gltf import HALF_TURN_XYZW, VERTICES
-from stylesplat.io.splats.gltf_file import BINARY, CHUNK, FLOAT, HEADER, JSON, MAGIC, VERSION
+from stylesplat.io.splats.gltf_file import FLOAT, VERSION, glb_head, padded_json
 from stylesplat.meshes.texture import TexturedMesh
 
 SUFFIXES = (".glb", ".obj")
@@ -123,8 +122,4 @@ def _glb(mesh: TexturedMesh) -> bytes:
         "bufferViews": views,
         "accessors": accessors,
     }
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    size = HEADER.size + 2 * CHUNK.size + len(text) + len(binary)
-    head = HEADER.pack(MAGIC, VERSION, size) + CHUNK.pack(len(text), JSON)
-    return head + text + CHUNK.pack(len(binary), BINARY) + binary
+    return glb_head(padded_json(document), len(binary)) + binary

@@ -20,24 +20,16 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 from stylesplat.meshes.rasterize import NOTHING, draw_mesh
-from stylesplat.meshes.surface import MeshViews
+from stylesplat.meshes.surface import MeshViews, face_areas
 from stylesplat.meshes.texture import Texels, TexturedMesh, texels_of
 from stylesplat.progress import task
-from stylesplat.rendering.shares import COVERED, colors_and_coverage
+from stylesplat.rendering.shares import COVERED
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.colors import build_palette, color_map
 from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings
-from stylesplat.stylization.form import SURVEY_LENGTH, survey_form
-from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective
-from stylesplat.stylization.optimize import (
-    CANVAS_RATE,
-    COLOR_VIEWS,
-    STYLE_FEATURES,
-    optimize_colors,
-    target_features,
-)
+from stylesplat.stylization.optimize import optimize_colors, stage_objective, survey_detail
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_image import coarsen_style
 from stylesplat.stylization.target import PaintContext, load_network, paint_context
@@ -47,7 +39,6 @@ from stylesplat.stylization.views import (
     VISITS_OF_WINDOWS,
     Box,
     ObjectView,
-    box_cameras,
     crop_to_box,
     find_boxes,
     per_view,
@@ -111,7 +102,7 @@ def repaint(
     paint = _as_splats(mesh, texels)
     context, style = _context(unpainted, views, layer)
     boxes = find_boxes(unpainted, context.cameras, torch.ones(len(unpainted), dtype=torch.bool))
-    side, area = np.ptp(mesh.vertices, axis=0).max(), _area(mesh)
+    side, area = np.ptp(mesh.vertices, axis=0).max(), face_areas(mesh.vertices, mesh.faces).sum()
     length = min(LONGEST, float(side) * math.sqrt(len(texels.points) / area))
     photo_length = float(context.cameras.sizes.max())
     (*_, last) = style.config.stages(photo_length)
@@ -130,11 +121,6 @@ def repaint(
     texture = mesh.texture.copy()
     texture[texels.inside] = rgb_from_sh0(sh0[:, 0]).clamp(0, 1).numpy()
     return replace(mesh, texture=texture[texels.nearest])
-
-
-def _area(mesh: TexturedMesh) -> float:
-    one, other, third = (mesh.vertices[corner] for corner in mesh.faces.T)
-    return float(np.linalg.norm(np.cross(other - one, third - one), axis=1).sum() / 2)
 
 
 def _as_splats(mesh: TexturedMesh, texels: Texels) -> Splats:
@@ -174,25 +160,16 @@ def _objective(
         every = torch.cat([each.reshape(-1, 3) for each in pictures])
         matrix, offset = color_map(every, torch.from_numpy(colors))
         pictures = [(each @ matrix.T + offset).clamp(0, 1) for each in pictures]
-    generator = torch.Generator().manual_seed(config.seed)
-    features = [
-        group[torch.randperm(len(group), generator=generator)[:STYLE_FEATURES]]
-        for group in target_features(context, config, pictures, stage.length)
-    ]
-    mask = torch.ones(len(context.splats), dtype=torch.bool)
-    pairs = [
-        colors_and_coverage(context.splats, camera, mask)
-        for camera in box_cameras(boxes, SURVEY_LENGTH, COLOR_VIEWS, margin=0)
-    ]
-    images, covered = zip(*pairs, strict=True)
     every = torch.cat([each.reshape(-1, 3) for each in pictures])
-    return Objective(
-        network=context.network.to(context.splats.device, context.precision),
-        styles=[build_index(group, context.precision) for group in features],
-        config=replace(config, lr=CANVAS_RATE * stage.rate * config.lr),
-        length=stage.length,
-        form=survey_form(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH),
-        palette=None if config.color == "free" else build_palette(every),
+    mask = torch.ones(len(context.splats), dtype=torch.bool)
+    return stage_objective(
+        context,
+        config,
+        pictures,
+        stage,
+        survey_detail(context.splats, mask, boxes),
+        None if config.color == "free" else build_palette(every),
+        is_fine_surface=True,
     )
 
 

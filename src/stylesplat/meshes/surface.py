@@ -32,6 +32,7 @@ from stylesplat.scene.projection import (
 )
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.surface import normals_towards
 from stylesplat.stylization.views import per_view
 
 AROUND = 48  # directions all around
@@ -121,12 +122,8 @@ def cosines_of(depth: Tensor, camera: Cameras) -> Tensor:
     """Between the surface's normals and the rays, by pixel."""
     width, height = camera.size
     points = unproject(pixel_centres(width, height).to(depth), depth.flatten(), camera)
-    points = points.view(height, width, 3)
-    padded = F.pad(points.permute(2, 0, 1)[None], (1, 1, 1, 1), mode="replicate")[0]
-    along = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
-    down = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
-    normals = F.normalize(torch.linalg.cross(along, down, dim=0), dim=0).permute(1, 2, 0)
-    return (normals * F.normalize(camera.positions.to(points) - points, dim=2)).sum(dim=2).abs()
+    _, cosines = normals_towards(points.view(height, width, 3), camera.positions.to(points))
+    return cosines
 
 
 def find_mesh_surface(
@@ -143,7 +140,7 @@ def find_mesh_surface(
     views = mesh_views(splats, photos, length=max(SMALLEST, PIXELS * voxels))
     surface = largest_parts(fuse_depths(splats, views, voxels, name), is_closed=True)
     is_seen = (surface.seen[surface.faces] > LEAST_SEEN).any(axis=1)
-    areas = face_areas(surface)
+    areas = face_areas(surface.vertices, surface.faces)
     hidden = 1 - float(areas[is_seen].sum() / areas.sum())
     if hidden < OPEN:
         return surface, 0.0
@@ -224,14 +221,18 @@ def _fuse(depth, kinds, matrix, low, voxel, truncation, values, weights, support
                     support[i, j, k] += share
 
 
-def face_areas(surface: Surface) -> Float[np.ndarray, " F"]:
+def face_areas(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Float[np.ndarray, " F"]:
     """By face."""
-    return np.linalg.norm(_crossed(surface), axis=1) / 2
+    return np.linalg.norm(face_normals(vertices, faces), axis=1) / 2
 
 
-def _crossed(surface: Surface) -> Float[np.ndarray, "F 3"]:
+def face_normals(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Float[np.ndarray, "F 3"]:
     """Normals of faces, as long as twice their areas."""
-    one, other, third = (surface.vertices[corner] for corner in surface.faces.T)
+    one, other, third = (vertices[corner] for corner in faces.T)
     return np.cross(other - one, third - one)
 
 
@@ -242,10 +243,11 @@ def largest_parts(surface: Surface, *, is_closed: bool) -> Surface:
     graph = coo_array((np.ones(ends.shape[1], np.int8), (ends[0], ends[1])), shape=(count, count))
     _, part = connected_components(graph, directed=False)
     owner, first = part[surface.faces[:, 0]], surface.vertices[surface.faces[:, 0]]
-    areas = np.bincount(owner, face_areas(surface))
+    areas = np.bincount(owner, face_areas(surface.vertices, surface.faces))
     kept = areas > SPECK * areas.max()
     if is_closed:
-        kept &= np.bincount(owner, (_crossed(surface) * first).sum(axis=1)) > 0
+        normals = face_normals(surface.vertices, surface.faces)
+        kept &= np.bincount(owner, (normals * first).sum(axis=1)) > 0
     return compact(replace(surface, faces=surface.faces[kept[owner]]))
 
 

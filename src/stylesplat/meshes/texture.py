@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
 from stylesplat.meshes.rasterize import NOTHING, Fragments, draw_mesh, draw_triangles
-from stylesplat.meshes.surface import MeshViews, Surface
+from stylesplat.meshes.surface import MeshViews, Surface, face_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import TINY_COVERAGE
@@ -66,11 +66,10 @@ def sample(
 
 def vertex_normals(surface: Surface) -> Float[np.ndarray, "V 3"]:
     """Of length 1: the mean of the faces around, by area."""
-    corners = surface.vertices[surface.faces]
-    crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = face_normals(surface.vertices, surface.faces)
     sums = np.zeros_like(surface.vertices)
     for corner in surface.faces.T:
-        np.add.at(sums, corner, crossed)
+        np.add.at(sums, corner, normals)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return np.where(lengths > 0, sums / np.maximum(lengths, 1e-20), [0, 0, 1]).astype(np.float32)
 

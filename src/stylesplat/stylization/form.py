@@ -99,7 +99,7 @@ def object_detail(
     hues = detail_bands(CHROMA * (image @ hue.to(image)), mask, length)
     details = []
     for luma, chroma in zip(lumas, hues, strict=True):
-        together = blur(luma * chroma, near) + (2 * math.pi) * (near * FAINT) ** 2
+        together = blur(luma * chroma, near) + _faint_energy(near)
         details.append(luma + together.sign() * chroma)
     return details
 
@@ -129,7 +129,7 @@ def form_distance(
     shade as much as one in the light.
     """
     total, near = image.new_zeros(()), NEAR * length
-    faint = 2 * math.pi * (near * FAINT) ** 2  # a blur has the sum of its Gaussian
+    faint = _faint_energy(near)
     bands = detail_bands(image @ image.new_tensor(LUMA), mask, length)
     for band, detail, weight, share in zip(
         bands, form.details, form.weights, form.shares, strict=True
@@ -138,6 +138,11 @@ def form_distance(
         correlation = blur(band * detail, near) / (norms + faint**2).sqrt()
         total = total + share * (weight * (1 - correlation)).sum() / (weight + RARE * mask).sum()
     return total
+
+
+def _faint_energy(near: float) -> float:
+    """What a blur of this deviation gives of faint detail: it has the sum of its Gaussian."""
+    return 2 * math.pi * (near * FAINT) ** 2
 
 
 @torch.no_grad()

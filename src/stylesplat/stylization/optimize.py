@@ -146,7 +146,7 @@ def paint_steps(
     """
     target, survey, boxes, stages = _survey(context, target)
     canvas = Canvas.without_discs(context.splats, target.mask)
-    form = _survey_form(context, target, boxes)
+    form = survey_detail(context.splats, target.mask, boxes)
     object = _Object(context, target, canvas, survey, boxes, form)
     previews = list[Stage]()
     if preview and target.config.max_discs(1) > 0:
@@ -205,10 +205,10 @@ def _stages(context: PaintContext, target: PaintTarget, photo_length: float) -> 
     return stages
 
 
-def _survey_form(context: PaintContext, target: PaintTarget, boxes: Sequence[Box]) -> FormSurvey:
-    """The object's detail, whatever size it is painted in."""
+def survey_detail(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]) -> FormSurvey:
+    """The detail of an object, whatever size it is painted in."""
     cameras = box_cameras(boxes, SURVEY_LENGTH, COLOR_VIEWS, margin=0)
-    pairs = [colors_and_coverage(context.splats, camera, target.mask) for camera in cameras]
+    pairs = [colors_and_coverage(splats, camera, mask) for camera in cameras]
     images, covered = zip(*pairs, strict=True)
     return survey_form(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH)
 
@@ -245,7 +245,15 @@ def _paint(
         elif number == fixed_at:  # coarse stages lose what is finer than their pixels
             weight = SHARPENED * config.form * config.pattern_removed
             paint = add_luminance(paint, weight * relief[:, 0])
-        objective = _objective(object, goal, stage)
+        objective = stage_objective(
+            object.context,
+            config,
+            goal.pictures,
+            stage,
+            object.form,
+            goal.palette,
+            is_fine_surface=bool(object.canvas.is_disc.any()),
+        )
         targets = objective.targets(views, object.canvas.before, paint if stage.fine else None)
         taken = optimize_colors(paint, mask, targets, objective, stage.steps)
         for step, (paint, nnfm) in enumerate(taken, start=1):
@@ -337,22 +345,31 @@ def _pictures(object: _Object, views: Sequence[ObjectView]) -> list[Tensor]:
     return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in styles]
 
 
-def _objective(object: _Object, goal: _Goal, stage: Stage) -> Objective:
-    context, config = object.context, object.target.config
-    features = target_features(context, config, goal.pictures, stage.length)
+def stage_objective(
+    context: PaintContext,
+    config: StyleConfig,
+    pictures: Sequence[Tensor],
+    stage: Stage,
+    form: FormSurvey,
+    palette: Palette | None,
+    *,
+    is_fine_surface: bool,
+) -> Objective:
+    """The objective of a stage; a canvas or a texture takes smaller steps."""
+    features = target_features(context, config, pictures, stage.length)
     if stage.fine:
         generator = torch.Generator().manual_seed(config.seed)
         rows = (torch.randperm(len(group), generator=generator) for group in features)
         pairs = zip(features, rows, strict=True)
         features = [group[some[:STYLE_FEATURES].to(group.device)] for group, some in pairs]
-    rate = stage.rate * (CANVAS_RATE if object.canvas.is_disc.any() else 1.0)
+    rate = stage.rate * (CANVAS_RATE if is_fine_surface else 1.0)
     return Objective(
         network=context.network.to(context.splats.device, context.precision),
         styles=[build_index(group, context.precision) for group in features],
         config=replace(config, lr=rate * config.lr),
         length=stage.length,
-        form=object.form,
-        palette=goal.palette,
+        form=form,
+        palette=palette,
     )
 
 

@@ -73,8 +73,8 @@ def _points_of_view(
     width, height = camera.size
     points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
     points = points.view(height, width, 3)
-    normals, reliable = _normals(points, camera.positions.to(points))
-    reliable &= (covered > SOLID) & (own > SOLID / 2)
+    normals, cosines = normals_towards(points, camera.positions.to(points))
+    reliable = (cosines > GRAZING) & (covered > SOLID) & (own > SOLID / 2)
     sizes = depths / camera.Ks[0, 0, 0].to(depths)
     return points[reliable], normals[reliable], image[reliable], sizes[reliable]
 
@@ -100,16 +100,16 @@ def _look_up(
     return inside, values[y, x]
 
 
-def _normals(
+def normals_towards(
     points: Float[Tensor, "H W 3"], origin: Float[Tensor, "1 3"]
-) -> tuple[Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
-    """Normals towards the camera from neighbouring pixels, and where they are reliable."""
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:
+    """Normals towards a camera from neighbouring pixels' points, and their cosines to the rays."""
     padded = F.pad(points.permute(2, 0, 1)[None], (1, 1, 1, 1), mode="replicate")[0]
     along = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
     down = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
     normals = F.normalize(torch.linalg.cross(along, down, dim=0), dim=0).permute(1, 2, 0)
     facing = (normals * F.normalize(origin - points, dim=2)).sum(dim=2)
-    return normals * facing.sign()[..., None], facing.abs() > GRAZING
+    return normals * facing.sign()[..., None], facing.abs()
 
 
 def pool_points(

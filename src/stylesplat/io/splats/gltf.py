@@ -22,14 +22,9 @@ from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import reading
 from stylesplat.io.splats.gltf_file import (
-    BINARY,
-    CHUNK,
     DISPLAYED,
     FLOAT,
-    HEADER,
-    JSON,
     KINDS,
-    MAGIC,
     SHORT,
     SPLATTING,
     VERSION,
@@ -37,8 +32,11 @@ from stylesplat.io.splats.gltf_file import (
     Node,
     Primitive,
     attribute,
+    glb_head,
+    glb_size,
     harmonics,
     open_gltf,
+    padded_json,
 )
 from stylesplat.io.splats.packing import unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, check_splats, of_degree, refuse_faulty
@@ -233,18 +231,15 @@ def write_glb(splats: Splats, path: Path | str) -> None:
     path = Path(path)
     columns = _columns(splats, path)
     document = _document(columns)
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    size = document["buffers"][0]["byteLength"]
-    whole = HEADER.size + 2 * CHUNK.size + len(text) + size
+    text, size = padded_json(document), document["buffers"][0]["byteLength"]
+    whole = glb_size(text, size)
     if whole > MAX_SIZE:
         raise StyleSplatError(
             f"Cannot export to {path}: it would have {whole} bytes, a GLB has {MAX_SIZE} at most. "
             "Export a .ply, or leave out degrees of colour (`--sh-degree 0`)."
         )
     with atomic_path(path) as draft, draft.open("wb") as file:
-        file.write(HEADER.pack(MAGIC, VERSION, whole) + CHUNK.pack(len(text), JSON) + text)
-        file.write(CHUNK.pack(size, BINARY))
+        file.write(glb_head(text, size))
         file.writelines(map(_bytes, columns.values()))
 
 

@@ -6,6 +6,7 @@ does not fit is a ValueError, which `read_gltf` turns into a StyleSplatError tha
 """
 
 import base64
+import json
 import re
 import struct
 from dataclasses import dataclass, field
@@ -41,6 +42,23 @@ Natural = Annotated[int, Meta(ge=0, le=2**53)]
 """A size or an index, as large as JSON's numbers are exact."""
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
+
+
+def padded_json(document: dict[str, Any]) -> bytes:
+    """The content of a GLB's first chunk."""
+    text = json.dumps(document, separators=(",", ":")).encode()
+    return text + b" " * (-len(text) % 4)
+
+
+def glb_size(text: bytes, size: int) -> int:
+    """Bytes of a GLB with this JSON, and so many bytes in its binary chunk."""
+    return HEADER.size + 2 * CHUNK.size + len(text) + size
+
+
+def glb_head(text: bytes, size: int) -> bytes:
+    """What such a GLB begins with, before the bytes of its binary chunk."""
+    head = HEADER.pack(MAGIC, VERSION, glb_size(text, size)) + CHUNK.pack(len(text), JSON)
+    return head + text + CHUNK.pack(size, BINARY)
 
 
 class _Part(Struct, frozen=True, rename="camel"):
