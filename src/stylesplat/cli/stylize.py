@@ -69,6 +69,9 @@ class Stylize(MakingCommand):
     recipe: Path | None = None
     """YAML file with objects, styles and settings instead of --style; options given here precede
     its own. A styled scene's recipe.json is one too."""
+    protect: UseAppendAction[tuple[str, ...]] = ()
+    """Name of an object that gets no paint, such as the eyes of a face (`select --of` makes such
+    parts). May be repeated."""
     settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
     preset: Literal["default", "paper"] = "default"
     """Settings to start from; paper is the method as published, with --features vgg16."""
@@ -95,6 +98,7 @@ class Stylize(MakingCommand):
                 recipe,
                 features=self.features,
                 weights=self.weights,
+                protect=self.protect,
                 device=self.device,
                 on_painted=on_painted,
             )

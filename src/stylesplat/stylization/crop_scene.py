@@ -49,7 +49,8 @@ class SceneCrop:
 
     def target(self, target: PaintTarget) -> PaintTarget:
         """The target among these Gaussians."""
-        return replace(target, mask=target.mask[self.rows])
+        protected = target.protected if target.protected is None else target.protected[self.rows]
+        return replace(target, mask=target.mask[self.rows], protected=protected)
 
     def of_base(self, family: Int[Tensor, " N"]) -> "SceneCrop":
         """The same as rows of the base, given the one that each Gaussian belongs to."""
