@@ -150,3 +150,9 @@ def test_a_scene_without_photos(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "would replace. Pass --overwrite" in refused
     assert "means nothing" in complaint(capsys, "mask", folder, "--box", box, "--scene", folder)
     assert "--overwrite" in complaint(capsys, "mask", folder, "--box", box, "-o", tmp_path)
+
+
+def test_labels_of_corrected_maps(capture: Path, scene: Path, capsys: pytest.CaptureFixture[str]):
+    found = result(capsys, "labels", scene, "--masks", capture / "object_mask", "--device", "cpu")
+    assert found["ids"] == [3, 7, 300] and Path(found["preview"]).is_file()
+    assert "no folder or .json file" in complaint(capsys, "labels", scene, "--masks", "lost")

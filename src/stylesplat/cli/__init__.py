@@ -11,7 +11,7 @@ from stylesplat.cli.doctor import Doctor
 from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
-from stylesplat.cli.mask import Mask
+from stylesplat.cli.mask import Labels, Mask
 from stylesplat.cli.mcp import Mcp
 from stylesplat.cli.objects import Delete, Objects, Rename, Select
 from stylesplat.cli.recolor import Recolor
@@ -31,6 +31,7 @@ VERBS: dict[str, type] = {
     "mask": Mask,
     "train": Train,
     "import": Import,
+    "labels": Labels,
     "objects": Objects,
     "select": Select,
     "rename": Rename,

@@ -11,7 +11,15 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import stylesplat as ss
 from stylesplat.cli.arguments import parse_place
-from stylesplat.cli.options import CONTINUES, Device, MakingCommand, OptionalOutput, refuse_given
+from stylesplat.cli.options import (
+    CONTINUES,
+    Device,
+    MakingCommand,
+    NewScene,
+    OptionalOutput,
+    SceneFolder,
+    refuse_given,
+)
 from stylesplat.cli.results import (
     next_lines,
     optional_picture,
@@ -110,11 +118,7 @@ class Mask(MakingCommand):
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         names = result["names"]
         if "scene" in result:
-            yield f"{result['scene']}: its objects are {', '.join(names.values()) or 'none'}."
-            if result["preview"]:
-                yield f"Picture: {result['preview']}, the objects of its Gaussians in some views."
-            if names:
-                yield from next_lines(stylize_command(result["scene"], [*names.values()][-1]))
+            yield from _object_lines(result)
             return
         objects = ", ".join(names.get(id, f"id {id}") for id in result["ids"]) or "no objects"
         photos = f"{result['photos']} of {result['of']} photos"
@@ -204,6 +208,45 @@ class Mask(MakingCommand):
             if self._keeps_progress:
                 shutil.rmtree(progress, ignore_errors=True)
             return _describe_objects(after, place, self.device)
+
+
+@dataclass(frozen=True)
+class Labels(MakingCommand):
+    """Give a scene the labels of corrected label maps, in seconds: they are lifted, not trained.
+
+    Example: stylesplat labels garden-scene --masks garden/object_mask
+    """
+
+    scene: SceneFolder
+    masks: Path | None = None
+    """Folder of label maps, or COCO JSON, as `mask --from` takes them; by default object_mask/ of
+    the scene's photos."""
+    device: Device = "auto"
+    output: NewScene = None
+
+    def run(self) -> dict[str, Any]:
+        place = self.output or self.scene
+        with changing(place):
+            after = rewrite_scene(
+                self.scene,
+                self.output,
+                lambda scene: ss.labels(scene, self.masks, device=self.device),
+                overwrite=self.overwrite,
+            )
+            return _describe_objects(after, place, self.device)
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        yield from _object_lines(result)
+
+
+def _object_lines(result: dict[str, Any]) -> Iterator[str]:
+    """The objects of a scene as `_describe_objects` has described them."""
+    names = result["names"]
+    yield f"{result['scene']}: its objects are {', '.join(names.values()) or 'none'}."
+    if result["preview"]:
+        yield f"Picture: {result['preview']}, the objects of its Gaussians in some views."
+    if names:
+        yield from next_lines(stylize_command(result["scene"], [*names.values()][-1]))
 
 
 def _parse_drawn(text: str, form: str) -> tuple[str, str, tuple[float, ...]]:
