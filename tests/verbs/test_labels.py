@@ -1,5 +1,6 @@
 """`labels`: corrected label maps onto a scene that was made with others."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -38,7 +39,7 @@ def test_names_follow_their_labels(tmp_path: Path, photos: bool):
     scene, folder = SCENE, tmp_path / "corrected"
     if photos:
         capture = write_ball_capture(tmp_path / "capture", masks=False)
-        scene = Scene(**vars(SCENE) | {"capture": capture})
+        scene = replace(SCENE, capture=capture)
         folder = capture / "object_mask"
     write_corrected(folder)
     found = labels(scene, None if photos else folder, device="cpu")

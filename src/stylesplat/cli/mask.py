@@ -44,8 +44,8 @@ PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 SCENE_PREVIEW = "masks.jpg"  # in the folder of a scene
 SIDE = 480  # pixels of the views in it
 MEND = (
-    "If a mask is wrong there: again with --overwrite, and a second --box for it in a photo from "
-    "another side, or --not-stroke over what it took too much."
+    "If a mask is wrong there: `mask` with --keep or --drop and a box in any photo over what it "
+    "missed or took too much; or again with --overwrite and a second --box from another side."
 )
 
 
@@ -68,10 +68,16 @@ class Mask(MakingCommand):
     """NAME=VIEW:x0,y0,x1,y1 around an object, in pixels of the photo itself, at its full size. May
     be repeated, for other objects and for other photos of the same; one photo often suffices."""
     stroke: UseAppendAction[tuple[str, ...]] = ()
-    """NAME=VIEW:x,y,x,y,... along a line over an object that has a box there, where the cut took
-    it for background. May be repeated."""
+    """NAME=VIEW:x,y,x,y,... along a line over an object, where a cut took it for background. May
+    be repeated."""
     not_stroke: UseAppendAction[tuple[str, ...]] = ()
     """The same over what is not the object, where the cut took too much."""
+    keep: UseAppendAction[tuple[str, ...]] = ()
+    """NAME=VIEW:x0,y0,x1,y1 in any photo: all that shows there belongs to the object, in all
+    photos. Without --box the label maps that are there are corrected; NAME= may be left out where
+    they have one object. May be repeated."""
+    drop: UseAppendAction[tuple[str, ...]] = ()
+    """The same where nothing belongs to it: what it stands on, its shadow. May be repeated."""
     source: Annotated[Path | None, arg(name="from")] = None
     """Masks of another program: a folder with pictures of ids named like the photos (DEVA,
     Gaussian Grouping), or with a sub-folder of binary masks per object; or COCO JSON with RLE."""
@@ -99,19 +105,19 @@ class Mask(MakingCommand):
         from stylesplat.scene.framing import has_no_photos
         from stylesplat.verbs.mask import settled_method
 
-        boxes, strokes = self._drawn(None)
-        given = {"boxes": boxes, "strokes": strokes, "source": self.source, "model": self.model}
+        drawn = self._drawn(None)
+        given = {**drawn, "source": self.source, "model": self.model}
         settled_method(self.method, given | {"scene": self.scene})  # before photos are read
         if is_file(self.capture / SCENE) and has_no_photos(ss.open(self.capture)):
             return self._mask_scene()
         refuse_given(self, ("output",), "photos, whose label maps go into object_mask/")
         scene = ss.open(self.scene) if self.scene else None
-        lines = ((view, None) for view, _ in chain(*strokes.values()))
-        drawn = chain(*boxes.values(), lines)
-        folder = find_photos_capture(self.capture, beside=self.capture, drawn=drawn)
+        lines = ((view, None) for view, _ in _places(drawn, "strokes"))
+        places = chain(_places(drawn, "boxes", "keep", "drop"), lines)
+        folder = find_photos_capture(self.capture, beside=self.capture, drawn=places)
         output = folder / OBJECT_MASK
         refuse_occupied(output, marker="", overwrite=True)  # label maps are refused below
-        capture = ss.load(folder, masks=False)
+        capture = ss.load(folder, masks=None if self._corrects else False)
         with changing(output):
             return self._mask_photos(capture, scene, output)
 
@@ -125,23 +131,32 @@ class Mask(MakingCommand):
         yield f"{result['masks']}: label maps of {photos}, which show {objects}."
         if result["preview"]:
             yield f"Picture: {result['preview']}, the label maps over some of the photos."
-            if self.box:
+            if self.box or self._corrects:
                 yield MEND
         scene = unused(self.capture, "-scene")
         yield from next_lines(pasted("train", self.capture, "-o", scene))
 
-    def _drawn(self, record: "SfmRecord | None") -> tuple[Drawn, Drawn]:
-        """The boxes and strokes by object, with the names that photos have in the capture."""
-        boxes, strokes = Drawn(), Drawn()
-        for text in self.box:
-            name, view, box = _parse_drawn(text, "VIEW:x0,y0,x1,y1")
-            boxes.setdefault(name, []).append((view_of_photo(view, record), box))
+    @property
+    def _corrects(self) -> bool:
+        """Whether label maps are corrected that are there."""
+        marks = self.keep or self.drop or self.stroke or self.not_stroke
+        return bool(marks) and not self.box
+
+    def _drawn(self, record: "SfmRecord | None") -> dict[str, Drawn]:
+        """What is drawn by object, with the names that photos have in the capture."""
+        given = {"boxes": self.box, "keep": self.keep, "drop": self.drop}
+        found = {kind: Drawn() for kind in (*given, "strokes")}
+        for kind, texts in given.items():
+            for text in texts:
+                name, view, box = _parse_drawn(text, "VIEW:x0,y0,x1,y1")
+                found[kind].setdefault(name, []).append((view_of_photo(view, record), box))
         for texts, over_object in ((self.stroke, True), (self.not_stroke, False)):
             for text in texts:
                 name, view, line = _parse_drawn(text, "VIEW:x,y,x,y,...")
                 stroke = ss.Stroke((*zip(line[::2], line[1::2], strict=True),), over_object)
-                strokes.setdefault(name, []).append((view_of_photo(view, record), stroke))
-        return boxes, strokes
+                place = view_of_photo(view, record), stroke
+                found["strokes"].setdefault(name, []).append(place)
+        return found
 
     def _masked(self, photos: Any, progress: Path, **options: Any) -> Any:
         """Photos or a scene with masks; models keep what they have found so far in `progress`."""
@@ -163,15 +178,16 @@ class Mask(MakingCommand):
         from stylesplat.scene.cameras import find_name
 
         record = read_sfm(output.parent)
-        boxes, strokes = self._drawn(record)
+        drawn = self._drawn(record)
         names = capture.cameras.names
         own = [record.origins.get(name, name) for name in names] if record else names
-        for view, *_ in chain(*boxes.values(), *strokes.values()):
+        for view, *_ in _places(drawn, *drawn):
             find_name(view, names, shown_names=own)  # raises before label maps are refused
-        refuse_label_maps(capture, output, overwrite=self.overwrite)
+        overwrite = self.overwrite or self._corrects
+        refuse_label_maps(capture, output, overwrite=overwrite)
         progress = partial_of(output)
-        masked = self._masked(capture, progress, boxes=boxes, strokes=strokes, scene=scene)
-        found = write_label_maps(masked, output, overwrite=self.overwrite)
+        masked = self._masked(capture, progress, **drawn, scene=scene)
+        found = write_label_maps(masked, output, overwrite=overwrite)
         ids = sorted(set[int]().union(*found.values()))
         called = {id: masked.object_names[id] for id in ids if id in masked.object_names}
         preview = output / PREVIEW
@@ -200,8 +216,7 @@ class Mask(MakingCommand):
                     f"{self.capture} knows objects already, which these masks would replace. "
                     "Pass --overwrite, or add objects with --box."
                 )
-            boxes, strokes = self._drawn(None)
-            return self._masked(before, progress, boxes=boxes, strokes=strokes)
+            return self._masked(before, progress, **self._drawn(None))
 
         with changing(place):
             after = rewrite_scene(self.capture, self.output, mask, overwrite=self.overwrite)
@@ -247,6 +262,11 @@ def _object_lines(result: dict[str, Any]) -> Iterator[str]:
         yield f"Picture: {result['preview']}, the objects of its Gaussians in some views."
     if names:
         yield from next_lines(stylize_command(result["scene"], [*names.values()][-1]))
+
+
+def _places(drawn: dict[str, Drawn], *kinds: str) -> Iterator[Any]:
+    """All places of some kinds."""
+    return chain(*(places for kind in kinds for places in drawn[kind].values()))
 
 
 def _parse_drawn(text: str, form: str) -> tuple[str, str, tuple[float, ...]]:

@@ -81,14 +81,13 @@ def labels(
 
 def _with_masks(scene: Scene, masks: Path | str | None) -> Capture:
     """The photos of a scene, or its renders if they are gone, with the label maps of a folder."""
-    there = scene.capture is not None and scene.capture.is_dir()
+    photos = scene.capture if scene.capture is not None and scene.capture.is_dir() else None
     if masks is None:
-        if not there:
+        if photos is None:
             raise StyleSplatError("The scene's photos are not there. Say --masks, a folder.")
-        masks = scene.capture / OBJECT_MASK
-    capture = (
-        load(scene.capture, masks=False) if there else rendered_capture(scene, pick_device("cpu"))
-    )
+        masks = photos / OBJECT_MASK
+    cpu = pick_device("cpu")
+    capture = rendered_capture(scene, cpu) if photos is None else load(photos, masks=False)
     found = import_label_maps(Path(masks), capture.cameras.names)
     names = read_names(Path(masks)) if Path(masks).is_dir() else {}
     return with_drawn_maps(capture, found.maps, {**found.names, **names})
