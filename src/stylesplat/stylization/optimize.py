@@ -77,8 +77,8 @@ class PaintState:
     """Steps taken."""
     steps: int
     """Steps to take in all."""
-    nnfm: float
-    """The loss in the view of the last step, before it."""
+    nnfm: Float[Tensor, ""]
+    """The loss in the view of the last step, before it; reading it waits for the device."""
     splats: Splats
     """The scene with the paint so far, at full intensity."""
     base: Splats
@@ -379,7 +379,7 @@ def optimize_colors(
     targets: Sequence[ViewTarget],
     objective: Objective,
     steps: int,
-) -> Iterator[tuple[Splats, float]]:
+) -> Iterator[tuple[Splats, Float[Tensor, ""]]]:
     """Move the colours of some Gaussians until the object's features match the style's.
 
     Each step draws one of the targets. The objective's settings are the rates and the seed. Yields
@@ -414,7 +414,7 @@ def optimize_colors(
                 leaves["sh0"].copy_(before.lerp(leaves["sh0"], trust).clamp(*limits))
             for leaf in leaves.values():
                 leaf.grad = None
-        yield paint.with_rows(rows, leaves).detach(), losses.style.item()
+        yield paint.with_rows(rows, leaves).detach(), losses.style.detach()
 
 
 def target_features(
