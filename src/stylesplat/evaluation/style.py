@@ -1,11 +1,10 @@
 """How close painted objects are to their styles: NNFM, colours, content."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -18,7 +17,6 @@ from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.optimize import target_features
@@ -27,7 +25,6 @@ from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import (
     Box,
     ObjectView,
-    boxes_in,
     find_boxes,
     object_views,
     require_boxes,
@@ -49,8 +46,6 @@ def measure_painted(
     *,
     held_out: Cameras | None = None,
     surveys: Mapping[str, Sequence[Box]] | None = None,
-    cuts: Mapping[str, SceneCrop] | None = None,
-    families: tuple[Int[Tensor, " N"], Int[Tensor, " L"]] | None = None,
 ) -> dict[str, Any]:
     """Measure how painting some objects changed them and the rest of the scene.
 
@@ -60,8 +55,6 @@ def measure_painted(
         styled: The scene after; new Gaussians are at its end.
         held_out: Views to measure on instead.
         surveys: By name, the boxes of objects in the views, if they are known.
-        cuts: By name, the part of a large scene that an object is measured in, as rows of the base.
-        families: The rows of the base that the Gaussians before and after belong to, for `cuts`.
 
     Returns:
         The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
@@ -69,24 +62,15 @@ def measure_painted(
     """
     base, cameras = contexts[0].splats, held_out or contexts[0].cameras
     targets = [target.to(base) for target in targets]
-    objects = {}
+    names, objects = {*cameras.names}, {}
     for context, target in zip(contexts, targets, strict=True):
-        measured = replace(context, cameras=cameras)
-        part, own, after = measured, target, styled
-        if cuts and target.name in cuts:
-            assert families is not None
-            rows, rows_after = (
-                cuts[target.name].rows_in(each.to(base.device)) for each in families
-            )
-            cut = replace(cuts[target.name], rows=rows)
-            part, own, after = cut.context(measured), cut.target(target), styled[rows_after]
         if surveys is None:
-            survey = find_boxes(part.splats, part.all_cameras, own.mask)
+            survey = find_boxes(base, context.all_cameras, target.mask)
         else:
             survey = surveys[target.name]
-        boxes = boxes_in(survey, part.cameras) or survey
+        boxes = [box for box in survey if box.camera.names[0] in names] or survey
         try:
-            objects[target.name] = measure_style(part, own, after, boxes=boxes)
+            objects[target.name] = measure_style(context, target, styled, boxes=boxes)
         except StyleSplatError as error:  # the object is painted all the same
             say(f"{target.name} is not compared with its style: {error}")
             objects[target.name] = {}
@@ -116,7 +100,7 @@ def measure_style(
     blocks, network = target.config.layers, context.network
     boxes = boxes or require_boxes(context, target)
     zoom = LENGTH / typical_length(boxes)
-    views = evenly(object_views(context, target, boxes, zoom), VIEWS)
+    views = object_views(context, target, evenly(boxes, VIEWS), zoom)
     style_feats = target_features(context, target.config, target.styles, LENGTH)
     images = renders(styled, views)
     before, after = (
