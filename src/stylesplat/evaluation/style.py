@@ -20,7 +20,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.optimize import target_features
-from stylesplat.stylization.style_image import resize, style_features
+from stylesplat.stylization.style_image import all_colors, fit_style, style_features
 from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import (
     Box,
@@ -114,9 +114,8 @@ def measure_style(
         if before > own:
             numbers["share_of_way"] = min(1.0, max(0.0, (before - after) / (before - own)))
     if target.config.color == "style":
-        style_colors = torch.cat([picture.reshape(-1, 3) for picture in target.styles])
         colors = [image[view.pixels] for image, view in zip(images, views, strict=True)]
-        numbers["off_palette"] = off_palette(torch.cat(colors), style_colors)
+        numbers["off_palette"] = off_palette(torch.cat(colors), all_colors(target.styles))
     return numbers
 
 
@@ -177,9 +176,6 @@ def own_nnfm(
 
     Returns:
         The mean cosine distance; None if the pictures are too small for two such features.
-
-    Raises:
-        StyleSplatError: If a picture has no whole feature.
     """
     by_block = [_distances_within(pictures, network, block, length) for block in blocks]
     if any(len(distances) == 0 for distances in by_block):
@@ -196,8 +192,8 @@ def _distances_within(
     for number, picture in enumerate(pictures):
         (rows,) = style_features(picture, network, [block], length=length)
         features.append(F.normalize(rows.float(), dim=1))
-        inside = (cells.inside(side) for side in resize(picture, length).shape[:2])
-        y, x = (torch.arange(each.stop - each.start) for each in inside)
+        sides = fit_style(picture, network, [block], length).shape[:2]
+        y, x = (torch.arange(side)[cells.inside(side)] for side in sides)
         grid = torch.cartesian_prod(y, x).float().to(picture.device)
         places.append(F.pad(grid, (1, 0), value=number * 1e6))  # pictures are far apart
     found, at = torch.cat(features), torch.cat(places)
