@@ -8,7 +8,7 @@ import stylesplat  # noqa: F401  (first: it sets up threading before torch loads
 import pytest  # isort: skip
 import torch  # isort: skip
 
-from stylesplat.progress import Silence, observed
+from stylesplat.progress import Observer, observed
 from tiny_models import network, stripes  # noqa: F401  (fixtures)
 
 
@@ -22,7 +22,7 @@ def said() -> Iterator[list[str]]:
     """What the library tells the user in the course of a test."""
     lines: list[str] = []
 
-    class Listener(Silence):
+    class Listener(Observer):
         def say(self, line: str) -> None:
             lines.append(line)
 

@@ -45,7 +45,7 @@ def pose_gradients(
     **options,
 ) -> Tensor:
     """Of a loss that weighs every number of image and coverage."""
-    splats, cameras = cast(splats or random_splats(), cameras or turned_cameras(), backend, dtype)
+    splats, cameras = cast(splats or random_splats(60), cameras or turned_cameras(), backend, dtype)
     features = None if carried is None else carried(splats, cameras)
     weigh_and_backward(
         *rasterize(splats, cameras, features=features, backend=backend, **options)[:2]
@@ -95,7 +95,7 @@ def test_they_are_the_references(backend: Backend, name: str):
     assert_same(found, expected, 1e-3)  # DESIGN's bound for float32 kernels; 5e-6 was measured
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ["one band", "identities that move nothing"])
 def test_gsplat_is_asked_for_them(monkeypatch: pytest.MonkeyPatch, name: str):
     install(monkeypatch)
     expected = pose_gradients("reference", torch.float64, **CASES[name])

@@ -13,7 +13,7 @@ from PIL import Image
 import stylesplat as ss
 from capture_files import corner, photograph_corner, places_around, towards, write_photos
 from stylesplat.io.captures.sfm_file import read_sfm
-from stylesplat.progress import Silence, Task, observed
+from stylesplat.progress import Observer, Task, observed
 
 COUNT = 8
 
@@ -57,7 +57,7 @@ def test_what_became_of_each_photo_is_written_down(capture: ss.Capture, photos: 
     assert {p.name for p in photos.parent.iterdir()} == {"Ma pièce", "capture"}
 
 
-class InterruptedAt(Silence):
+class InterruptedAt(Observer):
     """Ctrl-C when a kind of work begins."""
 
     def __init__(self, stage: str) -> None:

@@ -20,7 +20,7 @@ from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import is_there
-from stylesplat.progress import Silence, observed
+from stylesplat.progress import Observer, observed
 from stylesplat.signals import WHOLE
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 
@@ -98,7 +98,7 @@ class Train(MakingCommand):
         )
         with _torchrun(self.device) as is_first:
             if not is_first:  # the first process prints and saves
-                with observed(Silence()):
+                with observed(Observer()):
                     Ranks.here().meet()  # the first process has found the poses
                     train(self._capture())
                 sys.exit()
