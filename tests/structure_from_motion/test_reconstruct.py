@@ -1,5 +1,7 @@
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -203,13 +205,14 @@ def test_photos_from_one_place_make_no_scene(tmp_path: Path):
 def test_what_makes_no_scene(result: Reconstruction):
     table = MatchTable(100, {("a", "b"): 40, ("b", "a"): 40}, 0)
     model = result.model
-    for check, arguments, message in (
+    cases: list[tuple[Callable[..., None], tuple[Any, ...], str]] = [
         (check_features, ({"a": 20, "b": 300}, 3), "too little to see .* 20 features"),
         (check_matches, (table,), "do not overlap: 1 of 100 pairs match"),
         (check_models, ([], table, 9), "No three of the 9 photos fit together"),
         (check_models, ([model, model], table, 20), "they fall into groups of 10, 10 of 20"),
         (check_models, ([model], table, 31), "Only 10 of 31 photos fit together: 1 of 100"),
-    ):
+    ]
+    for check, arguments, message in cases:
         with pytest.raises(StyleSplatError, match=message):
             check(*arguments)
 
