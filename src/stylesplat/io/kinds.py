@@ -127,13 +127,11 @@ def wrong_kind(path: Path, wanted: Noun) -> StyleSplatError:
 
 
 def refuse_other_than_photos(path: Path) -> None:
-    """Raise a StyleSplatError for a path that holds nothing to find poses of."""
     if kind_of(path) in ("nothing", "empty folder", "scene", "part of a scene", "splat"):
         raise wrong_kind(path, "capture")
 
 
 def _capture_of_scene(scene: Path) -> str:
-    """The remedy where a scene was given for its capture."""
     content = read_json(scene / SCENE)
     capture = find_capture(scene, content.get("capture"), content.get("capture_relative"))
     if capture is not None:

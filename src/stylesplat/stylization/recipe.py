@@ -12,7 +12,7 @@ from stylesplat.io.kinds import kind_of
 from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.progress import say
-from stylesplat.scene.arguments import check_form
+from stylesplat.scene.arguments import check_intensity
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.config import (
@@ -163,7 +163,7 @@ def _styled_object(
         network = others
         own.pop("intensity", None)  # of the recipe of a scene: that of now, not of the painting
     if others.get("form") is not None:
-        check_form(others["form"])
+        check_intensity(others["form"], "form")
     pictures = _pictures(as_tuple(others.get("style")), as_tuple(others.get("sha256")), folder)
     config, weights = with_settings(config, settings | own), network.get("weights")
     return StyledObject(
