@@ -111,8 +111,10 @@ def recoloring(
 ) -> Layer:
     """The layer that maps the colours of some rows, and of what lies on them; columns as given."""
     count, one = len(rows), torch.ones(1).expand(len(rows))
+    names = "means", "quats", "scales", "opacities", "sh0", "shN"
     shapes = (3,), (4,), (3,), (), (1, 3), (0, 3)
-    canvas = Splats(*(torch.zeros(0, *shape) for shape in shapes))
+    empty: dict[str, Any] = {n: torch.zeros(0, *s) for n, s in zip(names, shapes, strict=True)}
+    canvas = Splats(**empty)
     return Layer(
         object,
         rows,

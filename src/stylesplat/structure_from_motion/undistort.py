@@ -69,6 +69,6 @@ def _pinhole_model(
             feature.xy = place
     for key, lens in lenses.items():
         camera, pinhole = pinholes.cameras[key], lens.pinhole().camera
-        camera.model, camera.params = pinhole.model, pinhole.params
+        camera.model, camera.params = pinhole.model, pinhole.params.tolist()
         camera.width, camera.height = pinhole.width, pinhole.height
     return pinholes
