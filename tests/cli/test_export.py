@@ -57,7 +57,9 @@ def test_objects_go_out_and_come_back(scene: Path, tmp_path: Path, capsys):
     assert picked["rows"] == [str(tmp_path / "picks.npz")] and picked["gaussians"] > 70
     idle = ("export", scene, tmp_path / "c.npz", "--sidecar")
     assert "means nothing for a list of objects" in complaint(capsys, *idle)
-    assert "--sidecar means nothing" in complaint(capsys, "export", scene, "--each", tmp_path, "--sidecar")
+    assert "--sidecar means nothing" in complaint(
+        capsys, "export", scene, "--each", tmp_path, "--sidecar"
+    )
 
 
 def test_what_another_program_made_of_a_scene(scene: Path, tmp_path: Path, capsys):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from balls import GREEN, RED, TRAINED, opened, write_painted
+from balls import GREEN, RED, TRAINED, opened
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.ply import read_ply_table
@@ -28,10 +28,9 @@ FRAME = Frame(
 )
 
 
-@pytest.fixture(scope="module")
-def painted(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    folder = write_painted(tmp_path_factory.mktemp("painted"), "blue", lambda wave, night: night)
-    return opened(folder / "twice")
+@pytest.fixture
+def painted(stack: Path) -> Scene:
+    return opened(stack / "twice")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".splat"])
