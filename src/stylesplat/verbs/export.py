@@ -83,7 +83,11 @@ def export(
             option = name.replace("_", "-")
             raise StyleSplatError(f"--{option} means nothing for {kind}, {path}. Leave it out.")
     if kind == "a list of objects":
-        return _export_lists(_scene(what), path, objects, overwrite=overwrite)
+        refuse_file(path, overwrite=overwrite)
+        listed = listed_objects(_scene(what), objects)
+        with changing(path):
+            write_objects(listed, path)
+        return len(listed.objects)
     if mesh is not None:
         return _export_mesh(what, path, objects, without, mesh, overwrite=overwrite)
     beside = path.with_name(path.name + SIDECAR)
@@ -138,14 +142,6 @@ def _export_mesh(
     with changing(path):
         write_mesh(mesh, path)
     return len(mesh.faces)
-
-
-def _export_lists(scene: Scene, path: Path, objects: Sequence[str], *, overwrite: bool) -> int:
-    refuse_file(path, overwrite=overwrite)
-    listed = listed_objects(scene, objects)
-    with changing(path):
-        write_objects(listed, path)
-    return len(listed.objects)
 
 
 def export_each(
