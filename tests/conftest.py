@@ -32,10 +32,9 @@ def said() -> Iterator[list[str]]:
 
 @pytest.fixture(scope="module")
 def quick_painting() -> Iterator[None]:
-    """Objects are compared with their styles at a small size, and new Gaussians hardly fitted."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stylesplat.evaluation.style.LENGTH", 30.0)
-        patch.setattr("stylesplat.stylization.canvas.STEPS", 4)
+    from balls import painting_quickly  # loads torch's users: types are checked from later on
+
+    with painting_quickly():
         yield
 
 
