@@ -19,6 +19,7 @@ from stylesplat.io.splats.compressed_ply import (
 )
 from stylesplat.io.splats.dot_splat import dot_splat_order, read_dot_splat, write_dot_splat
 from stylesplat.io.splats.gltf import read_gltf, write_glb, write_gltf
+from stylesplat.io.splats.ksplat import read_ksplat
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.sog import read_sog, write_sog
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree, read_splat_ply, write_splat_ply
@@ -47,6 +48,7 @@ READERS: dict[str, Callable[[Path], Splats]] = {
     ".ply": _read_ply,
     ".spz": read_spz,
     ".splat": read_dot_splat,
+    ".ksplat": read_ksplat,
     ".sog": read_sog,
     ".glb": read_gltf,
     ".gltf": read_gltf,
@@ -57,8 +59,8 @@ def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
     PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ,
-    .splat, glTF, and SOG, as a bundle or as the meta.json of a folder. No memory is allocated for a
-    count that was not checked against the file.
+    .splat, .ksplat, glTF, and SOG, as a bundle or as the meta.json of a folder. No memory is
+    allocated for a count that was not checked against the file.
     """
     path = Path(path)
     reader = read_sog if path.name == SOG_META else READERS.get(path.suffix.lower())
