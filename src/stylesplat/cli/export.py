@@ -50,7 +50,8 @@ class Export(MakingCommand):
     repaint: Flag = False
     """Paint the mesh's texture anew in the object's style: its strokes are finer than Gaussians."""
     spz_version: Literal[2, 3, 4] | None = None
-    """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs."""
+    """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs. With 2 a
+    .glb or .gltf holds SPZ, as Cesium wants it."""
 
     def run(self) -> dict[str, Any]:
         from stylesplat.io.gaussian_lists import LISTS
@@ -66,8 +67,8 @@ class Export(MakingCommand):
             names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
             raise StyleSplatError(f"{names} means nothing without --mesh. Add it, or leave it out.")
         options = {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
-        if self.spz_version is not None and file.suffix.lower() != ".spz":
-            raise StyleSplatError(f"{file} is no .spz. Leave --spz-version out.")
+        if self.spz_version is not None and file.suffix.lower() not in (".spz", ".glb", ".gltf"):
+            raise StyleSplatError(f"{file} is no .spz, .glb or .gltf. Leave --spz-version out.")
         if self.each is not None:
             if self.object or any(others):
                 raise StyleSplatError(

@@ -58,6 +58,7 @@ def export(
         mesh: Settings of a textured mesh, which is written instead of splats, into a `.glb` or
             `.obj`: of one object, or of a scene that shows one. Needs `stylesplat[mesh]`.
         spz_version: Version of a `.spz`: 4 by default; 3 or 2 for programs that read no newer one.
+            With 2 a `.glb` or `.gltf` holds SPZ, for CesiumJS.
 
     Returns:
         How many Gaussians were written; of a mesh, how many faces.
@@ -75,10 +76,10 @@ def export(
     if page and (selected or sidecar):
         raise StyleSplatError("A page has no rows to list or to mark. Export a .ply.")
     if mesh is not None:
-        if selected or sidecar or sh_degree is not None:
+        if selected or sidecar or sh_degree is not None or spz_version is not None:
             raise StyleSplatError(
-                "A mesh has no Gaussians to mark, list or colour. Leave the selected objects, the "
-                "sidecar and the degree of colour out."
+                "A mesh has no Gaussians to mark, list, colour or pack. Leave the selected "
+                "objects, the sidecar, the degree of colour and the version of SPZ out."
             )
         return _export_mesh(what, path, objects, without, mesh, overwrite=overwrite)
     if sidecar:
