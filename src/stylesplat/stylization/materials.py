@@ -62,12 +62,17 @@ def _ramp(values: Plane, *colors: str) -> Colors:
     return np.stack([np.interp(values, places, channel) for channel in stops.T], axis=-1)
 
 
+def _mirrored(height: Plane) -> tuple[Plane, Plane]:
+    """The place that a polished surface shows, from -1 to 1 along x and y of what is before it."""
+    down, right = np.gradient(height)
+    facing = 2 / (1 + down**2 + right**2)  # twice the square of the normal's part to the viewer
+    return -right * facing, -down * facing
+
+
 def _bronze(random: Random) -> Colors:
     """Polished relief that mirrors two lamps; verdigris in the hollows, and specks of it."""
     relief = _noise(random, 44, 22)
-    down, right = np.gradient(26 * relief + 0.25 * _noise(random, 5, 10))
-    facing = 2 / (1 + down**2 + right**2)  # twice the square of the normal's part to the viewer
-    x, y = -right * facing, -down * facing  # of the mirrored view
+    x, y = _mirrored(26 * relief + 0.25 * _noise(random, 5, 10))
     lamp = np.exp(-((x + 0.45) ** 2 + (y + 0.55) ** 2) / 0.1)
     second = np.exp(-((x - 0.75) ** 2 + (y - 0.55) ** 2) / 0.12)
     light = 0.3 - 0.22 * y - 0.08 * x + 0.75 * lamp + 0.25 * second
@@ -82,10 +87,10 @@ def _bronze(random: Random) -> Colors:
 def _marble(random: Random) -> Colors:
     """Clouds of white and grey, with veins where noise crosses 0."""
     cloud, veins = _noise(random, 60, 25, 8), np.zeros((SIDE, SIDE))
-    for width, strength, sharpness in ((70, 1.0, 12), (35, 0.7, 16), (20, 0.3, 20)):
+    for width, strength, sharpness in ((70, 1.0, 5), (35, 0.8, 8), (20, 0.4, 14)):
         warped = _noise(random, width) + 0.12 * _noise(random, 4, 9)
         veins += strength * np.exp(-sharpness * abs(warped)) * (0.6 + 0.4 * np.tanh(cloud))
-    return _ramp(0.84 + 0.07 * cloud - 0.7 * veins, "3a3d44", "8f9298", "d3d2d0", "faf8f4")
+    return _ramp(0.86 + 0.09 * cloud - 0.75 * veins, "2c2f36", "7d8088", "cfcdca", "fbf9f5")
 
 
 def _gold_leaf(random: Random) -> Colors:
@@ -122,10 +127,12 @@ def _clay(random: Random) -> Colors:
 
 
 def _jade(random: Random) -> Colors:
-    """Soft clouds of green with milky streaks."""
+    """Polished; soft clouds of pale green with milky streaks."""
     streaks = np.exp(-2 * _noise(random, 34, 12, across=2) ** 2)
     cloud = 0.15 * _noise(random, 60, 30, 12, 5) + 0.3 * streaks
-    return _ramp(0.36 + cloud, "123d2a", "2f7a52", "6fb287", "d8ecd6")
+    x, y = _mirrored(20 * _noise(random, 50, 24))
+    lamp = np.exp(-((x + 0.45) ** 2 + (y + 0.55) ** 2) / 0.06)
+    return _ramp(0.34 + cloud + 0.55 * lamp, "1d5239", "4f9670", "93c6a0", "e4f2e0", "ffffff")
 
 
 MATERIALS = {"bronze": _bronze, "marble": _marble, "gold-leaf": _gold_leaf, "clay": _clay}
