@@ -20,6 +20,7 @@ from stylesplat.cli.options import (
     Weights,
 )
 from stylesplat.cli.results import (
+    BEFORE_AFTER,
     before_after_line,
     draw_before_after,
     new_scene,
@@ -160,6 +161,8 @@ class Adjust(MakingCommand):
     """Adjust or undo this object only. May be repeated."""
     undo: Flag = False
     """Remove the paint: write the scene as it was before, to the bit, to the --output folder."""
+    picture: Flag = True
+    """Draw no picture of before and after, which takes longer than the rest."""
 
     def run(self) -> dict[str, Any]:
         from stylesplat.scene.compose import strengths_of
@@ -179,7 +182,11 @@ class Adjust(MakingCommand):
             )
             result = {"scene": folder, "before_after": None}
             if after.layers:
-                result |= {"intensity": strengths_of(after), **draw_before_after(after, folder)}
+                result["intensity"] = strengths_of(after)
+            if after.layers and self.picture:
+                result |= draw_before_after(after, folder)
+            elif not self.output:
+                (folder / BEFORE_AFTER).unlink(missing_ok=True)  # it shows an earlier strength
         if self.form is not None:
             result["form"] = {each.object: each.form for each in after.layers}
         return result
