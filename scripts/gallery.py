@@ -27,7 +27,7 @@ these pictures, and a page of each scene that any browser opens and turns, as
 
 The paintings are in the public domain: Vincent van Gogh, *The Starry Night*; Wassily Kandinsky,
 *Composition VII*; Childe Hassam, *The South Ledges, Appledore*; Claude Monet, *Water Lilies*;
-Utagawa Kuniyoshi, *Raiko*. `make demo` trains the scene of the vase and the teapot.
+and a ukiyo-e print of Raiko. `make demo` trains the scene of the vase and the teapot.
 """
 
 
