@@ -14,8 +14,8 @@ from paper_figures.subject import EFFORTS, Subject
 
 ABOUT = (
     "Which claims of the StyleSplat paper (Jain et al. 2024) hold in our own scenes, by numbers "
-    "that it does not give, and its figures made again. The appendices at the end have the numbers of "
-    "each claim, and say how all of it was made."
+    "that it does not give, and its figures made again. The appendices at the end have the "
+    "numbers of each claim, and say how all of it was made."
 )
 DEFINED = (
     "A pixel has changed if a channel differs by more than 0.05; strength is the mean distance of "
