@@ -87,22 +87,27 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("gallery-output"))
     options = parser.parse_args()
     (DOCS / "gallery").mkdir(exist_ok=True)
-    parts = [TEXT]
     for each in PAINTINGS:
         scene = painted(each, options.scenes, options.paintings, options.output / each.name)
         page = options.output / f"{each.name}.html"
         ss.export(scene, page, sh_degree=0, overwrite=True)
-        folder = DOCS / "gallery" if each.is_free else options.output
-        picture = folder / f"{each.name}.jpg"
+        picture = (DOCS / "gallery" if each.is_free else options.output) / f"{each.name}.jpg"
         before_and_after(scene, [*each.styles]).save(picture, quality=QUALITY)
-        print(f"{picture}  {page}: {page.stat().st_size / 2**20:.1f} MB")
-        if each.is_free:
-            pairs = " ".join(f"--style {name}={style}.jpg" for name, style in each.styles.items())
-            command = f"stylesplat stylize {Path(each.scene).parts[0]} {pairs} -o painted"
-            parts.append(
-                f"## {each.title}\n\n![{each.title}, before and after](gallery/{picture.name})\n\n"
-                f"```sh\n{command}\n```\n"
-            )
+        print(f"{picture}  {page}: {page.stat().st_size / 2**20:.1f} MB", flush=True)
+        write_list()
+
+
+def write_list() -> None:
+    """Write the page of all pictures that are there."""
+    parts = [TEXT]
+    for each in PAINTINGS:
+        picture = f"gallery/{each.name}.jpg"
+        if (DOCS / picture).is_file():
+            styles = (f"--style {name}={style}.jpg" for name, style in each.styles.items())
+            scene = Path(each.scene).parts[0]
+            command = " ".join(["stylesplat stylize", scene, *styles, "-o painted"])
+            title = f"## {each.title}\n\n![{each.title}, before and after]({picture})"
+            parts.append(f"{title}\n\n```sh\n{command}\n```\n")
     (DOCS / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
 
 
