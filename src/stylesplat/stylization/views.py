@@ -143,12 +143,6 @@ def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> li
     return [box for box in found if box is not None]
 
 
-def boxes_in(boxes: Sequence[Box], cameras: Cameras) -> list[Box]:
-    """The boxes that lie in some cameras, by the cameras' names."""
-    names = {*cameras.names}
-    return [box for box in boxes if box.camera.names[0] in names]
-
-
 def typical_length(boxes: Sequence[Box]) -> float:
     """The median of the object's longer sides, in pixels."""
     return median(box.length for box in boxes)
