@@ -163,7 +163,7 @@ def compares(tab: Tab, before: np.ndarray, painted: np.ndarray) -> None:
 
 def assert_changed(change: np.ndarray, opened: StudioServer) -> None:
     """The ball is another, and nothing else is."""
-    (look,) = opened.server.actions.pictures.looks
+    (look,) = opened.server.actions.pictures.looks.values()
     scene, camera = opened.session.state.scene, camera_of(look)
     seen = coverage(scene.splats, camera, opened.session.masks.of(scene, "3")) > 0.02
     near = torch.nn.functional.max_pool2d(seen[None].float(), 2 * FAR + 1, 1, FAR)[0].numpy() > 0

@@ -133,13 +133,13 @@ class Stylize(MakingCommand):
             raise StyleSplatError(
                 f"Got --style and --recipe. Write {name} into {self.recipe}, or pass only --style."
             )
-        objects = []
-        for each in ss.read_recipe(self.recipe, preset=self.preset).objects:
+        recipe, objects = ss.read_recipe(self.recipe, preset=self.preset), []
+        for each in recipe.objects:
             before = {"config": each.style.config, "preset": each.style.preset}
             style = ss.Style(*each.style.pictures, **before, **self.settings)
             intensity = self.settings.get("intensity", each.intensity)
             objects.append(replace(each, style=style, intensity=intensity))
-        return Recipe(tuple(objects))
+        return replace(recipe, objects=tuple(objects))
 
 
 @dataclass(frozen=True)

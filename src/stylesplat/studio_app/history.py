@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.scene.compose import compose, family
 from stylesplat.scene.content import Extent, extent_of
 from stylesplat.scene.scene import Scene
@@ -27,8 +28,6 @@ class StudioState:
     """Only what is picked is displayed."""
     locked: frozenset[str] = frozenset()
     """Objects whose paint must not change."""
-    commands: tuple[tuple[str, ...], ...] = ()
-    """The commands that make these objects; `SCENE` stands for the scene's folder."""
     note: str = "Opened"
     """The last change, in a few words."""
 
@@ -40,16 +39,18 @@ class ObjectMasks:
         self._kept = dict[str, tuple[Tensor, Tensor]]()
         self._extents = dict[tuple[str, ...], tuple[Tensor, Extent]]()
 
+    def has(self, scene: Scene, name: str) -> bool:
+        """Whether they are found at once."""
+        named = name in scene.objects or name in scene.painted_objects
+        return named or (name in self._kept and self._kept[name][0] is scene.unpainted.means)
+
     def of(self, scene: Scene, name: str) -> Bool[Tensor, " N"]:
-        if name in scene.objects:
-            return scene.objects[name].picked
-        if name in scene.painted_objects:
+        if name in scene.objects or name in scene.painted_objects:
             return find_object(scene, name)
-        known, means = self._kept.get(name), scene.unpainted.means
-        if known is None or known[0] is not means:
-            found = find_object(scene, name)[: len(means)]
-            known = self._kept[name] = (means, found)
-        return known[1][family(scene)] if scene.layers else known[1]
+        means = scene.unpainted.means
+        if not self.has(scene, name):
+            self._kept[name] = means, find_object(scene, name)[: len(means)]
+        return self._kept[name][1][family(scene)] if scene.layers else self._kept[name][1]
 
     def extent(self, scene: Scene, names: tuple[str, ...]) -> Extent:
         """The box around some objects, at least one."""
@@ -79,11 +80,12 @@ def hidden_rows(state: StudioState, masks: ObjectMasks) -> Bool[Tensor, " N"] | 
     if state.alone and state.picked:
         picked = masks.together(scene, state.picked)
         hidden = None if picked is None else ~picked
-    return none_if_all(hidden)
-
-
-def none_if_all(hidden: Bool[Tensor, " N"] | None) -> Bool[Tensor, " N"] | None:
     return None if hidden is None or hidden.all() else hidden
+
+
+def require_picked(state: StudioState) -> None:
+    if not state.picked:
+        raise StyleSplatError("Nothing is picked. Click an object first.")
 
 
 def replace_scene(state: StudioState, scene: Scene, note: str) -> StudioState:

@@ -1,8 +1,8 @@
 """What the page and the server tell each other: JSON over one WebSocket.
 
 The page sends `Look` and the actions of `actions.py`; the field `do` names the kind. The server
-sends `Hello` once, and after each change a whole `StateMessage`, `ProgressMessage` or `Note`.
-Pictures are binary, see `pictures.py`.
+sends `Hello` once, and after each change a whole `StateMessage`, `Progress` or `Note`. Pictures
+are binary, see `pictures.py`.
 """
 
 from typing import Annotated, Any, Literal
@@ -39,7 +39,7 @@ class Told(msgspec.Struct, frozen=True, tag_field="kind"):
 
 
 class Setting(msgspec.Struct, frozen=True):
-    """A control of the painting's settings."""
+    """A control of a painting, or of a recolouring."""
 
     name: str
     label: str
@@ -49,7 +49,6 @@ class Setting(msgspec.Struct, frozen=True):
     low: float = 0.0
     high: float = 1.0
     step: float = 0.05
-    hint: str = ""
 
 
 class Hello(Told, frozen=True, tag="hello"):
@@ -61,7 +60,8 @@ class Hello(Told, frozen=True, tag="hello"):
     """The first view: position, target, up, slopes."""
     photos: list[dict[str, Any]]
     """Name, position and target of each photo, and the corners of its picture there."""
-    settings: list[Setting]
+    settings: tuple[Setting, ...]
+    recolorings: tuple[Setting, ...]
     formats: tuple[str, ...]
     extent: float
     """Size of the content in world units."""
@@ -76,14 +76,16 @@ class ObjectInfo(msgspec.Struct, frozen=True):
     hidden: bool
     named: bool
     painted: bool
-    count: int
-    thumbnail: int
-    """Its version; 0 as long as there is none."""
+    thumbnail: str
+    """Its address; empty as long as there is none."""
+    count: int | None = None
+    """Of its Gaussians; None until they are found."""
     centre: Vector | None = None
     radius: float = 0.0
 
 
 class LayerInfo(msgspec.Struct, frozen=True):
+    name: str
     object: str
     title: str
     """Of the style picture."""
@@ -92,38 +94,40 @@ class LayerInfo(msgspec.Struct, frozen=True):
     visible: bool
     locked: bool
     settings: str
+    recolor: dict[str, Any] | None = None
+    """The settings of a recolouring; None for paint."""
 
 
-class VariantInfo(msgspec.Struct, frozen=True):
-    number: int
+class Variant(msgspec.Struct, frozen=True):
+    """A painting of an object that was finished, or stopped."""
+
     object: str
     title: str
     settings: str
-    current: bool
+    thumbnail: str
+    """The address of a JPEG."""
 
 
 class StyleInfo(msgspec.Struct, frozen=True):
-    number: int
     title: str
     size: tuple[int, int]
-    preview: int = 0
-    """Version of the preview of this style on what is picked; 0 without one."""
-
-
-class JobInfo(msgspec.Struct, frozen=True):
-    number: int
-    object: str
-    title: str
+    url: str
+    """The address of a JPEG."""
+    preview: str
+    """The address of a picture of what is picked in this style; empty without one."""
 
 
 class StateMessage(Told, frozen=True, tag="state"):
     objects: list[ObjectInfo]
     layers: list[LayerInfo]
     """The lowest first."""
-    variants: list[VariantInfo]
-    snapshots: list[tuple[int, str]]
+    variants: list[Variant]
+    current: list[int]
+    """The variants that show."""
+    snapshots: list[str]
     styles: list[StyleInfo]
-    waiting: list[JobInfo]
+    waiting: list[tuple[int, str, str]]
+    """Number, object and style of paintings that wait."""
     alone: bool
     painting: bool
     can_continue: bool
@@ -133,19 +137,23 @@ class StateMessage(Told, frozen=True, tag="state"):
     note: str
     unsaved: bool
     folder: str
-    commands: str
+    command: str
+    """What gives the saved scene once more; empty if nothing is painted."""
     compared: int | None
     box: tuple[Vector, Vector]
     """Around what is picked, or around the content."""
 
 
-class ProgressMessage(Told, frozen=True, tag="progress"):
+class Progress(Told, frozen=True, tag="progress"):
     """Long work; nothing is under way without `what`."""
 
     what: str = ""
     share: float = 0.0
+    """How much of it is done, 0 to 1."""
     left: float | None = None
+    """Estimated seconds that it still takes."""
     doing: str = ""
+    """The preparation that is under way."""
     export: bool = False
     """Whether it is an export, which can be cancelled."""
 

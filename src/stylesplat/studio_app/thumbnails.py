@@ -1,14 +1,10 @@
-"""Thumbnails of objects, paintings and style pictures."""
+"""Thumbnails of objects and paintings."""
 
-import io
-from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
-from PIL import Image
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -17,25 +13,11 @@ from stylesplat.figures.pictures import to_uint8
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
+from stylesplat.studio_app.gallery import Files, jpeg
 from stylesplat.studio_app.session import Session
 
 SIDE = 160  # pixels along a thumbnail
 CARD = 0.15  # grey around an object
-
-Pixels = UInt8[np.ndarray, "H W 3"]
-
-
-def jpeg(pixels: Pixels, quality: int = 88) -> bytes:
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "JPEG", quality=quality)
-    return file.getvalue()
-
-
-def shrunk(picture: Float[Tensor, "H W 3"], side: int) -> Pixels:
-    """A picture whose longer side has at most so many pixels."""
-    image = Image.fromarray(to_uint8(picture).numpy())
-    image.thumbnail((side, side), Image.Resampling.LANCZOS)
-    return np.array(image)
 
 
 @torch.no_grad()
@@ -48,29 +30,30 @@ def object_picture(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) 
 class ObjectThumbnails:
     """Thumbnails of the objects of a scene, which are made while the worker is idle."""
 
-    def __init__(self, session: Session, on_ready: Callable[[], None]) -> None:
-        self._session, self._on_ready = session, on_ready
+    def __init__(self, session: Session, files: Files) -> None:
+        self._session, self._files = session, files
         self._cameras = dict[str, tuple[Tensor, Cameras]]()  # with the mask that each shows
         self._asked = dict[str, Splats]()  # the splats for which each was asked
-        self._made = dict[str, tuple[Tensor, int, bytes]]()  # colours and opacities, version, JPEG
+        self._made = dict[str, tuple[Tensor, str]]()  # colours and opacities; the address
 
-    def version(self, name: str) -> int:
-        """The number of the thumbnail of an object, 0 without one; a missing one is asked for."""
+    def url(self, name: str) -> str:
+        """The address of an object's thumbnail, or nothing; a missing one is asked for."""
         session, splats = self._session, self._session.state.scene.splats
         if not session.painting and self._asked.get(name) is not splats:
             self._asked[name] = splats
             session.ask(partial(self._make, name), kind=f"thumbnail {name}", patient=True)
-        return self._made[name][1] if name in self._made else 0
+        return self._made[name][1] if name in self._made else ""
 
-    def picture(self, name: str) -> bytes | None:
-        return self._made[name][2] if name in self._made else None
+    def paint_url(self, name: str) -> str:
+        """The address of a picture of an object as it is now; nothing if no view shows it."""
+        scene = self._session.state.scene
+        with suppress(StyleSplatError):
+            picked = self._session.masks.of(scene, name)
+            return self._files.add(object_picture(scene.splats, self._camera(name), picked))
+        return ""
 
-    def camera(self, name: str) -> Cameras:
-        """A small square view of an object.
-
-        Raises:
-            StyleSplatError: If it shows in no view.
-        """
+    def _camera(self, name: str) -> Cameras:
+        """A small square view of an object. Raises a StyleSplatError if no view shows it."""
         scene = self._session.state.scene
         own = self._session.masks.of(scene, name)[: len(scene.unpainted)]
         if name not in self._cameras or not torch.equal(self._cameras[name][0], own):
@@ -79,13 +62,10 @@ class ObjectThumbnails:
         return self._cameras[name][1]
 
     def _make(self, name: str) -> None:
-        splats = self._session.state.scene.splats
-        before, version, _ = self._made.get(name, (None, 0, b""))
-        with suppress(StyleSplatError):  # it was deleted, or no view shows it
-            picked = self._session.masks.of(self._session.state.scene, name)
-            shown = torch.cat([splats.sh0[picked, 0], splats.opacities[picked, None]], dim=1)
-            if before is not None and torch.equal(before, shown):
-                return
-            picture = object_picture(splats, self.camera(name), picked)
-            self._made[name] = shown, version + 1, picture
-            self._session.ask(self._on_ready, kind="thumbnails", patient=True)
+        scene = self._session.state.scene
+        with suppress(StyleSplatError):  # it was deleted
+            picked, splats = self._session.masks.of(scene, name), scene.splats
+            looks = torch.cat([splats.sh0[picked, 0], splats.opacities[picked, None]], dim=1)
+            if name not in self._made or not torch.equal(self._made[name][0], looks):
+                self._made[name] = looks, self.paint_url(name)
+                self._session.ask(self._session.on_change.call, kind="thumbnails", patient=True)
