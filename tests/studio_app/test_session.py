@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS
-from browser import QUICK, quick_style, session_in, stripes
+from browser import QUICK, quick_style, session_in, stripes, until
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.progress import track
@@ -313,6 +313,6 @@ def test_exports_are_files_of_their_kind(session: Session, ending: str, begin: b
     assert ending in FORMATS
     exporter, found = Exporter(session), list[bytes]()
     exporter.start("Exporting", partial(export, session.state.scene), ending, found.append)
-    exporter.wait()
+    until(lambda: bool(found), "the export")
     (content,) = found
     assert len(content) > 1000 and content.lower().startswith(begin)

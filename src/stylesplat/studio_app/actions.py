@@ -39,8 +39,7 @@ from stylesplat.studio_app.layers import describe_settings, find_layer, recolori
 from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of, render_display
 from stylesplat.studio_app.session import Display, Session
-from stylesplat.studio_app.style_previews import StylePreviews
-from stylesplat.studio_app.thumbnails import ObjectThumbnails
+from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.export import export
@@ -68,8 +67,6 @@ DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
 
 
 class Actions:
-    """Does what the page asks for."""
-
     def __init__(
         self, session: Session, gallery: Gallery, store: SceneStore | None, **options: Any
     ) -> None:
@@ -91,9 +88,8 @@ class Actions:
         session.on_painted.append(self._painted)
         changes = [picking.pick_names, picking.pick_box, picking.pick_words, picking.resize_picked]
         changes += [picking.unite_picked, picking.subtract_picked, picking.forget_picked]
-        changes += [picking.rename_picked, picking.hide_objects, picking.isolate_picked]
-        changes += [layers.adjust_layer, layers.set_visible, layers.set_locked, layers.move_layer]
-        changes += [layers.remove_paint]
+        changes += [picking.rename_picked, picking.hide_objects, layers.adjust_layer]
+        changes += [layers.set_visible, layers.set_locked, layers.move_layer, layers.remove_paint]
         methods = [self.pick_at, self.pick_drawn, self.recolor, self.paint, self.stop]
         methods += [self.queue.resume, self.queue.remove, self.previews.try_all, self.use_variant]
         methods += [self.compare_with, self.snapshot, self.restore, session.step, self.export]
@@ -104,7 +100,6 @@ class Actions:
         known = {} if self.readonly else {**self._changes, **self._methods}
         structs = [_struct_of(name, each) for name, each in known.items()]
         self.decoder = msgspec.json.Decoder(reduce(or_, structs, m.Look))
-        """Reads what a page sends."""
 
     def act(self, client: int, message: m.Look | msgspec.Struct) -> None:
         """Ask for what a page wants; called in the server's thread."""
@@ -126,10 +121,6 @@ class Actions:
             key = name, values.get("name"), str(values.get("names")), values.get("setting"), *whats
         self.session.do(change, merge=key, kind=str(key or ""))
 
-    @property
-    def state(self) -> StudioState:
-        return self.session.state
-
     def pick_at(
         self,
         place: m.Place,
@@ -139,22 +130,21 @@ class Actions:
     ) -> StudioState:
         """Pick the ball around a place, or what looks alike there."""
         if radius is not None:
-            return picking.pick_ball(self.state, self._camera(), place, radius, how)
-        return picking.pick_alike(self.state, self._camera(), place, reach or 1.0, how)
+            return picking.pick_ball(self.session.state, self._camera(), place, radius, how)
+        return picking.pick_alike(self.session.state, self._camera(), place, reach or 1.0, how)
 
     def pick_drawn(
         self, shape: m.Shape, points: m.Line, how: m.How = "new", radius: m.Share = 0.02
     ) -> StudioState:
-        """Pick what shows inside a line."""
         camera = self._camera(MAP)
         inside = picking.region_of(shape, points, camera.size, radius)
-        return picking.pick_drawn(self.state, camera, inside, how)
+        return picking.pick_drawn(self.session.state, camera, inside, how)
 
     def recolor(self, names: list[m.Text], setting: m.Text, value: float | m.Text | None) -> Any:
         """Change a setting of objects' recolouring; `match` is the number of a style picture."""
         if setting == "match" and value is not None:
             value = str(self._style(int(value)).path)
-        return layers.recolor_objects(self.state, names, setting, value)
+        return layers.recolor_objects(self.session.state, names, setting, value)
 
     def paint(
         self,
@@ -167,7 +157,7 @@ class Actions:
 
         `instead`: in place of their painting that is under way, whose picture stays meanwhile.
         """
-        picture, objects = self._style(style), self.state.picked if names is None else names
+        picture, objects = self._style(style), self.session.state.picked if names is None else names
         self.queue.paint(objects, Style(picture.path, **(settings or {})), picture.title, instead)
 
     def stop(self) -> None:
@@ -175,35 +165,31 @@ class Actions:
         self.queue.stop()
 
     def use_variant(self, number: int) -> StudioState:
-        return self._with_variant(self.state, number)
+        return self._with_variant(self.session.state, number)
 
     def compare_with(self, number: int | None = None) -> None:
         """Show a variant on the left of the handle, or the scene before painting."""
         if number is not None:
-            self._with_variant(self.state, number)
+            self._with_variant(self.session.state, number)
         self.compared = number
         self.session.on_change.call()
 
     def snapshot(self, name: m.Text) -> None:
-        """Keep the whole scene as it is."""
         name = name.strip() or f"Snapshot {len(self.snapshots) + 1}"
-        self.snapshots.append((name, KeptState(self.state)))
+        self.snapshots.append((name, KeptState(self.session.state)))
         self.session.on_change.call()
 
     def restore(self, number: int) -> StudioState:
-        if not 0 <= number < len(self.snapshots):
-            raise StyleSplatError("There is no such snapshot.")
         name, kept = self.snapshots[number]
         return replace(kept.state(), note=f"Restored {name}")
 
     def export(self, ending: m.Text) -> None:
         if ending not in FORMATS:
             raise StyleSplatError(f"There is no format {ending}. Use {', '.join(FORMATS)}.")
-        make = partial(export, self.state.scene)
+        make = partial(export, self.session.state.scene)
         self.exporter.start(f"Exporting {ending}", make, ending, self._deliver(ending))
 
     def picture(self, width: Annotated[int, msgspec.Meta(ge=1, le=MOST_PIXELS)]) -> None:
-        """Render the view as a PNG."""
         camera = self._camera(10**9)
         camera = camera.downscale(camera.size[0] / width).at_most(MOST_PIXELS)
         pixels = render_display(self.session.display, camera, self.pictures.background)
@@ -221,7 +207,7 @@ class Actions:
     ) -> None:
         """Make a video around an object or the scene: where the photos were taken, or of the view
         of the page in a circle, or to and fro."""
-        scene, frames = self.state.scene, max(2, round(seconds * fps))
+        scene, frames = self.session.state.scene, max(2, round(seconds * fps))
         if path == "photos":
             cameras = orbit(scene, around=around or None, frames=frames)
         else:
@@ -251,10 +237,7 @@ class Actions:
         return camera_of(look, pixels)
 
     def _style(self, number: int) -> StylePicture:
-        pictures = [*self.gallery.pictures.values()]
-        if not 0 <= number < len(pictures):
-            raise StyleSplatError("This style picture is not there any more.")
-        return pictures[number]
+        return [*self.gallery.pictures.values()][number]
 
     def _deliver(self, ending: str) -> Callable[[bytes], None]:
         """The function that lets the present page download a file."""
@@ -271,7 +254,7 @@ class Actions:
     def _before(self) -> Display:
         """What lies on the left of the handle."""
         session, state = self.session, self.session.state
-        key = self.compared, state.hidden, state.alone and state.picked
+        key = self.compared, state.hidden
         known = self._reference
         if known is None or known[0] is not state.scene or known[1] != key:
             if self.compared is not None:
@@ -284,20 +267,18 @@ class Actions:
         return known[2]
 
     def _with_variant(self, state: StudioState, number: int) -> StudioState:
-        if not 0 <= number < len(self.variants):
-            raise StyleSplatError("There is no such variant.")
         variant, layer = self.variants[number]
-        return layers.use_layer(state, layer, variant.title)
+        layers.refuse_locked(state, layer.name)
+        return layers.with_layer(state, layer, f"{layer.object}: {variant.title}")
 
     def _painted(self, name: str, title: str) -> None:
-        """Keep a finished painting as a variant."""
-        layer = find_layer(self.state.scene, name)
+        layer = find_layer(self.session.state.scene, name)
         settings, url = describe_settings(layer.settings), self.thumbnails.paint_url(name)
         self.variants.append((m.Variant(layer.object, title, settings, url), layer))
         self.session.on_change.call()
 
     def hello(self, title: str) -> m.Hello:
-        scene = self.state.scene
+        scene = self.session.state.scene
         return m.Hello(
             title=title,
             readonly=self.readonly,
@@ -324,12 +305,9 @@ class Actions:
             variants=[variant for variant, _ in self.variants],
             current=[n for n, (_, each) in enumerate(self.variants) if id(each.sh0) in shown],
             snapshots=[name for name, _ in self.snapshots],
-            styles=[
-                m.StyleInfo(each.title, each.size, each.url, self.previews.url(each.title))
-                for each in self.gallery.pictures.values()
-            ],
+            styles=[*self.gallery.pictures.values()],
+            previews=self.previews.urls,
             waiting=[(each.number, each.name, each.title) for each in self.queue.waiting],
-            alone=state.alone,
             painting=session.painting,
             can_continue=self.queue.can_continue,
             undo=history.undo_note,
@@ -384,21 +362,13 @@ def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
 
 
 def _photos(scene: Scene, middle: torch.Tensor) -> Iterator[dict[str, Any]]:
-    cameras = scene.cameras
-    for row, name in enumerate(cameras.names):
-        position = cameras.positions[row].double()
-        axes = cameras.viewmats[row, :3, :3].double()
+    for camera in (scene.cameras[row] for row in range(len(scene.cameras))):
+        position, axes = camera.positions[0].double(), camera.viewmats[0, :3, :3].double()
         distance = max(float((middle - position) @ axes[2]), NEAREST)
-        width, height = cameras.sizes[row].tolist()
-        slopes = width / float(cameras.Ks[row, 0, 0]), height / float(cameras.Ks[row, 1, 1])
-        yield {
-            "name": name,
-            "position": position.tolist(),
-            "target": (position + distance * axes[2]).tolist(),
-            "right": axes[0].tolist(),
-            "down": axes[1].tolist(),
-            "slopes": slopes,
-        }
+        places = {"position": position, "target": position + distance * axes[2]}
+        places |= {"right": axes[0], "down": axes[1]}
+        places["slopes"] = camera.sizes[0] / camera.Ks[0].diagonal()[:2]
+        yield {"name": camera.names[0], **{key: each.tolist() for key, each in places.items()}}
 
 
 def _vector(values: torch.Tensor) -> m.Vector:
@@ -407,7 +377,6 @@ def _vector(values: torch.Tensor) -> m.Vector:
 
 
 def _struct_of(name: str, method: Callable[..., Any]) -> type[msgspec.Struct]:
-    """The message for a function: its parameters."""
     hints = get_type_hints(method, include_extras=True)
     fields = list[Any]()
     for each in inspect.signature(method).parameters.values():

@@ -83,7 +83,6 @@ class SceneStore:
         return True
 
     def recover(self) -> StudioState | None:
-        """The state in the autosave of an earlier run, if there is one."""
         state, folder = self._session.state, self._autosave_folder
         if not folder.is_dir():
             return None

@@ -24,7 +24,6 @@ class Exporter:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._cancelled = threading.Event()
-        self._thread: threading.Thread | None = None
 
     def start(
         self, what: str, make: Make, ending: str, deliver: Deliver, *, renders: bool = False
@@ -42,16 +41,10 @@ class Exporter:
         if renders:
             self._session.ask(job, patient=True)
             return
-        self._thread = threading.Thread(target=job, daemon=True, name="export")
-        self._thread.start()
+        threading.Thread(target=job, daemon=True, name="export").start()
 
     def cancel(self) -> None:
-        """End the export."""
         self._cancelled.set()
-
-    def wait(self, seconds: float = 60.0) -> None:
-        if self._thread is not None:
-            self._thread.join(seconds)
 
     def _count(self, what: str, share: float) -> None:
         self._session.export = Progress(what, share, export=True) if what else None

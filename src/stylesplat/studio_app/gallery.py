@@ -37,36 +37,29 @@ def jpeg(pixels: Pixels, quality: int = 88) -> bytes:
     return file.getvalue()
 
 
-class Files:
+class Files(dict[str, tuple[str, bytes]]):
     """Pictures and downloads by the digest of their content, which is part of their address."""
 
     def __init__(self) -> None:
-        self._kept, self._downloads = dict[str, tuple[str, bytes]](), deque[str]()
+        self._downloads = deque[str]()
 
     def add(self, content: bytes, name: str = PICTURE) -> str:
         """Keep a file; returns its address. Of downloads the latest are kept."""
         key = blake2b(content, digest_size=16).hexdigest()
-        self._kept[key] = name, content
+        self[key] = name, content
         if name != PICTURE:
             self._downloads.append(key)
             if len(self._downloads) > DOWNLOADS:
-                self._kept.pop(self._downloads.popleft(), None)
+                self.pop(self._downloads.popleft(), None)
         return f"/file/{key}/{quote(name)}"
-
-    def get(self, key: str) -> tuple[str, bytes] | None:
-        """The name and the content of a file."""
-        return self._kept.get(key)
 
 
 @dataclass(frozen=True)
 class StylePicture:
     title: str
-    """Differs from all others."""
     path: Path
     size: tuple[int, int]
-    """Width and height in pixels."""
     url: str
-    """The address of a JPEG."""
 
 
 class Gallery:
@@ -115,7 +108,6 @@ class Gallery:
             raise StyleSplatError(str(error).replace(str(path), path.stem)) from error
 
     def close(self) -> None:
-        """Remove the uploads."""
         if self._uploads is not None:
             self._uploads.cleanup()
 

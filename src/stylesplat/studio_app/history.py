@@ -18,14 +18,10 @@ from stylesplat.selection.identities import object_ids
 
 @dataclass(frozen=True)
 class StudioState:
-    """Everything that undo takes back."""
-
     scene: Scene
     picked: tuple[str, ...] = ()
     """The names or label ids of the objects that are picked, in order."""
     hidden: frozenset[str] = frozenset()
-    alone: bool = False
-    """Only what is picked is displayed."""
     locked: frozenset[str] = frozenset()
     """Objects whose paint must not change."""
     note: str = "Opened"
@@ -53,7 +49,6 @@ class ObjectMasks:
         return self._kept[name][1][family(scene)] if scene.layers else self._kept[name][1]
 
     def extent(self, scene: Scene, names: tuple[str, ...]) -> Extent:
-        """The box around some objects, at least one."""
         picked = self.together(scene, names)
         assert picked is not None
         own = picked[: len(scene.unpainted)]
@@ -76,10 +71,7 @@ def object_names(scene: Scene) -> list[str]:
 
 def hidden_rows(state: StudioState, masks: ObjectMasks) -> Bool[Tensor, " N"] | None:
     """The Gaussians that are not displayed; None if all are."""
-    scene, hidden = state.scene, masks.together(state.scene, state.hidden)
-    if state.alone and state.picked:
-        picked = masks.together(scene, state.picked)
-        hidden = None if picked is None else ~picked
+    hidden = masks.together(state.scene, state.hidden)
     return None if hidden is None or hidden.all() else hidden
 
 
@@ -121,8 +113,6 @@ class KeptState:
 
 
 class History:
-    """States in their order, of which one is displayed."""
-
     def __init__(self, first: StudioState) -> None:
         self.now = first
         self._states, self._row = [KeptState(first)], 0
@@ -135,7 +125,6 @@ class History:
 
     @property
     def redo_note(self) -> str:
-        """The change that redo makes again; empty if there is none."""
         later = self._states[self._row + 1 :]
         return later[0].note if later else ""
 

@@ -15,11 +15,7 @@ from stylesplat.verbs.recolor import recolor
 
 
 def find_layer(scene: Scene, name: str) -> Layer:
-    """The layer of a name, which is its object's if it is paint.
-
-    Raises:
-        StyleSplatError: If it is not painted.
-    """
+    """The layer of a name. Raises a StyleSplatError if there is none."""
     for layer in scene.layers:
         if layer.name == name:
             return layer
@@ -40,7 +36,7 @@ def adjust_layer(
 
 def set_visible(state: StudioState, name: str, visible: bool) -> StudioState:
     layer = replace(find_layer(state.scene, name), visible=visible)
-    return _with_layer(state, layer, f"{'Showed' if visible else 'Hid'} the paint of {name}")
+    return with_layer(state, layer, f"{'Showed' if visible else 'Hid'} the paint of {name}")
 
 
 def set_locked(state: StudioState, name: str, locked: bool) -> StudioState:
@@ -49,7 +45,6 @@ def set_locked(state: StudioState, name: str, locked: bool) -> StudioState:
 
 
 def move_layer(state: StudioState, name: str, by: int) -> StudioState:
-    """Move a layer up or down in the stack."""
     layers = [*state.scene.layers]
     place = layers.index(find_layer(state.scene, name))
     to = place + by
@@ -87,24 +82,16 @@ def recolor_objects(
 
 
 def recoloring_of(layer: Layer) -> dict[str, Any]:
-    """The settings of a recolouring."""
     match = {"match": str(layer.styles[0].path)} if layer.styles else {}
     return {**layer.settings, **match}
 
 
-def use_layer(state: StudioState, layer: Layer, title: str) -> StudioState:
-    """Show another painting of an object; all other objects stay as they are."""
-    refuse_locked(state, layer.object)
-    return _with_layer(state, layer, f"{layer.object}: {title}")
-
-
 def refuse_locked(state: StudioState, name: str) -> None:
-    """Raise a StyleSplatError if an object's paint is locked."""
     if name in state.locked:
         raise StyleSplatError(f"The paint of {name} is locked. Unlock its layer first.")
 
 
-def _with_layer(state: StudioState, layer: Layer, note: str) -> StudioState:
+def with_layer(state: StudioState, layer: Layer, note: str) -> StudioState:
     """The state with a layer in place of its object's, or on top."""
     layers = {each.name: each for each in state.scene.layers} | {layer.name: layer}
     return _with_scene(state, with_layers(state.scene, [*layers.values()]), note)

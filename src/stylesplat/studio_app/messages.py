@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from stylesplat.studio_app.gallery import StylePicture
+
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Place = tuple[Share, Share]  # in a picture, from its top left corner
 Text = Annotated[str, msgspec.Meta(max_length=200)]
@@ -21,8 +23,6 @@ Line = Annotated[list[Place], msgspec.Meta(min_length=1, max_length=4000)]
 
 
 class Look(msgspec.Struct, frozen=True, tag="look", tag_field="do", forbid_unknown_fields=True):
-    """Where a browser's camera is."""
-
     number: int
     viewmat: Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
     focal: Positive
@@ -39,12 +39,9 @@ class Told(msgspec.Struct, frozen=True, tag_field="kind"):
 
 
 class Setting(msgspec.Struct, frozen=True):
-    """A control of a painting, or of a recolouring."""
-
     name: str
     label: str
     value: Any
-    """The default."""
     choices: tuple[str, ...] = ()
     low: float = 0.0
     high: float = 1.0
@@ -52,14 +49,11 @@ class Setting(msgspec.Struct, frozen=True):
 
 
 class Hello(Told, frozen=True, tag="hello"):
-    """What stays as it is."""
-
     title: str
     readonly: bool
     start: dict[str, Any]
     """The first view: position, target, up, slopes."""
     photos: list[dict[str, Any]]
-    """Name, position and target of each photo, and the corners of its picture there."""
     settings: tuple[Setting, ...]
     recolorings: tuple[Setting, ...]
     formats: tuple[str, ...]
@@ -67,7 +61,6 @@ class Hello(Told, frozen=True, tag="hello"):
     """Size of the content in world units."""
     gaussians: int
     max_bytes: int
-    """Of an upload."""
 
 
 class ObjectInfo(msgspec.Struct, frozen=True):
@@ -77,7 +70,6 @@ class ObjectInfo(msgspec.Struct, frozen=True):
     named: bool
     painted: bool
     thumbnail: str
-    """Its address; empty as long as there is none."""
     count: int | None = None
     """Of its Gaussians; None until they are found."""
     centre: Vector | None = None
@@ -88,7 +80,6 @@ class LayerInfo(msgspec.Struct, frozen=True):
     name: str
     object: str
     title: str
-    """Of the style picture."""
     strength: float
     form: float
     visible: bool
@@ -105,16 +96,6 @@ class Variant(msgspec.Struct, frozen=True):
     title: str
     settings: str
     thumbnail: str
-    """The address of a JPEG."""
-
-
-class StyleInfo(msgspec.Struct, frozen=True):
-    title: str
-    size: tuple[int, int]
-    url: str
-    """The address of a JPEG."""
-    preview: str
-    """The address of a picture of what is picked in this style; empty without one."""
 
 
 class StateMessage(Told, frozen=True, tag="state"):
@@ -123,16 +104,16 @@ class StateMessage(Told, frozen=True, tag="state"):
     """The lowest first."""
     variants: list[Variant]
     current: list[int]
-    """The variants that show."""
+    """The variants that are shown."""
     snapshots: list[str]
-    styles: list[StyleInfo]
+    styles: list[StylePicture]
+    previews: dict[str, str]
+    """The addresses of pictures of what is picked, by the titles of styles."""
     waiting: list[tuple[int, str, str]]
     """Number, object and style of paintings that wait."""
-    alone: bool
     painting: bool
     can_continue: bool
     undo: str
-    """What undo takes back; empty if there is nothing."""
     redo: str
     note: str
     unsaved: bool
@@ -149,7 +130,6 @@ class Progress(Told, frozen=True, tag="progress"):
 
     what: str = ""
     share: float = 0.0
-    """How much of it is done, 0 to 1."""
     left: float | None = None
     """Estimated seconds that it still takes."""
     doing: str = ""
@@ -164,7 +144,5 @@ class Note(Told, frozen=True, tag="note"):
 
 
 class Download(Told, frozen=True, tag="download"):
-    """A file is ready."""
-
     url: str
     name: str

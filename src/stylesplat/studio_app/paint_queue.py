@@ -37,24 +37,18 @@ GAUSSIANS, NAME = 300, "noise"  # of the scene for the warm-up
 
 @dataclass(frozen=True, eq=False)
 class PaintJob:
-    """An object to paint."""
-
     number: int
     name: str
-    """A name or a label id."""
     style: Style
     title: str
-    """Of the style picture."""
     instead: bool = False
     """Whether the picture so far stays until there are strokes."""
 
 
 class PaintQueue:
-    """The current painting, and the objects that wait."""
-
     def __init__(self, session: Session, **options: Any) -> None:
         self.session, self.options = session, options
-        self._waiting, self._numbers = deque[PaintJob](), count(1)
+        self.waiting, self._numbers = deque[PaintJob](), count(1)
         self._current: PaintJob | None = None
         self._latest: Live | None = None
         self._lives: Iterator[Live] = iter(())
@@ -63,10 +57,6 @@ class PaintQueue:
         self._usual = dict[str, list[tuple[float, float]]]()  # the times of the last, by quality
         self._drawn_at, self._drawing = 0.0, 0.0
         session.interrupt = self.stop
-
-    @property
-    def waiting(self) -> tuple[PaintJob, ...]:
-        return tuple(self._waiting)
 
     @property
     def can_continue(self) -> bool:
@@ -85,24 +75,22 @@ class PaintQueue:
         for name in names:
             refuse_locked(self.session.state, name)
         if instead:
-            self._waiting = deque(each for each in self._waiting if each.name not in names)
+            self.waiting = deque(each for each in self.waiting if each.name not in names)
             if self._current is not None and self._current.name in names:
                 self._current, self.session.painting = None, False
                 self.session.worker.go_on_with(None)
         numbers = self._numbers
-        self._waiting += [PaintJob(next(numbers), name, style, title, instead) for name in names]
+        self.waiting += [PaintJob(next(numbers), name, style, title, instead) for name in names]
         if self.session.painting:
             self.session.on_change.call()
         else:
             self._start()
 
     def remove(self, number: int) -> None:
-        """Do not paint an object that waits."""
-        self._waiting = deque(each for each in self._waiting if each.number != number)
+        self.waiting = deque(each for each in self.waiting if each.number != number)
         self.session.on_change.call()
 
     def resume(self) -> None:
-        """Go on with the painting that was stopped."""
         if self._stopped is None or not self.can_continue:
             raise StyleSplatError("No stopped painting can go on. Paint the object again.")
         _, job, lives = self._stopped
@@ -120,7 +108,7 @@ class PaintQueue:
 
         Returns whether an object was being painted.
         """
-        self._waiting.clear()
+        self.waiting.clear()
         current, latest, steps = self._current, self._latest, self.session.worker.lengthy
         if current is None or steps is None:
             return False
@@ -137,9 +125,9 @@ class PaintQueue:
 
     def _start(self) -> None:
         """Begin the next painting, and show the colours of its picture at once."""
-        if not self._waiting:
+        if not self.waiting:
             return
-        job, session = self._waiting.popleft(), self.session
+        job, session = self.waiting.popleft(), self.session
         state = session.state
         picked = session.masks.of(state.scene, job.name)
         if job.instead:
@@ -179,13 +167,12 @@ class PaintQueue:
         except Stopped:
             return
         except Exception:
-            self._waiting.clear()
+            self.waiting.clear()
             self._end()
             raise
         self._start()
 
     def _show(self, job: PaintJob, live: Live) -> None:
-        """Show the progress from time to time."""
         now, step, steps = time.monotonic(), live.state.step, live.state.steps
         self._times.append((step / steps, now))
         if now - self._drawn_at < max(SHOW_EVERY, self._drawing / SHOWING):
@@ -229,12 +216,7 @@ def preview_colors(
 def seconds_left(
     times: Sequence[tuple[float, float]], usual: Sequence[tuple[float, float]] | None
 ) -> float | None:
-    """How long a painting still takes.
-
-    Args:
-        times: Shares of it that are done, and when, in seconds.
-        usual: The same of an earlier painting, whose stages take as long.
-    """
+    """How long a painting still takes, by when each share of it, or of an earlier one, was done."""
     (_, began), (share, now) = times[0], times[-1]
     if now - began < FIRST_GUESS:
         return None

@@ -86,14 +86,7 @@ def pick_drawn(
 def region_of(
     shape: Shape, points: Sequence[Place], size: tuple[int, int], radius: float
 ) -> Bool[Tensor, "H W"]:
-    """The pixels inside a line that is drawn on a picture.
-
-    Args:
-        shape: A rectangle between the first and the last point, a closed line, or a brush.
-        points: In shares of the picture.
-        size: Width and height of the picture in pixels.
-        radius: Of the brush, as a share of the height.
-    """
+    """The pixels in a line that is drawn; the brush's radius is a share of the height."""
     width, height = size
     image = Image.new("1", size)
     draw, line = ImageDraw.Draw(image), [(x * width, y * height) for x, y in points]
@@ -111,12 +104,10 @@ def region_of(
 
 
 def pick_box(state: StudioState, low: Vector, high: Vector, how: How = "new") -> StudioState:
-    """Pick what lies inside a box along the world's axes."""
     return _shaped(state, how, box3d=tuple(round(float(number), 5) for number in (*low, *high)))
 
 
 def pick_words(state: StudioState, text: str) -> StudioState:
-    """Pick the object that a phrase names."""
     # A download would take minutes, in which the page answers nothing
     if not is_at_hand(CHECKPOINT):
         raise StyleSplatError(
@@ -132,7 +123,6 @@ def unite_picked(state: StudioState) -> StudioState:
 
 
 def subtract_picked(state: StudioState) -> StudioState:
-    """Subtract all picked objects from the first one."""
     if len(state.picked) < 2:
         raise StyleSplatError(
             "Pick two objects or more: the others are subtracted from the first one."
@@ -175,11 +165,7 @@ def hide_objects(state: StudioState, names: Sequence[str], hide: bool) -> Studio
     hidden = state.hidden | {*names} if hide else state.hidden - {*names}
     picked = tuple(name for name in state.picked if name not in hidden)
     note = f"{'Hid' if hide else 'Showed'} {', '.join(names)}"
-    return replace(state, hidden=hidden, picked=picked, alone=False, note=note)
-
-
-def isolate_picked(state: StudioState, only: bool) -> StudioState:
-    return replace(state, alone=only, note="Showed the pick alone" if only else "Showed everything")
+    return replace(state, hidden=hidden, picked=picked, note=note)
 
 
 def _pixel_of(camera: Cameras, place: Place) -> tuple[float, float]:

@@ -68,26 +68,21 @@ def binary_message(kind: str, content: bytes, **header: Any) -> bytes:
 
 @torch.no_grad()
 def render_display(display: Display, camera: Cameras, background: Color) -> Pixels:
-    """The exact picture, with colours that depend on the view."""
     behind = torch.tensor(background).to(display.splats.means)
     image, _ = render(display.visible, camera, background=behind)
     return to_uint8(image).cpu().numpy()
 
 
 class Pictures:
-    """Sends each browser the pictures of its camera, made in the worker's thread."""
-
     def __init__(self, session: Session, before: Callable[[], Display]) -> None:
         self.session, self._before = session, before
         self.background: Color = (0.086, 0.086, 0.094)
         self.looks = dict[int, Look]()
-        """The cameras of all browsers."""
         self._sent = dict[tuple[int, str], object]()  # what each browser has of each kind
         self._packed: tuple[Display, bytes] | None = None
         session.on_change.append(self.refresh)
 
     def look(self, client: int, look: Look) -> None:
-        """Ask for the picture of a camera."""
         self.looks[client] = look
         self._ask(client)
 
@@ -198,29 +193,21 @@ class Pictures:
         if self.session.painting or not self._is_new(client, "splats", display):
             return
         if self._packed is None or self._packed[0] is not display:
-            self._packed = display, self._pack(display)
+            before = splats_without_paint(self.session.state.scene).detach().to("cpu")
+            splats = display.visible.detach().to("cpu")
+            before = before if display.hidden is None else before[~display.hidden]
+            rows = weightiest(splats, MOST)
+            packed = pack(splats[rows], before[rows], sh_degree=0, level=1)
+            self._packed = display, binary_message("splats", packed.content, **packed.about)
         self.session.on_send.call(client, "splats", self._packed[1])
-
-    def _pack(self, display: Display) -> bytes:
-        before = splats_without_paint(self.session.state.scene).detach().to("cpu")
-        splats = display.visible.detach().to("cpu")
-        if display.hidden is not None:
-            before = before[~display.hidden]
-        rows = weightiest(splats, MOST)
-        if rows is not None:
-            splats, before = splats[rows], before[rows]
-        packed = pack(splats, before, sh_degree=0, level=1)
-        return binary_message("splats", packed.content, **packed.about)
 
 
 def _digest(mask: Bool[Tensor, " N"]) -> int:
     return hash(mask.cpu().numpy().tobytes())
 
 
-def weightiest(splats: Splats, count: int) -> Int[Tensor, " M"] | None:
-    """Rows of the `count` Gaussians of the largest visible area; None if there are not more."""
-    if len(splats) <= count:
-        return None
+def weightiest(splats: Splats, count: int) -> Int[Tensor, " M"]:
+    """Rows of the `count` Gaussians of the largest visible area, in order."""
     sizes = splats.scales.sort(dim=1).values[:, 1:].sum(dim=1)  # logarithm of the larger area
     weights = torch.nn.functional.logsigmoid(splats.opacities) + sizes
-    return weights.topk(count).indices.sort().values
+    return weights.topk(min(count, len(splats))).indices.sort().values

@@ -13,13 +13,13 @@ import socket
 import threading
 from contextlib import suppress
 from functools import partial
+from itertools import count
 from mimetypes import add_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import msgspec
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import PARTS as VIEWER
@@ -118,8 +118,6 @@ class _Client:
 
 
 class PageServer:
-    """Serves the page of a session."""
-
     def __init__(self, title: str, actions: Actions) -> None:
         self.title, self.actions, self.session = title, actions, actions.session
         self.token = secrets.token_urlsafe(24)
@@ -127,7 +125,7 @@ class PageServer:
         """The address that opens it, with the token."""
         self.port = 0
         self._clients = dict[int, _Client]()
-        self._numbers, self._notes = 0, 0
+        self._numbers = count(1)
         self._uploading = 0  # bytes
         self._loop: asyncio.AbstractEventLoop | None = None
         self._server: Any = None
@@ -152,9 +150,8 @@ class PageServer:
             ) from error
         listening = _listening_socket(host, port)
         self.port = listening.getsockname()[1]
-        local = host in LOOPBACK
         config = uvicorn.Config(
-            Guard(self._app(), self.token, local=local),
+            Guard(self._app(), self.token, local=host in LOOPBACK),
             lifespan="off",
             ws="websockets-sansio",
             ws_max_size=LARGEST,
@@ -166,22 +163,19 @@ class PageServer:
         self._server = uvicorn.Server(config)
         started = threading.Event()
 
-        def serve() -> None:
-            loop = self._loop = asyncio.new_event_loop()
-            loop.call_soon(started.set)
-            try:
-                loop.run_until_complete(self._server.serve(sockets=[listening]))
-            finally:
-                loop.close()
+        async def serve() -> None:
+            self._loop = asyncio.get_running_loop()
+            self._loop.call_soon(started.set)
+            await self._server.serve(sockets=[listening])
 
-        self._thread = threading.Thread(target=serve, name="studio server", daemon=True)
+        run = partial(asyncio.run, serve())
+        self._thread = threading.Thread(target=run, name="studio server", daemon=True)
         self._thread.start()
         started.wait(STOP_SECONDS)
         self.url = f"http://{host}:{self.port}/?token={self.token}"
         write_lines(f"{self.title}: {self.url}")
 
     def stop(self) -> None:
-        """End it."""
         if self._server is not None:
             self._server.should_exit = True
         if self._thread is not None:
@@ -190,7 +184,7 @@ class PageServer:
     def send(self, client: int, kind: object, message: bytes | m.Told) -> None:
         """Send a message to a page, from any thread."""
         if isinstance(message, m.Told):
-            content = msgspec.json.encode(message, enc_hook=Tensor.tolist).decode()
+            content = msgspec.json.encode(message, enc_hook=str).decode()
         else:
             content = message
 
@@ -216,8 +210,7 @@ class PageServer:
         self.broadcast("progress", self.session.progress or self.session.export or m.Progress())
 
     def send_note(self, line: str, failure: bool) -> None:
-        self._notes += 1
-        self.broadcast(("note", self._notes), m.Note(line, failure))
+        self.broadcast(object(), m.Note(line, failure))  # each is of a kind of its own
 
     def _app(self) -> "ASGIApp":
         from starlette.applications import Starlette
@@ -274,8 +267,7 @@ class PageServer:
         from starlette.websockets import WebSocketDisconnect
 
         await socket.accept()
-        self._numbers += 1
-        number, client = self._numbers, _Client()
+        number, client = next(self._numbers), _Client()
         self._clients[number] = client
         self.send(number, "hello", self.actions.hello(self.title))
         self.session.ask(self.send_state, kind="greeting")
@@ -311,19 +303,15 @@ async def _sending(socket: "WebSocket", client: _Client) -> None:
 
 
 def _listening_socket(host: str, port: int) -> socket.socket:
-    """A socket at a port, or at the next free one."""
-    reason = "all ports are in use" if 0 <= port < 2**16 else "ports are from 0 to 65535"
-    numbers = range(port, min(port + PORTS, 2**16)) if port else [0]
-    try:
-        family, *_ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
-        for number in numbers:
-            try:
-                return socket.create_server((host, number), family=family)
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE:
-                    raise
-    except OSError as error:
-        reason = error.strerror
+    reason = "all ports are in use"
+    for number in range(port, port + PORTS) if port else [0]:
+        try:
+            family, *_ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+            return socket.create_server((host, number), family=family)
+        except (OSError, OverflowError) as error:  # the latter of ports that there are not
+            if getattr(error, "errno", None) != errno.EADDRINUSE:
+                reason = error
+                break
     raise StyleSplatError(
         f"Cannot serve at {host}:{port}: {reason}. Choose another address or port."
     )

@@ -3,7 +3,7 @@
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -39,8 +39,6 @@ class Callbacks(list[Callable[..., object]]):
 
 @dataclass(frozen=True, eq=False)
 class Display:
-    """What browsers display."""
-
     splats: Splats
     hidden: Bool[Tensor, " N"] | None = None
     """Gaussians that are not drawn."""
@@ -93,7 +91,6 @@ class Session:
 
     @property
     def display(self) -> Display:
-        """What browsers display now."""
         return self.preview or self.display_of(self.state)
 
     def display_of(self, state: StudioState) -> Display:
@@ -108,7 +105,6 @@ class Session:
 
     @property
     def unsaved(self) -> bool:
-        """Whether the scene differs from the saved one."""
         return self.state.scene is not self.saved.scene
 
     def do(self, change: Change, *, merge: object = None, kind: str = "") -> None:
@@ -151,21 +147,18 @@ class Session:
         self.worker.ask(job_with_messages, kind=kind, patient=patient)
 
     def tell(self, line: str, *, failure: bool = False) -> None:
-        """Show a line to the user."""
         self.on_message.call(line, failure)
 
-    @contextmanager
     def listening(
         self,
         stopped: Callable[[], bool] = lambda: False,
         counted: Callable[[float], None] = lambda share: None,
-    ) -> Iterator[None]:
+    ) -> AbstractContextManager[None]:
         """Within the block the library's messages go to the user, and `stopped` may end it.
 
         `counted` is called with the share of each task that is done.
         """
-        with observed(_SessionObserver(self, stopped, counted)):
-            yield
+        return observed(_SessionObserver(self, stopped, counted))
 
     def report(self, error: Exception) -> None:
         if not isinstance(error, StyleSplatError):

@@ -154,7 +154,6 @@ def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> Studi
 
 
 def until_interrupted(stop: Callable[[], object]) -> NoReturn:
-    """Wait for Ctrl-C or SIGTERM, then stop the server."""
     try:
         while True:
             time.sleep(1)

@@ -1,7 +1,9 @@
-"""Thumbnails of objects and paintings."""
+"""Small pictures of objects and paintings, and of what is picked in every style."""
 
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
+from typing import Any
 
 import torch
 from jaxtyping import Bool
@@ -12,17 +14,24 @@ from stylesplat.figures.best_views import close_up
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
-from stylesplat.studio_app.gallery import Files, jpeg
-from stylesplat.studio_app.session import Session
+from stylesplat.studio_app.gallery import Files, Gallery, StylePicture, jpeg
+from stylesplat.studio_app.history import StudioState, require_picked
+from stylesplat.studio_app.messages import Progress
+from stylesplat.studio_app.paint_queue import preview_colors
+from stylesplat.studio_app.session import BUSY, Session, Stopped
+from stylesplat.stylization.style import Style
+from stylesplat.verbs.stylize import stylize
 
 SIDE = 160  # pixels along a thumbnail
 CARD = 0.15  # grey around an object
+QUICK = {"quality": "draft", "steps": 24, "object_size": 112}
+NAME = "object"
 
 
 @torch.no_grad()
 def object_picture(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> bytes:
-    """A JPEG of an object alone."""
     image, share = colors_and_coverage(splats, camera, picked)
     return jpeg(to_uint8(share * image + (1 - share) * CARD).cpu().numpy())
 
@@ -69,3 +78,79 @@ class ObjectThumbnails:
             if name not in self._made or not torch.equal(self._made[name][0], looks):
                 self._made[name] = looks, self.paint_url(name)
                 self._session.ask(self._session.on_change.call, kind="thumbnails", patient=True)
+
+
+class StylePreviews:
+    def __init__(self, session: Session, gallery: Gallery, **options: Any) -> None:
+        self._session, self._gallery = session, gallery
+        self._options, self._urls = {**options, "measured": False}, dict[str, str]()
+        self._of: StudioState | None = None
+        self._stopped = False
+
+    @property
+    def urls(self) -> dict[str, str]:
+        """The addresses of the previews of what is picked, by the titles of styles."""
+        return self._urls if self._is_current() else {}
+
+    def try_all(self) -> None:
+        """Show previews of all styles on what is picked, or remove them."""
+        session, state = self._session, self._session.state
+        there, self._of = self._is_current(), None
+        self._urls.clear()
+        if there:
+            session.on_change.call()
+            return
+        require_picked(state)
+        if session.painting:
+            raise StyleSplatError(BUSY)
+        self._of, self._stopped = state, False
+        session.worker.go_on_with(self._steps(state))
+
+    def stop(self) -> None:
+        """End the drafts; the previews that there are stay."""
+        self._stopped = True
+
+    def _is_current(self) -> bool:
+        return self._of is not None and self._of.picked == self._session.state.picked
+
+    def _keep(self, style: StylePicture, content: bytes) -> None:
+        self._urls[style.title] = self._gallery.files.add(content)
+        self._session.on_change.call()
+
+    def _steps(self, of: StudioState) -> Iterator[None]:
+        """Paint the object in one style after the other, until something else is asked for."""
+        session, styles = self._session, [*self._gallery.pictures.values()]
+        base, picked = of.scene.unpainted, session.masks.together(of.scene, of.picked)
+        assert picked is not None
+        picked = picked[: len(base)]
+        camera = close_up(base, of.scene.cameras, picked).at_most(SIDE)
+        alone, everything = base[picked], torch.ones(int(picked.sum()), dtype=torch.bool)
+        scene = Scene(alone, of.scene.cameras, objects={NAME: SceneObject(everything)})
+
+        def over() -> bool:
+            return self._stopped or self._of is not of or session.state is not of
+
+        what = f"Drafts of {', '.join(of.picked)}"
+        try:
+            for style in styles:
+                splats = preview_colors(base, picked, Style(style.path).read())
+                self._keep(style, object_picture(splats, camera, picked))
+                yield
+                if over():
+                    return
+            for row, style in enumerate(styles):
+                progress = Progress(f"{what}: {row + 1} of {len(styles)}", row / len(styles))
+                session.progress = progress
+                session.on_progress.call()
+                with session.listening(lambda: over() or session.painting):
+                    styled = stylize(scene, {NAME: Style(style.path, **QUICK)}, **self._options)
+                if over():
+                    return
+                self._keep(style, object_picture(styled.splats, camera, everything))
+                yield
+        except Stopped:
+            return
+        finally:
+            if session.progress is not None and session.progress.what.startswith(what):
+                session.progress = None
+                session.on_change.call()

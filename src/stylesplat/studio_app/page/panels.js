@@ -97,7 +97,6 @@ export function Objects({ viewport }) {
         <div class="row">
           <${Button} text="Grow" label="Grow by 5 % of its extent" onClick=${() => act("resize_picked", { share: STEP })} />
           <${Button} text="Shrink" label="Shrink by 5 % of its extent" onClick=${() => act("resize_picked", { share: -STEP })} />
-          <${Button} text="Alone" label="Show only what is picked" active=${now.alone} onClick=${() => act("isolate_picked", { only: !now.alone })} />
           ${chosen.length > 1 && html`<${Button} text="Unite" label="Make one object of these" onClick=${() => act("unite_picked")} />
             <${Button} text="Subtract" label="Subtract the others from the first" onClick=${() => act("subtract_picked")} />`}
           ${chosen.some((each) => each.named) && html`<${Button} text="Delete name" label="Delete the name; the Gaussians stay" onClick=${() => act("forget_picked")} />`}
@@ -178,7 +177,7 @@ function Recolor() {
 
 export function Styles() {
   const now = state.value, chosen = picked();
-  const tried = now.styles.some((each) => each.preview);
+  const tried = Object.keys(now.previews).length > 0;
   const unusual = Object.keys(settings.value).length;
   return html`<section class="panel styles" aria-label="Styles">
     <div class="head"><h2>Styles</h2>
@@ -190,8 +189,8 @@ export function Styles() {
     <ul class="strip">${now.styles.map((each, number) => html`<li key=${each.title}>
       <button type="button" class="card" draggable="true" title=${`Paint like ${each.title}`} onClick=${() => paint(number)}
         onDragStart=${(event) => event.dataTransfer.setData("style", String(number))}>
-        <img src=${each.preview || each.url} alt="" draggable="false" />
-        ${each.preview && html`<img class="corner" src=${each.url} alt="" />`}
+        <img src=${now.previews[each.title] || each.url} alt="" draggable="false" />
+        ${now.previews[each.title] && html`<img class="corner" src=${each.url} alt="" />`}
         <span class="name">${each.title}</span></button>
       <${Button} small icon="crop" label=${`Choose a part of ${each.title}`} active=${Boolean(regions.value[number])} onClick=${() => (part.value = { ...each, number })} /></li>`)}
       ${!now.styles.length && html`<li class="hint">Drop pictures or a folder here, or add them.</li>`}</ul>
