@@ -12,7 +12,6 @@ from stylesplat.studio_app.messages import How
 from stylesplat.studio_app.picking import (
     forget_picked,
     hide_objects,
-    isolate_picked,
     pick_ball,
     pick_box,
     pick_drawn,
@@ -105,17 +104,13 @@ def test_shapes_sizes_differences_and_names():
     ]
 
 
-def test_objects_are_hidden_or_shown_alone():
+def test_objects_are_hidden():
     masks, state = ObjectMasks(), pick_names(STATE, ["3"])
-    red = masks.of(STATE.scene, "3")
     assert hidden_rows(state, masks) is None
-    alone, without = (
-        hidden_rows(isolate_picked(state, True), masks),
-        hide_objects(state, ["3"], True),
-    )
-    assert alone is not None and torch.equal(alone, ~red)
+    without = hide_objects(state, ["3"], True)
     hidden = hidden_rows(without, masks)
-    assert hidden is not None and torch.equal(hidden, red) and not without.picked
+    assert hidden is not None and torch.equal(hidden, masks.of(STATE.scene, "3"))
+    assert not without.picked
     assert hidden_rows(hide_objects(without, ["3"], False), masks) is None
 
 
