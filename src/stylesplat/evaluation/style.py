@@ -1,11 +1,10 @@
 """How close painted objects are to their styles: NNFM, colours, content."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -18,16 +17,14 @@ from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.optimize import target_features
-from stylesplat.stylization.style_image import resize, style_features
+from stylesplat.stylization.style_image import all_colors, fit_style, style_features
 from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import (
     Box,
     ObjectView,
-    boxes_in,
     find_boxes,
     object_views,
     require_boxes,
@@ -49,8 +46,6 @@ def measure_painted(
     *,
     held_out: Cameras | None = None,
     surveys: Mapping[str, Sequence[Box]] | None = None,
-    cuts: Mapping[str, SceneCrop] | None = None,
-    families: tuple[Int[Tensor, " N"], Int[Tensor, " L"]] | None = None,
 ) -> dict[str, Any]:
     """Measure how painting some objects changed them and the rest of the scene.
 
@@ -60,8 +55,6 @@ def measure_painted(
         styled: The scene after; new Gaussians are at its end.
         held_out: Views to measure on instead.
         surveys: By name, the boxes of objects in the views, if they are known.
-        cuts: By name, the part of a large scene that an object is measured in, as rows of the base.
-        families: The rows of the base that the Gaussians before and after belong to, for `cuts`.
 
     Returns:
         The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
@@ -69,24 +62,15 @@ def measure_painted(
     """
     base, cameras = contexts[0].splats, held_out or contexts[0].cameras
     targets = [target.to(base) for target in targets]
-    objects = {}
+    names, objects = {*cameras.names}, {}
     for context, target in zip(contexts, targets, strict=True):
-        measured = replace(context, cameras=cameras)
-        part, own, after = measured, target, styled
-        if cuts and target.name in cuts:
-            assert families is not None
-            rows, rows_after = (
-                cuts[target.name].rows_in(each.to(base.device)) for each in families
-            )
-            cut = replace(cuts[target.name], rows=rows)
-            part, own, after = cut.context(measured), cut.target(target), styled[rows_after]
         if surveys is None:
-            survey = find_boxes(part.splats, part.all_cameras, own.mask)
+            survey = find_boxes(base, context.all_cameras, target.mask)
         else:
             survey = surveys[target.name]
-        boxes = boxes_in(survey, part.cameras) or survey
+        boxes = [box for box in survey if box.camera.names[0] in names] or survey
         try:
-            objects[target.name] = measure_style(part, own, after, boxes=boxes)
+            objects[target.name] = measure_style(context, target, styled, boxes=boxes)
         except StyleSplatError as error:  # the object is painted all the same
             say(f"{target.name} is not compared with its style: {error}")
             objects[target.name] = {}
@@ -116,7 +100,7 @@ def measure_style(
     blocks, network = target.config.layers, context.network
     boxes = boxes or require_boxes(context, target)
     zoom = LENGTH / typical_length(boxes)
-    views = evenly(object_views(context, target, boxes, zoom), VIEWS)
+    views = object_views(context, target, evenly(boxes, VIEWS), zoom)
     style_feats = target_features(context, target.config, target.styles, LENGTH)
     images = renders(styled, views)
     before, after = (
@@ -130,9 +114,8 @@ def measure_style(
         if before > own:
             numbers["share_of_way"] = min(1.0, max(0.0, (before - after) / (before - own)))
     if target.config.color == "style":
-        style_colors = torch.cat([picture.reshape(-1, 3) for picture in target.styles])
         colors = [image[view.pixels] for image, view in zip(images, views, strict=True)]
-        numbers["off_palette"] = off_palette(torch.cat(colors), style_colors)
+        numbers["off_palette"] = off_palette(torch.cat(colors), all_colors(target.styles))
     return numbers
 
 
@@ -193,9 +176,6 @@ def own_nnfm(
 
     Returns:
         The mean cosine distance; None if the pictures are too small for two such features.
-
-    Raises:
-        StyleSplatError: If a picture has no whole feature.
     """
     by_block = [_distances_within(pictures, network, block, length) for block in blocks]
     if any(len(distances) == 0 for distances in by_block):
@@ -212,8 +192,8 @@ def _distances_within(
     for number, picture in enumerate(pictures):
         (rows,) = style_features(picture, network, [block], length=length)
         features.append(F.normalize(rows.float(), dim=1))
-        inside = (cells.inside(side) for side in resize(picture, length).shape[:2])
-        y, x = (torch.arange(each.stop - each.start) for each in inside)
+        sides = fit_style(picture, network, [block], length).shape[:2]
+        y, x = (torch.arange(side)[cells.inside(side)] for side in sides)
         grid = torch.cartesian_prod(y, x).float().to(picture.device)
         places.append(F.pad(grid, (1, 0), value=number * 1e6))  # pictures are far apart
     found, at = torch.cat(features), torch.cat(places)

@@ -146,12 +146,11 @@ def spans(scene: Scene) -> list[tuple[Layer, int, int]]:
     return [*zip(shown, ends, ends[1:], strict=False)]
 
 
-def canvases_last(scene: Scene, names: Collection[str]) -> tuple[Splats, Int[Tensor, " M"]]:
-    """The splats of a scene with the canvases of some objects last, and their families."""
+def canvases_last(scene: Scene, names: Collection[str]) -> Splats:
+    """The splats of a scene with the canvases of some objects last."""
     parts = sorted(spans(scene), key=lambda part: part[0].object in names)
     order = [torch.arange(first, end) for _, first, end in parts]
-    rows = torch.cat([torch.arange(len(scene.unpainted)), *order])
-    return scene.splats[rows], family(scene)[rows]
+    return scene.splats[torch.cat([torch.arange(len(scene.unpainted)), *order])]
 
 
 def splats_without_paint(scene: Scene) -> Splats:
