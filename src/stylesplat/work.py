@@ -34,10 +34,13 @@ class Worker:
         """
         with self._changed:
             queue = self._later if patient else self._soon
-            if kind:
-                for waiting in [each for each in queue if each[0] == kind]:
-                    queue.remove(waiting)
-            queue.append((kind, job))
+            waiting = next((n for n, each in enumerate(queue) if kind and each[0] == kind), None)
+            if waiting is not None and patient:
+                queue[waiting] = kind, job  # it keeps its place
+            else:
+                if waiting is not None:
+                    del queue[waiting]
+                queue.append((kind, job))
             self._changed.notify_all()
 
     def go_on_with(self, steps: Iterator[object] | None) -> None:

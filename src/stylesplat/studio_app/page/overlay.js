@@ -33,7 +33,7 @@ export class Overlay {
     this.setPointed(this.pointed, true);
     this.draw();
     const { tools } = this.viewport;
-    if (tools.early && this.isCurrent(this.map)) tools.pickIn(...tools.early);
+    if (tools.early && tools.early.look === look) tools.pickIn(...tools.early.place);
   }
 
   async setPicked({ look, size, names }, bytes) {

@@ -183,7 +183,7 @@ export function Styles() {
     <div class="head"><h2>Styles</h2>
       <p class="hint">${chosen.length ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ")}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
       <span class="grow"></span>
-      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!chosen.length || !now.styles.length} active=${tried} onClick=${() => act("try_all")} />
+      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!chosen.length || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all")} />
       <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting" onClick=${() => (dialog.value = "settings")} />
       <label class="button"><${Icon} name="plus" /><span>Add pictures</span><input type="file" accept="image/*" multiple onChange=${add} /></label></div>
     <ul class="strip">${now.styles.map((each, number) => html`<li key=${each.title}>

@@ -130,7 +130,7 @@ export class Tools {
   // The object that shows most in a rectangle; if that is not known yet, as soon as it is
   pickIn(one, other, how) {
     const name = this.overlay.objectIn(one, other);
-    this.early = name === undefined ? [one, other, how] : null;
+    this.early = name === undefined ? { look: this.viewport.number, place: [one, other, how] } : null;
     if (name || (name === null && how === "new")) this.pick(name === null ? [] : [name], how);
   }
 
