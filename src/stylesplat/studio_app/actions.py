@@ -337,7 +337,6 @@ class Actions:
         )
 
     def _command(self) -> str:
-        """The recipe has the stack as it was saved."""
         session, folder = self.session, self.session.folder
         if not session.saved.scene.layers or self.readonly:
             return ""

@@ -120,7 +120,6 @@ class History:
 
     @property
     def undo_note(self) -> str:
-        """The change that undo takes back; empty if there is none."""
         return self.now.note if self._row else ""
 
     @property

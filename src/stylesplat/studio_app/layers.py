@@ -36,12 +36,12 @@ def adjust_layer(
 
 def set_visible(state: StudioState, name: str, visible: bool) -> StudioState:
     layer = replace(find_layer(state.scene, name), visible=visible)
-    return with_layer(state, layer, f"{'Showed' if visible else 'Hid'} the paint of {name}")
+    return with_layer(state, layer, f"{'Showed' if visible else 'Hid'} {_what(name)}")
 
 
 def set_locked(state: StudioState, name: str, locked: bool) -> StudioState:
     names = state.locked | {name} if locked else state.locked - {name}
-    return replace(state, locked=names, note=f"{'Locked' if locked else 'Unlocked'} {name}")
+    return replace(state, locked=names, note=f"{'Locked' if locked else 'Unlocked'} {_what(name)}")
 
 
 def move_layer(state: StudioState, name: str, by: int) -> StudioState:
@@ -51,20 +51,20 @@ def move_layer(state: StudioState, name: str, by: int) -> StudioState:
     if not 0 <= to < len(layers):
         return state
     layers[place], layers[to] = layers[to], layers[place]
-    note = f"Moved the paint of {name} {'up' if by > 0 else 'down'}"
+    note = f"Moved {_what(name)} {'up' if by > 0 else 'down'}"
     return _with_scene(state, with_layers(state.scene, layers), note)
 
 
 def remove_paint(state: StudioState, name: str) -> StudioState:
     refuse_locked(state, name)
     scene = adjust(state.scene, objects=name, undo=True)
-    return _with_scene(state, scene, f"Removed the paint of {name}")
+    return _with_scene(state, scene, f"Removed {_what(name)}")
 
 
 def recolor_objects(
     state: StudioState, names: Sequence[str], setting: str, value: Any
 ) -> StudioState:
-    """Change one setting of the recolouring of objects; without any other it is removed."""
+    """Change one setting of a recolouring; with all at their defaults it is removed."""
     scene = state.scene
     for name in names:
         own = f"{name}{RECOLOR}"
@@ -86,9 +86,14 @@ def recoloring_of(layer: Layer) -> dict[str, Any]:
     return {**layer.settings, **match}
 
 
+def _what(name: str) -> str:
+    kind = "recolouring" if name.endswith(RECOLOR) else "paint"
+    return f"the {kind} of {name.removesuffix(RECOLOR)}"
+
+
 def refuse_locked(state: StudioState, name: str) -> None:
     if name in state.locked:
-        raise StyleSplatError(f"The paint of {name} is locked. Unlock its layer first.")
+        raise StyleSplatError(f"The layer of {name} is locked. Unlock it first.")
 
 
 def with_layer(state: StudioState, layer: Layer, note: str) -> StudioState:
