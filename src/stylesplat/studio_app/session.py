@@ -59,7 +59,6 @@ class Session:
         self.history = History(StudioState(scene))
         self.masks = ObjectMasks()
         self.folder = folder
-        """Where Save writes."""
         self.saved = self.history.now
         """The state that was saved last, or opened."""
         self.preview: Display | None = None
