@@ -26,6 +26,7 @@ from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.picking import pick_names
 from stylesplat.studio_app.pictures import camera_of, weightiest
 from stylesplat.studio_app.studio import StudioServer, studio
+from stylesplat.stylization.materials import MATERIALS
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 
@@ -80,11 +81,6 @@ def page(tmp_path: Path) -> Iterator[Page]:
     styles = tmp_path / "styles"
     opened = studio(tmp_path / "balls", styles=styles, port=0, block=False, device="cpu")
     found = Page(opened)
-    assert found.session.worker.settle()
-    materials = [*found.actions.gallery.pictures][2:]
-    assert materials == ["bronze", "marble", "gold-leaf", "clay", "jade"]
-    for title in materials:  # to try all takes long enough without
-        found.actions.gallery.pictures.pop(title)
     found.look()
     yield found
     opened.close()
@@ -394,8 +390,9 @@ def test_warming_up_lets_what_is_asked_for_in(page: Page):
 
     def warm() -> None:
         session.worker.ask(lambda: done.append("click"))
-        page.actions.queue.warm_up()
+        page.actions.warm_up()
         done.append("warm")
 
     session.ask(warm, patient=True)
     assert session.worker.settle() and done == ["click", "warm"] and not page.said
+    assert [each.title for each in page.actions.state_message().styles][2:] == [*MATERIALS]

@@ -41,6 +41,7 @@ from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of, ren
 from stylesplat.studio_app.session import Display, Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
+from stylesplat.stylization.materials import MATERIALS, PREFIX
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.export import export
 from stylesplat.verbs.render import orbit, render
@@ -120,6 +121,13 @@ class Actions:
             whats = [k for k, v in values.items() if v is not None and k in ("strength", "form")]
             key = name, values.get("name"), str(values.get("names")), values.get("setting"), *whats
         self.session.do(change, merge=key, kind=str(key or ""))
+
+    def warm_up(self) -> None:
+        """What takes long and is wanted soon, though not for the first picture."""
+        for name in MATERIALS:
+            self.gallery.add(Path(PREFIX + name))
+        self.session.on_change.call()
+        self.queue.warm_up()
 
     def pick_at(
         self,

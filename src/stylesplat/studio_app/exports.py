@@ -19,8 +19,6 @@ Deliver = Callable[[bytes], None]
 
 
 class Exporter:
-    """Makes one file at a time while the page goes on."""
-
     def __init__(self, session: Session) -> None:
         self._session = session
         self._cancelled = threading.Event()

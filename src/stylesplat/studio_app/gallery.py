@@ -18,7 +18,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.progress import say
-from stylesplat.stylization.materials import MATERIALS, PREFIX
+from stylesplat.stylization.materials import PREFIX
 from stylesplat.stylization.style_image import read_style
 
 MOST_BYTES = 40 * 2**20  # of an upload
@@ -76,10 +76,6 @@ class Gallery:
                     self.add(path)
                 except StyleSplatError as error:
                     say(str(error))
-
-    def add_materials(self) -> None:
-        for name in MATERIALS:
-            self.add(Path(PREFIX + name))
 
     def add(self, path: Path) -> StylePicture:
         picture, name = read_style(path), style_title(path)

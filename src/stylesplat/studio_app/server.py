@@ -273,7 +273,7 @@ class PageServer:
         self.session.ask(self.send_state, kind="greeting")
         sending = asyncio.create_task(_sending(socket, client))
         if number == 1 and not self.actions.readonly:
-            warm_up = partial(self.session.ask, self.actions.queue.warm_up, patient=True)
+            warm_up = partial(self.session.ask, self.actions.warm_up, patient=True)
             asyncio.get_running_loop().call_later(WARM_UP_AFTER, warm_up)
         try:
             while True:

@@ -113,8 +113,6 @@ def studio(
     store = SceneStore(session)
     _recover(session, store)
     server = PageServer("StyleSplat studio", Actions(session, gallery, store, **options))
-    session.ask(gallery.add_materials, patient=True)
-    session.ask(session.on_change.call, patient=True)
     server.start(host, port)
     opened = StudioServer(server, store)
     if host != ADDRESS:
