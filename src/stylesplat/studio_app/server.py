@@ -303,14 +303,14 @@ async def _sending(socket: "WebSocket", client: _Client) -> None:
 
 
 def _listening_socket(host: str, port: int) -> socket.socket:
-    reason = "all ports are in use"
-    for number in range(port, port + PORTS) if port else [0]:
+    reason = "all ports are in use" if 0 <= port < 2**16 else "ports are from 0 to 65535"
+    for number in range(port, min(port + PORTS, 2**16)) if port > 0 else range(port + 1):
         try:
             family, *_ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
             return socket.create_server((host, number), family=family)
-        except (OSError, OverflowError) as error:  # the latter of ports that there are not
-            if getattr(error, "errno", None) != errno.EADDRINUSE:
-                reason = error
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                reason = error.strerror
                 break
     raise StyleSplatError(
         f"Cannot serve at {host}:{port}: {reason}. Choose another address or port."
