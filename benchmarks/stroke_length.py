@@ -2,8 +2,8 @@
 
 The distance at which the autocorrelation of what was added to the object's lightness falls to one
 half; the mean over four held-out views. What its colours before explain (its own pattern,
-recoloured) does not count, nor does what changes slowly. It compares settings of one painting, whose
-size is the same: paintings have detail of every size, so larger ones need not have a larger length.
+recoloured) does not count, nor does what changes slowly. It compares settings of one painting in
+one size: as paintings have detail of every size, larger strokes need not have a larger length.
 """
 
 import math
