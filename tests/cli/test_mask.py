@@ -136,7 +136,7 @@ def test_strokes_as_they_are_typed(photos: Path, scene: Path, capsys: pytest.Cap
     lines = ("--stroke", "vase=0001.jpg:10,12,20,12", "--not-stroke", "vase=0001.jpg:7,9")
     assert run("mask", photos, "--box", BOX, *lines, "--scene", scene, "--device", "cpu") == 0
     said = capsys.readouterr().err
-    assert "preview.jpg" in said and "--not-stroke" in said, "the picture, and what mends masks"
+    assert "preview.jpg" in said and "--drop" in said, "the picture, and what mends masks"
     labels = read_label_map(photos / "object_mask" / "0001.png")
     assert labels[12, 10:20].all() and not labels[9, 7]
     for bad in ("vase=0001.jpg:1,2,3", "vase=1,2", "vase=0001.jpg:nan,1"):
