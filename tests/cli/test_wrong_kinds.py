@@ -155,7 +155,6 @@ def test_names_that_nothing_can_have(name: str, tmp_path: Path, monkeypatch, cap
     [
         "",
         "--method files",
-        "--stroke a=0001.jpg:1,2,3,4",
         f"--box {BOX} --method sam2",
         f"--box {BOX} --from {{at}}/photos",
         f"--box {BOX} --scene {{at}}/photos",
