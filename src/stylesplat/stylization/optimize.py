@@ -372,8 +372,8 @@ def optimize_colors(
     moments = Moments.zeros(leaves)
     for number, target in enumerate(drawn(targets, steps, generator), start=1):
         with torch.enable_grad():  # the caller may have disabled it
-            losses = objective(target, paint.with_rows(rows, leaves))
-            losses.total.backward()
+            nnfm, total = objective(target, paint.with_rows(rows, leaves))
+            total.backward()
         before = leaves["sh0"].detach().clone()
         decay = 1.0 if config.published else FINAL_RATE ** ((number - 1) / steps)
         adam_step(leaves, moments, {name: decay * rates[name] for name in leaves}, number)
@@ -382,7 +382,7 @@ def optimize_colors(
                 leaves["sh0"].copy_(before.lerp(leaves["sh0"], trust).clamp(*limits))
             for leaf in leaves.values():
                 leaf.grad = None
-        yield paint.with_rows(rows, leaves).detach(), losses.style.item()
+        yield paint.with_rows(rows, leaves).detach(), nnfm.item()
 
 
 def target_features(

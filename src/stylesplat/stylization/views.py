@@ -38,20 +38,17 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Box:
-    """Where an object lies in one camera's image."""
+    """Where an object lies in one camera's image, at full size: x and y, in pixels."""
 
     camera: Cameras
-    """One camera, at full size."""
     low: Float[Tensor, " 2"]
-    """Left and top, in pixels."""
     high: Float[Tensor, " 2"]
-    """Right and bottom, in pixels."""
     points: Float[Tensor, "P 2"]
-    """Pixels that the object covers, evenly spread: x and y."""
+    """Pixels that the object covers, evenly spread."""
 
     @property
     def length(self) -> float:
-        """The longer side, in pixels."""
+        """The longer side."""
         return float((self.high - self.low).max())
 
 
@@ -64,7 +61,7 @@ class ObjectView:
     cells: tuple[Bool[Tensor, "_ _"], ...]
     """Which features are the object's, for each layer group."""
     pixels: Bool[Tensor, "H W"]
-    """Which pixels are the object's."""
+    """Those of the object."""
     linear: Contributions | None = None
     """The image as a function of the object's colours; None rasterises it every time."""
 
@@ -144,7 +141,7 @@ def typical_length(boxes: Sequence[Box]) -> float:
 
 
 def require_boxes(context: PaintContext, target: PaintTarget) -> list[Box]:
-    """Find the views to optimise on that show the object; StyleSplatError if none does."""
+    """Find the views to optimise on that show the object; refuse it if none does."""
     boxes = find_boxes(context.splats, context.cameras, target.mask)
     if not boxes:
         raise StyleSplatError(
@@ -166,9 +163,6 @@ def object_views(
 
     Boxes that hardly show it are skipped. Linear views may take so many bytes of memory; others are
     rasterised in every step.
-
-    Raises:
-        StyleSplatError: If it is hardly visible in any.
     """
     splats, mask = context.splats, target.mask
     cells = [context.network.cells(group) for group in target.config.layers]
@@ -190,8 +184,8 @@ def object_views(
         masks = tuple(F.avg_pool2d(own[None], c.stride)[0] > COVERED for c in cells)
         if all(each.sum() >= MIN_CELLS for each in masks):
             used += linear.nbytes if linear else 0
-            if used > max_memory:
-                full, linear = True, None
+            full = used > max_memory
+            linear = None if full else linear
             views.append(ObjectView(camera, masks, covered > COVERED, linear))
     if not views:
         raise StyleSplatError(
@@ -243,7 +237,7 @@ def crop_to_box(
 ) -> tuple[Cameras, Bool[Tensor, "H W"]]:
     """The camera of a box at a multiple of its size, and the mask of the box's pixels.
 
-    The margins are pixels to the left and above, and to the right and below.
+    The margins are pixels before the box and behind it.
     """
     camera = box.camera.downscale(1 / zoom)
     inner = (box.low * zoom).floor(), (box.high * zoom).ceil()
