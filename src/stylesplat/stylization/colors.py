@@ -40,8 +40,7 @@ def transfer_colors(
     views: Sequence[ObjectView],
 ) -> Splats:
     """Map an object's colours so that its pixels have the style's mean and covariance."""
-    matrix, offset = color_map(object_colors(splats, views), style)
-    return map_colors(splats, mask, matrix, offset)
+    return map_colors(splats, mask, color_map(object_colors(splats, views), style))
 
 
 @torch.no_grad()
@@ -68,34 +67,29 @@ def vary_colors(splats: Splats, mask: Bool[Tensor, " N"], *, seed: int) -> Splat
     return splats.with_rows(rows, {"sh0": varied})
 
 
-def color_map(
-    source: Float[Tensor, "P 3"], target: Float[Tensor, "Q 3"]
-) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
+def color_map(source: Float[Tensor, "P 3"], target: Float[Tensor, "Q 3"]) -> Float[Tensor, "3 4"]:
     """The affine map that takes one set of colours to another's mean and covariance.
 
     Of all such maps it moves the colours least (Pitie & Kokaram 2007, "The linear
-    Monge-Kantorovitch linear colour mapping").
-
-    Returns:
-        `matrix` and `offset` of `matrix @ color + offset`.
+    Monge-Kantorovitch linear colour mapping"). The fourth column is the offset.
     """
     noise = NOISE * torch.eye(3).to(source)
     root = _matrix_sqrt(source.T.cov(correction=0) + noise)
     inverse = torch.linalg.inv(root)
     wanted = target.T.cov(correction=0) + noise
     matrix = inverse @ _matrix_sqrt(root @ wanted @ root) @ inverse
-    return matrix, target.mean(dim=0) - matrix @ source.mean(dim=0)
+    offset = target.mean(dim=0) - matrix @ source.mean(dim=0)
+    return torch.cat([matrix, offset[:, None]], dim=1)
 
 
-def map_colors(
-    splats: Splats,
-    mask: Bool[Tensor, " N"],
-    matrix: Float[Tensor, "3 3"],
-    offset: Float[Tensor, " 3"],
-) -> Splats:
+def mapped(colors: Float[Tensor, "*P 3"], color_map: Float[Tensor, "3 4"]) -> Float[Tensor, "*P 3"]:
+    """Colours after an affine map."""
+    return colors @ color_map[:, :3].T + color_map[:, 3]
+
+
+def map_colors(splats: Splats, mask: Bool[Tensor, " N"], color_map: Float[Tensor, "3 4"]) -> Splats:
     """Apply an affine map to the colours of some Gaussians, in all bands."""
     rows = mask.nonzero()[:, 0]
-    color_map = torch.cat([matrix, offset[:, None]], dim=1)
     sh0, shN = map_bands(splats.sh0[rows], splats.shN[rows], color_map)
     return splats.with_rows(rows, {"sh0": sh0, "shN": shN})
 

@@ -23,6 +23,7 @@ from stylesplat.stylization.colors import (
     blur_colors,
     build_palette,
     color_map,
+    mapped,
     object_colors,
     project_to_palette,
     remove_pattern,
@@ -309,8 +310,8 @@ def style_pictures(
         styles = [coarsen_style(style, config.scale) for style in styles]
     if own is None:
         return [*styles]
-    matrix, offset = color_map(all_colors(styles), own)
-    return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in styles]
+    to_own = color_map(all_colors(styles), own)
+    return [style.lerp(mapped(style, to_own).clamp(0, 1), share) for style in styles]
 
 
 def stage_objective(

@@ -6,6 +6,7 @@ from functools import reduce
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn import functional as F
 
 from stylesplat.metrics.lab import LUMA
 from stylesplat.rendering.render import render
@@ -13,7 +14,7 @@ from stylesplat.rendering.shares import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats, rgb_from_sh0
-from stylesplat.stylization.colors import color_map
+from stylesplat.stylization.colors import color_map, mapped
 from stylesplat.stylization.config import RecolorConfig, parse_color
 from stylesplat.stylization.style_image import read_style, resize
 
@@ -21,7 +22,7 @@ from stylesplat.stylization.style_image import read_style, resize
 HUE_SINE = ((-0.213, -0.715, 0.928), (0.143, 0.140, -0.283), (-0.787, 0.715, 0.072))
 WARMTH = 0.25  # logarithm of red's factor, and of 1 / blue's, at temperature 1
 STEEPEST = 2.0  # times the shading of a dark object: more shows its noise
-DARKEST = 1e-3  # luma to divide by
+DARK = 1e-3  # luma to divide by
 VIEWS, LONGER_SIDE = 4, 160  # of renders that show the colours of an object
 PICTURE_SIDE = 256.0  # pixels of the picture whose colours are matched
 
@@ -39,7 +40,7 @@ def recolor_map(
         if config.match is not None:
             picture = resize(read_style(config.match), PICTURE_SIDE)
             steps.append(color_map(own, picture.reshape(-1, 3)))
-            own = own @ steps[0][0].T + steps[0][1]
+            own = mapped(own, steps[0])
         if config.tint is not None:
             steps.append(_tint(torch.tensor(parse_color(config.tint)), own.mean(dim=0)))
     sine, cosine = math.sin(math.radians(config.hue)), math.cos(math.radians(config.hue))
@@ -50,21 +51,19 @@ def recolor_map(
         torch.diag(gains / (gains @ luma)),
         config.brightness * one,
     ]
-    steps += [(matrix, torch.zeros(3)) for matrix in matrices]
-    steps.append((config.contrast * one, torch.full((3,), (1 - config.contrast) / 2)))
-    matrix, offset = reduce(lambda a, b: (b[0] @ a[0], b[0] @ a[1] + b[1]), steps)
-    return torch.cat([matrix, offset[:, None]], dim=1)
+    steps += [F.pad(matrix, (0, 1)) for matrix in matrices]
+    steps.append(F.pad(config.contrast * one, (0, 1), value=(1 - config.contrast) / 2))
+    last_row = torch.tensor([[0.0, 0.0, 0.0, 1.0]])
+    return reduce(lambda a, b: b @ torch.cat([a, last_row]), steps)
 
 
-def _tint(
-    color: Float[Tensor, " 3"], mean: Float[Tensor, " 3"]
-) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
+def _tint(color: Float[Tensor, " 3"], mean: Float[Tensor, " 3"]) -> Float[Tensor, "3 4"]:
     """The map that takes the mean to a colour, and what is lighter or darker to shades of it."""
     luma = torch.tensor(LUMA)
-    shade = color / (color @ luma).clamp(min=DARKEST)  # of luma 1
-    steepness = ((color @ luma) / (mean @ luma).clamp(min=DARKEST)).clamp(max=STEEPEST)
+    shade = color / (color @ luma).clamp(min=DARK)  # of luma 1
+    steepness = ((color @ luma) / (mean @ luma).clamp(min=DARK)).clamp(max=STEEPEST)
     matrix = steepness * shade[:, None] * luma
-    return matrix, color - matrix @ mean
+    return torch.cat([matrix, (color - matrix @ mean)[:, None]], dim=1)
 
 
 def _shown_colors(
