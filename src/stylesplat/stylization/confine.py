@@ -46,13 +46,8 @@ def confine_canvas(
 ) -> tuple[Canvas, Bool[Tensor, " M"]]:
     """Turn the discs of a canvas along the strokes, and let none show beside the object.
 
-    Discs that show beside it become smaller; those that still do are removed.
-
-    Args:
-        canvas: What was laid, on the CPU.
-        boxes: Where the object is seen.
-        cameras: Views in which nothing may show beside it.
-        painted: The canvas in the colours of the strokes; None leaves the discs round.
+    Discs that show beside it in a camera become smaller; those that still do are removed. Without
+    the canvas painted in the colours of the strokes, discs stay round. All is on the CPU.
 
     Returns:
         The canvas, and which of its Gaussians are left.
@@ -133,7 +128,6 @@ def _overflow(
     return torch.cat([NO_ROWS, *found]).unique(), uncovered
 
 
-@torch.no_grad()
 def reached_pixels(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
     """The pixels in which some Gaussians would show if there were no others."""
     return full_coverage(without_looks(splats), camera) > 0
@@ -144,10 +138,8 @@ def align_to_strokes(splats: Splats, discs: Bool[Tensor, " N"], distance: float)
     """Turn discs along the strokes painted so far, and stretch them.
 
     In each disc's tangent plane the structure tensor of the painted luminance gives the direction
-    (the eigenvector of its smaller eigenvalue) and how coherent it is (Weickert 1999).
-
-    The scene is on the CPU. The third axis of a disc is its normal. The distance is that between
-    neighbouring discs.
+    (the eigenvector of its smaller eigenvalue) and how coherent it is (Weickert 1999). The third
+    axis of a disc is its normal, the distance that between neighbouring discs.
     """
     rows = discs.nonzero()[:, 0]
     means, axes = splats.means[rows], rotation_matrices(splats.quats[rows])

@@ -89,10 +89,7 @@ def object_detail(
     length: float,
     hue: Float[Tensor, " 3"],
 ) -> list[Float[Tensor, "H W"]]:
-    """The detail of an unpainted object, by bands, as luminance.
-
-    Hues become lighter or darker, whatever adds to the contrast in luminance around a place.
-    """
+    """The detail of an unpainted object, by bands, as luminance, to whose contrast hues add."""
     near = NEAR * length
     lumas = detail_bands(image @ image.new_tensor(LUMA), mask, length)
     hues = detail_bands(CHROMA * (image @ hue.to(image)), mask, length)
@@ -153,14 +150,11 @@ def form_relief(
     length: float,
     survey: FormSurvey,
 ) -> Float[Tensor, "N 2"]:
-    """The form of an object as luminance that each of its Gaussians adds, by bands.
+    """The form of an object as luminance that each of its Gaussians adds, by bands, in -1..1.
 
     Adding it to painted colours, or taking it away, changes the form in closed form. It is the
     luminance whose renders are nearest to the form in all views (simultaneous algebraic
-    reconstruction, Gilbert 1972).
-
-    The views show the whole object, so many pixels long. Values are in -1..1, and 0 for Gaussians
-    that are not the object's or hardly show.
+    reconstruction, Gilbert 1972). The views show the whole object, so many pixels long.
     """
     hidden = mask[:, None, None]
     flat = replace(splats, sh0=splats.sh0.masked_fill(hidden, 0), shN=splats.shN * ~hidden)

@@ -107,7 +107,6 @@ class _Object:
     form: FormSurvey
 
     def on(self, canvas: Canvas) -> "_Object":
-        """The same object on another canvas."""
         context = replace(self.context, splats=canvas.splats)
         target = replace(self.target, mask=canvas.mask)
         return replace(self, context=context, target=target, canvas=canvas)
@@ -186,10 +185,7 @@ def survey_detail(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]
 def _paint(
     object: _Object, stages: Sequence[Stage], *, done: int = 0, steps: int, is_preview: bool = False
 ) -> Iterator[PaintState]:
-    """Paint an object in stages: on a canvas, or for a preview on its own Gaussians.
-
-    Of all the steps some are done before.
-    """
+    """Paint an object in stages: on a canvas, or for a preview on its own Gaussians."""
     config = object.target.config
     if not is_preview:
         object = _lay(object, stages[-1].length)
@@ -351,8 +347,7 @@ def optimize_colors(
 ) -> Iterator[tuple[Splats, float]]:
     """Move the colours of some Gaussians until the object's features match the style's.
 
-    Each step draws one of the targets. The objective's settings are the rates and the seed. Yields
-    the scene after every step, and the style loss before it.
+    Each step draws one of the targets. Yields the scene after every step, and the NNFM before it.
     """
     config = objective.config
     generator = torch.Generator().manual_seed(config.seed)
@@ -389,10 +384,7 @@ def optimize_colors(
 def target_features(
     context: PaintContext, config: StyleConfig, pictures: Sequence[Tensor], length: float
 ) -> list[Tensor]:
-    """The features of all style images together, for each layer group.
-
-    The object is so many pixels long; the pictures' size follows it.
-    """
+    """The features of all style images together, for each layer group, beside an object so long."""
     size = config.scale * length
     generator = torch.Generator().manual_seed(config.seed)
     features = [

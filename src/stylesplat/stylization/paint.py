@@ -57,8 +57,7 @@ def paint(
         network: The network whose features are matched; the package's own by default.
 
     Raises:
-        StyleSplatError: If the picture is unreadable or too small, or the object has too few
-            Gaussians or is not seen.
+        StyleSplatError: If the picture is unfit, or the object is too small or not seen.
     """
     config = config or StyleConfig()
     cameras = capture.cameras if isinstance(capture, Capture) else capture
@@ -88,12 +87,7 @@ class Painted:
 
 
 def paint_objects(context: PaintContext, targets: Sequence[PaintTarget]) -> Painted:
-    """Repaint several objects one after the other, each on what is painted before.
-
-    Raises:
-        StyleSplatError: If two objects have the same name, an object has too few Gaussians or is
-            not seen, or a style image is too small.
-    """
+    """Repaint several objects one after the other, each on what is painted before."""
     check_targets(targets)
     painted = Painted(context.splats, ())
     for target in targets:
@@ -110,10 +104,8 @@ def paint_layer(
 ) -> tuple[Layer, list[Box]]:
     """Paint an object on what lies beneath its layer.
 
-    The family is the row of the base that each of the Gaussians beneath belongs to.
-
-    Returns:
-        The layer, and the boxes of the object in all views, held-out ones included.
+    The family is the row of the base that each of the Gaussians beneath belongs to. Returns the
+    layer, and the boxes of the object in all views, held-out ones included.
     """
     part, own, rows = crop_scene(context, target)
     state = None
@@ -138,10 +130,8 @@ def crop_scene(
 
     Besides the object's Gaussians these are all that would show near it if it were not there: what
     hides it, and what it hides. In views that hide the object some of these may be missing, so that
-    they are left out. A small scene stays whole, and one of which no view shows the object.
-
-    Returns:
-        The context and the target in the crop, and the crop's rows of the scene.
+    they are left out. A small scene stays whole, and one of which no view shows the object. The
+    crop's rows of the scene are returned, too.
     """
     splats, views = context.splats, [*context.all_cameras]
     everything = context, target, torch.arange(len(splats), device=splats.device)

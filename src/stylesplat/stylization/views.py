@@ -116,7 +116,7 @@ def per_view(
 
 
 def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[Box]:
-    """Find the views that show an object, and where; occlusion is taken into account."""
+    """Find the views that show an object, and where."""
 
     def find(index: int) -> Box | None:
         camera = cameras[index]
@@ -136,7 +136,6 @@ def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> li
 
 
 def typical_length(boxes: Sequence[Box]) -> float:
-    """The median of the object's longer sides, in pixels."""
     return median(box.length for box in boxes)
 
 
@@ -219,10 +218,7 @@ def stage_views(
 
 
 def windows(boxes: Sequence[Box], side: float, count: int, generator: torch.Generator) -> list[Box]:
-    """Square windows in boxes, equally many in each, around random pixels of the object.
-
-    The side is in pixels of the cameras; windows of smaller boxes are smaller.
-    """
+    """Square windows in boxes, equally many in each, around random pixels of the object."""
     found = []
     order = torch.randperm(count, generator=generator).tolist()
     for box in (boxes[index % len(boxes)] for index in order):
@@ -235,10 +231,7 @@ def windows(boxes: Sequence[Box], side: float, count: int, generator: torch.Gene
 def crop_to_box(
     box: Box, zoom: float, margins: tuple[int, int]
 ) -> tuple[Cameras, Bool[Tensor, "H W"]]:
-    """The camera of a box at a multiple of its size, and the mask of the box's pixels.
-
-    The margins are pixels before the box and behind it.
-    """
+    """The camera of a box, with margins before and behind, and the mask of the box's pixels."""
     camera = box.camera.downscale(1 / zoom)
     inner = (box.low * zoom).floor(), (box.high * zoom).ceil()
     low, high = inner[0] - margins[0], inner[1] + margins[1]
