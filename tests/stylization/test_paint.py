@@ -178,7 +178,7 @@ def test_whose_colors_the_object_has(job: PaintTarget, network: FeatureNetwork):
     near = 0.1
     assert (ways["keep"].mean(dim=0) - own).norm() < near
     assert (ways["style"].mean(dim=0) - style.mean(dim=0)).norm() < 2.5 * near
-    assert (ways["blend"].mean(dim=0) - (own + style.mean(dim=0)) / 2).norm() < near
+    assert (ways["blend"].mean(dim=0) - (own + style.mean(dim=0)) / 2).norm() < 1.2 * near
     assert (own - style.mean(dim=0)).norm() > 4 * near
     spread, wanted = ways["style"].T.cov(), style.T.cov()
     # what the closed form spreads beyond three colours is led back to near them

@@ -201,7 +201,7 @@ def _texel_views(
         )
         masks = tuple(F.avg_pool2d(own[None], each.stride)[0] > COVERED for each in cells)
         background = grey * ~covered[..., None]
-        return TexelView(camera, masks, covered, None, matrix, used, background)
+        return TexelView(camera, masks, covered, matrix=matrix, texels=used, background=background)
 
     found = per_view(look, places, "preparing the texture's views")
     return [view for view in found if all(each.sum() >= MIN_CELLS for each in view.cells)]

@@ -40,6 +40,7 @@ from stylesplat.stylization.style_image import (
     coarsen_style,
     style_features,
     style_parts,
+    without_strokes,
 )
 from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import (
@@ -77,8 +78,8 @@ class PaintState:
     """Steps taken."""
     steps: int
     """Steps to take in all."""
-    nnfm: float
-    """The loss in the view of the last step, before it."""
+    nnfm: Float[Tensor, ""]
+    """The loss in the view of the last step, before it; reading it waits for the device."""
     splats: Splats
     """The scene with the paint so far, at full intensity."""
     base: Splats
@@ -225,9 +226,11 @@ def _paint(
         taken = optimize_colors(paint, mask, targets, objective, stage.steps)
         for step, (paint, nnfm) in enumerate(taken, start=1):
             if step == stage.steps and palette is not None:
+                goal = pictures
                 if not (stage.fine or is_last):
                     paint = blur_colors(paint, mask, whole[0])
-                paint = transfer_colors(paint, mask, all_colors(pictures), whole[0])
+                    goal = without_strokes(pictures, config.scale)
+                paint = transfer_colors(paint, mask, all_colors(goal), whole[0])
                 if is_last:
                     is_disc = object.canvas.is_disc
                     beneath = mask & ~is_disc & is_disc.any()
@@ -288,10 +291,9 @@ def _begin(
     form = config.form * config.pattern_removed  # what was removed of it with the pattern
     splats = add_luminance(splats, form * relief.sum(dim=1))
     if config.color != "free":
-        colors = all_colors(pictures)
-        palette = build_palette(colors)
-        varied = vary_colors(splats, mask, seed=config.seed)
-        splats = transfer_colors(varied, mask, colors, views)
+        palette = build_palette(all_colors(pictures))
+        colors = all_colors(without_strokes(pictures, config.scale))
+        splats = transfer_colors(vary_colors(splats, mask, seed=config.seed), mask, colors, views)
     return pictures, palette, replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
 
 
@@ -330,7 +332,10 @@ def stage_objective(
     rate = stage.rate * (CANVAS_RATE if is_fine_surface else 1.0)
     return Objective(
         network=context.network.to(context.splats.device, context.precision),
-        styles=[build_index(group, context.precision) for group in features],
+        styles=[
+            build_index(group, context.precision, balanced=not config.published)
+            for group in features
+        ],
         config=replace(config, lr=rate * config.lr),
         length=stage.length,
         form=form,
@@ -344,7 +349,7 @@ def optimize_colors(
     targets: Sequence[ViewTarget],
     objective: Objective,
     steps: int,
-) -> Iterator[tuple[Splats, float]]:
+) -> Iterator[tuple[Splats, Float[Tensor, ""]]]:
     """Move the colours of some Gaussians until the object's features match the style's.
 
     Each step draws one of the targets. Yields the scene after every step, and the NNFM before it.
@@ -378,7 +383,7 @@ def optimize_colors(
                 leaves["sh0"].copy_(before.lerp(leaves["sh0"], trust).clamp(*limits))
             for leaf in leaves.values():
                 leaf.grad = None
-        yield paint.with_rows(rows, leaves).detach(), nnfm.item()
+        yield paint.with_rows(rows, leaves).detach(), nnfm.detach()
 
 
 def target_features(

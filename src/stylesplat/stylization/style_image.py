@@ -23,6 +23,7 @@ SHOCKS = 4.0  # steps of the filter that coarsens a style image, for every unit 
 MAX_COARSENED = 8.0  # scale: beyond it strokes are as large as pictures
 RIDGE = 0.06  # curvature across a stroke, of 1: less is no stroke
 LARGEST = 1300.0  # pixels of a resized style image's longer side: of a larger one parts are used
+BROAD = 0.05  # of the object's length: what is less is a stroke
 PARTS = 9  # that together are as large
 MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory only
 
@@ -201,6 +202,14 @@ def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor
         grown = np.where(ridge < 0, cv2.dilate(image, square), cv2.erode(image, square))
         image = cv2.addWeighted(image, 0.5, np.where(abs(ridge) > 1, grown, smooth), 0.5, 0)
     return torch.from_numpy(image).to(picture)
+
+
+def without_strokes(pictures: Sequence[Tensor], scale: float) -> list[Tensor]:
+    """Style images so small that only large shapes are left: strokes melt into their mean.
+
+    Shapes of an object that take these colours leave the rest of a style's contrast to strokes.
+    """
+    return [resize(each, min(scale / BROAD, float(max(each.shape[:2])))) for each in pictures]
 
 
 def style_parts(
