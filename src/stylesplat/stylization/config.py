@@ -97,6 +97,13 @@ PLANS: dict[Quality, tuple[_Row, ...]] = {
 }
 
 
+def _check_limits(config: Any, verb: str, limits: Mapping[str, tuple[float, float]]) -> None:
+    for name, (least, most) in limits.items():
+        value = getattr(config, name)
+        if value is not None and not least <= value <= most:
+            raise StyleSplatError(f"Cannot {verb} with {name} {value}: use {least:,} to {most:,}.")
+
+
 @dataclass(frozen=True)
 class StyleConfig:
     """How to repaint an object."""
@@ -209,13 +216,6 @@ NETWORKS: dict[str, Network] = {"default": DEFAULT_NETWORK, "paper": "vgg16"}
 """The network of each preset."""
 
 SETTINGS = get_type_hints(StyleConfig)
-
-
-def _check_limits(config: Any, verb: str, limits: Mapping[str, tuple[float, float]]) -> None:
-    for name, (least, most) in limits.items():
-        value = getattr(config, name)
-        if value is not None and not least <= value <= most:
-            raise StyleSplatError(f"Cannot {verb} with {name} {value}: use {least:,} to {most:,}.")
 
 
 def plain_settings(config: StyleConfig) -> dict[str, Any]:
