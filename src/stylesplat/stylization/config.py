@@ -97,7 +97,7 @@ PLANS: dict[Quality, tuple[_Row, ...]] = {
 }
 
 
-def _check_limits(config: Any, verb: str, limits: Mapping[str, tuple[float, float]]) -> None:
+def _check_limits(config: Any, verb: str, limits: Mapping[str, tuple[Any, Any]]) -> None:
     for name, (least, most) in limits.items():
         value = getattr(config, name)
         if value is not None and not least <= value <= most:
