@@ -8,8 +8,9 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from balls import PAINTED_FAST as FAST
 from balls import (
+    BALLS,
+    CAMERAS,
     RED,
     SPLATS,
     TRAINED,
@@ -18,16 +19,18 @@ from balls import (
     assert_same_splats,
     contents,
     painted,
-    write_pictures,
 )
+from balls import PAINTED_FAST as FAST
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import read_json
+from stylesplat.rendering.shares import coverage
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.objects import rename
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 
@@ -37,23 +40,20 @@ SHARED = Path(__file__).parents[3] / "shared"  # beside the checkout, where ther
 VGG19 = SHARED / "weights" / "vgg19_conv1_1-conv3_4.safetensors"
 
 
-@pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    return write_pictures(tmp_path_factory.mktemp("pictures"))
+@pytest.fixture
+def pictures(stack: Path) -> tuple[Path, Path]:
+    return stack / "wave.png", stack / "night.png"
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("scenes") / "trained"
-    scene_folder.save(TRAINED, folder)
-    return folder
+@pytest.fixture
+def trained(stack: Path) -> Path:
+    return stack / "trained"
 
 
-@pytest.fixture(scope="module")
-def once(trained: Path, pictures: tuple[Path, Path]) -> Scene:
-    """The red ball painted, on a canvas."""
-    scene = painted(scene_folder.open(trained), "red", pictures[0])
-    assert len(scene.splats) > len(SPLATS)
+@pytest.fixture
+def once(stack: Path) -> Scene:
+    scene = scene_folder.open(stack / "once")
+    assert len(scene.splats) > len(SPLATS), "it has a canvas"
     return scene
 
 
@@ -61,7 +61,7 @@ def assert_made_again(styled: Scene, trained: Path, folder: Path) -> None:
     """By the recipe of a styled scene from the scene before: all of it, to the bit."""
     scene_folder.save(styled, folder / "styled")
     recipe = read_recipe(folder / "styled" / "recipe.json")
-    again = stylize(scene_folder.open(trained), recipe, device="cpu")
+    again = stylize(scene_folder.open(trained), recipe, device="cpu", measured=False)
     scene_folder.save(again, folder / "again")
     found, wanted = (contents(folder / name, "metrics.json") for name in ("again", "styled"))
     assert found == wanted
@@ -75,8 +75,9 @@ def test_a_recipe_makes_again_what_took_several_runs(
 ):
     """What the strengths were meanwhile is that of the settings, in the end they are others."""
     wave, night = pictures
-    scene = painted(scene_folder.open(trained), "green", (night, wave), seed=4)
-    scene = painted(scene, "3", Path("material:jade"), intensity=0.8, steps=2)
+    draft = {"quality": "draft", "measured": False}
+    scene = painted(scene_folder.open(trained), "green", (night, wave), seed=4, **draft)
+    scene = painted(scene, "3", Path("material:jade"), intensity=0.8, steps=2, **draft)
     scene = adjust(scene, 0.5, objects="green")
     assert scene.painted_objects == ("green", "3")
     assert [each.strength for each in scene.layers] == [0.5, 0.8]
@@ -91,18 +92,17 @@ def test_a_recipe_makes_again_what_several_networks_painted(
     weights = tmp_path / "vgg19_conv1_1-conv3_4.safetensors"
     weights.write_bytes(VGG19.read_bytes())
     vgg19 = {"features": "vgg19", "weights": weights}
-    scene = painted(scene_folder.open(trained), "red", wave)
-    scene = painted(scene, "green", night, network=vgg19)
-    scene = painted(scene, "blue", wave)
+    draft = {"quality": "draft", "measured": False}
+    scene = painted(scene_folder.open(trained), "red", wave, **draft)
+    scene = painted(scene, "green", night, network=vgg19, **draft)
     scene = adjust(scene, 0.9, objects="green")
     assert_made_again(scene, trained, tmp_path)
-    red, green, blue = scene.layers
-    assert [each.features for each in (red, green, blue)] == ["compact", "vgg19", "compact"]
-    assert red.weights is blue.weights is None
-    assert green.weights is not None
+    red, green = scene.layers
+    assert (red.features, green.features) == ("compact", "vgg19")
+    assert red.weights is None and green.weights is not None
     assert green.weights.sha256 == sha256(VGG19.read_bytes()).hexdigest()
     entries = read_json(tmp_path / "styled" / "recipe.json")["objects"]
-    assert [each["weights"] for each in entries] == [None, str(weights), None]
+    assert [each["weights"] for each in entries] == [None, str(weights)]
     tensors = load(weights.read_bytes())
     weights.write_bytes(save({name: tensor / 2 for name, tensor in tensors.items()}))
     recipe = read_recipe(tmp_path / "styled" / "recipe.json")
@@ -170,3 +170,34 @@ def test_a_name_that_was_selected_anew_changes_nothing_that_was_painted(
     assert torch.equal(undone.objects["red"].picked, anew.objects["red"].picked[:count])
     numbers, wanted = (evaluate(scene, device="cpu") for scene in (anew, once))
     assert numbers == wanted and wanted["nnfm_after"].keys() == {"red"}
+
+
+def test_what_is_protected_gets_no_paint(
+    trained: Path, pictures: tuple[Path, Path], tmp_path: Path
+):
+    x, y, z = BALLS[3][0]
+    whole = scene_folder.open(trained)
+    scene = select(whole, "cap", of="red", box3d=(x - 1, y - 1, z + 0.12, x + 1, y + 1, z + 1))
+    cap = scene.objects["cap"].picked
+    scene_folder.save(scene, tmp_path / "trained")
+    style = {"red": Style(pictures[0], config=FAST)}
+    free = stylize(whole, style, device="cpu", measured=False)
+    styled = stylize(scene, style, protect="cap", device="cpu", measured=False)
+    for name, tensor in scene.splats.tensors().items():
+        assert torch.equal(styled.splats.tensors()[name][: len(cap)][cap], tensor[cap]), name
+    shown = []
+    for painted_scene in (free, styled):
+        discs = torch.arange(len(painted_scene.splats)) >= len(cap)
+        own = torch.zeros_like(discs).index_fill(0, cap.nonzero()[:, 0], True)
+        views = [camera.downscale(0.25) for camera in CAMERAS]
+        over = [coverage(painted_scene.splats, each, discs) for each in views]
+        there = [coverage(scene.splats, each, own[: len(cap)]) > 0.5 for each in views]
+        shown.append(sum(float(a[b].sum()) for a, b in zip(over, there, strict=True)))
+    assert shown[1] < 0.2 * shown[0], shown
+    assert_made_again(styled, tmp_path / "trained", tmp_path)
+    with pytest.raises(StyleSplatError, match=r"all of it is protected \(both\)"):
+        stylize(scene, style, protect=["both"], device="cpu")
+    renamed = rename(styled, "cap", "lid")
+    scene_folder.save(renamed, tmp_path / "renamed")
+    (entry,) = read_recipe(tmp_path / "renamed" / "recipe.json").objects
+    assert entry.style.config.protect == ("lid",)

@@ -16,17 +16,17 @@ from msgspec import UNSET, Meta, UnsetType
 from stylesplat.batch_jobs.job import Content, Job, JobVerb, Needs, OptionValue
 from stylesplat.errors import StyleSplatError, brief, some, within
 from stylesplat.io.files import is_there, read_bytes
-from stylesplat.io.kinds import SPLATS, Kind, kind_of, no_capture, no_scene, no_splat
+from stylesplat.io.kinds import SPLATS, Kind, kind_of, wrong_kind
 from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
 from stylesplat.stylization.materials import is_material
 
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks
 CONTENTS: dict[Kind, Content] = {"scene": "scene", "capture": "capture", "splat": "splat"}
-REFUSALS = {"scene": no_scene, "capture": no_capture, "splat": no_splat}
 ADDRESS = re.compile(r"[A-Za-z][\w+.-]+:/")  # a scheme is longer than the letter of a drive
 LONGEST = 120  # characters of a name: file systems take 255 bytes, and suffixes are appended
 UNFIT = re.compile(r"[^\w.+~]+")  # characters that names of results do not have
 SET_BY_BATCH = ("json", "overwrite", "restart", "finish", "output", "file", "pick")
+SPELLINGS = {"stylise": "stylize"}
 STYLE = "style"  # the option that is OBJECT=IMAGE on the command line, and a map in a job file
 # The message of msgspec: the fact, and where it is
 MISFIT = re.compile(r"(?P<fact>.*?)(?: - at `\$(?P<place>.*)`)?")
@@ -44,6 +44,7 @@ class _Entry(msgspec.Struct, forbid_unknown_fields=True, rename={"import_": "imp
     mask: Options = UNSET
     select: Options = UNSET
     stylize: Options = UNSET
+    stylise: Options = UNSET
     recolor: Options = UNSET
     sheet: Options = UNSET
     render: Options = UNSET
@@ -123,7 +124,9 @@ class _Planner:
                 with within(f"line {self._line(place)}"):
                     kind = CONTENTS.get(kind_of(path))
                     if kind is None:
-                        raise REFUSALS[verb.takes[0]](path)
+                        wanted = verb.takes[0]
+                        assert wanted != "files"  # which verbs make and do not take
+                        raise wrong_kind(path, wanted)
                 yield from self._expand(entry, place, name, kind, source=path)
 
     def _expand(
@@ -158,14 +161,14 @@ class _Planner:
         given = msgspec.structs.asdict(entry)
         found = {
             name: options
-            for name in self._verbs
+            for name in (*self._verbs, *SPELLINGS)
             if (options := given.get(name, given.get(f"{name}_", UNSET))) is not UNSET
         }
         if len(found) != 1:
             got = " and ".join(found) or "none"
             raise self._error(place, f"a job has one verb, got {got}. Begin each with a dash.")
         ((name, options),) = found.items()
-        verb = self._verbs[name]
+        verb = self._verbs[SPELLINGS.get(name, name)]
         if "then" in place and entry.scenes is not None:
             raise self._error((*place, "scenes"), "what follows a job works on its result.")
         if entry.then and verb.makes == "files":

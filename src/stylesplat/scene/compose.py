@@ -43,7 +43,6 @@ def family_of(base: Splats, layers: Sequence[Layer]) -> Int[Tensor, " M"]:
 
 
 def family(scene: Scene) -> Int[Tensor, " M"]:
-    """The row of the base that each Gaussian of a scene belongs to."""
     return family_of(scene.unpainted, scene.layers)
 
 
@@ -104,7 +103,6 @@ def with_strengths(
 
 
 def strengths_of(scene: Scene) -> dict[str, float]:
-    """The strength of each layer by name."""
     return {each.name: each.strength for each in scene.layers}
 
 
@@ -205,7 +203,6 @@ def _covered(splats: Splats, family: Int[Tensor, " M"], layer: Layer, count: int
 
 
 def _appended(splats: Splats, base: Splats, layer: Layer) -> Splats:
-    """The splats and the canvas of a layer."""
     canvas, parents = layer.canvas, layer.parents
     if not len(canvas):
         return splats

@@ -33,6 +33,10 @@ class SceneObject:
     how: Mapping[str, Any] = field(default_factory=dict)
     """How they were selected, as plain values: `ids`, `threshold`, `gaussians` and so on."""
 
+    def with_picked(self, picked: Bool[Tensor, " N"]) -> "SceneObject":
+        """The object with other Gaussians."""
+        return SceneObject(picked, {**self.how, "gaussians": int(picked.sum())})
+
     def __repr__(self) -> str:
         named = " ".join(map(str, self.how.get("ids", ())))
         share = f"{int(self.picked.sum()):,} of {counted(len(self.picked), 'Gaussian')}"
@@ -128,7 +132,6 @@ def check_name(name: str) -> None:
 
 
 def check_name_or_id(name: str) -> None:
-    """Refuse what is neither a label id nor a name that an object can have."""
     if not is_id(name):
         check_name(name)
 

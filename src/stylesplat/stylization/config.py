@@ -13,7 +13,7 @@ import msgspec
 from PIL import ImageColor
 
 from stylesplat.errors import StyleSplatError, brief
-from stylesplat.scene.arguments import MAX_FORM, MAX_INTENSITY
+from stylesplat.scene.arguments import MAX_INTENSITY
 
 LAYERS = range(1, 5)  # layer groups that every VGG has
 LIMITS = {  # of settings, the least and the most: what lies beyond is a slip of the keyboard
@@ -21,7 +21,7 @@ LIMITS = {  # of settings, the least and the most: what lies beyond is a slip of
     "scale": (0.001, 10_000),
     "rotate": (-1e4, 10_000),
     "intensity": (0, MAX_INTENSITY),
-    "form": (0, MAX_FORM),
+    "form": (0, MAX_INTENSITY),
     "content": (0, 10_000),
     "object_size": (1, 10_000),
     "lr": (1e-9, 10_000),
@@ -130,6 +130,8 @@ class StyleConfig:
     pattern, such as eyes, a mouth, folds."""
     content: float = 0.0
     """How much of the object's own features to keep, pattern included: 0 none, 1 nearly all."""
+    protect: tuple[str, ...] = ()
+    """Names of objects, such as its eyes, that get none of its paint."""
     object_size: int | None = None
     """Longer side of the object in all renders at most, in pixels: less is quicker and softer."""
     lr: float = 0.1

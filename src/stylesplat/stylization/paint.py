@@ -167,7 +167,8 @@ def crop_scene(
         for each in (context.cameras, context.all_cameras)
     )
     part = replace(context, splats=splats[rows], cameras=cameras, all_cameras=all_cameras)
-    return part, replace(target, mask=target.mask[rows]), rows
+    protected = None if target.protected is None else target.protected[rows]
+    return part, replace(target, mask=target.mask[rows], protected=protected), rows
 
 
 def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) -> Layer:
