@@ -15,10 +15,9 @@ from stylesplat.scene.compose import compose
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.confine import confine_canvas
+from stylesplat.stylization.confine import LONG, align_to_strokes, confine_canvas
 from stylesplat.stylization.optimize import PaintState
 from stylesplat.stylization.paint import layer_of
-from stylesplat.stylization.strokes import LONG, align_to_strokes
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import Box, find_boxes
 

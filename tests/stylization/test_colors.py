@@ -31,6 +31,7 @@ from stylesplat.stylization.colors import (
     build_palette,
     color_map,
     map_colors,
+    mapped,
     object_colors,
     project_to_palette,
     remove_pattern,
@@ -72,22 +73,21 @@ def colors(count: int, seed: int) -> torch.Tensor:
 
 def test_mean_and_covariance_become_the_targets():
     source, target = colors(500, 0), colors(300, 1)
-    matrix, offset = color_map(source, target)
-    mapped = source @ matrix.T + offset
-    torch.testing.assert_close(mapped.mean(dim=0), target.mean(dim=0))
-    error = mapped.T.cov() - target.T.cov()
+    there = mapped(source, color_map(source, target))
+    torch.testing.assert_close(there.mean(dim=0), target.mean(dim=0))
+    error = there.T.cov() - target.T.cov()
     assert error.norm() < NOISE_BIAS * target.T.cov().norm()
 
 
 def test_flat_colors_are_not_blown_up():
     """Their variance counts as NOISE, so no direction grows by more than this."""
     target = colors(300, 1)
-    matrix, offset = color_map(torch.full((100, 3), 0.4), target)
+    to_target = color_map(torch.full((100, 3), 0.4), target)
     largest = torch.linalg.eigvalsh(target.T.cov()).max() / NOISE
-    assert torch.linalg.matrix_norm(matrix, 2) < 1.01 * largest.sqrt()  # roundings
-    mapped = matrix @ torch.full((3,), 0.4) + offset
+    assert torch.linalg.matrix_norm(to_target[:, :3], 2) < 1.01 * largest.sqrt()  # roundings
+    there = mapped(torch.full((3,), 0.4), to_target)
     # roundings of a matrix of several hundreds
-    torch.testing.assert_close(mapped, target.mean(dim=0), atol=1e-3, rtol=0)
+    torch.testing.assert_close(there, target.mean(dim=0), atol=1e-3, rtol=0)
 
 
 def test_variation_gives_flat_objects_colors_to_stretch():
@@ -108,13 +108,14 @@ def test_colors_are_mapped_from_wherever_they_are_seen():
     splats = replace(splats, sh0=0.1 * splats.sh0, shN=0.1 * splats.shN)
     picked = torch.arange(100) < 60
     matrix, offset = 0.5 * torch.eye(3) + 0.05 * colors(3, 2), torch.tensor([0.1, 0.2, 0.3])
-    mapped = map_colors(splats, picked, matrix, offset)
+    change = torch.cat([matrix, offset[:, None]], dim=1)
+    changed = map_colors(splats, picked, change)
     dirs = randn(100, 3)
     before = spherical_harmonics(3, dirs, splats.sh0, splats.shN)
-    after = spherical_harmonics(3, dirs, mapped.sh0, mapped.shN)
-    torch.testing.assert_close(after[picked], before[picked] @ matrix.T + offset)
-    assert torch.equal(mapped.sh0[~picked], splats.sh0[~picked])
-    assert torch.equal(mapped.shN[~picked], splats.shN[~picked])
+    after = spherical_harmonics(3, dirs, changed.sh0, changed.shN)
+    torch.testing.assert_close(after[picked], mapped(before[picked], change))
+    assert torch.equal(changed.sh0[~picked], splats.sh0[~picked])
+    assert torch.equal(changed.shN[~picked], splats.shN[~picked])
 
 
 def test_a_painting_leaves_its_own_colors_alone():

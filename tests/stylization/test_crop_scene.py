@@ -7,10 +7,9 @@ import torch
 from balls import CAMERAS, FAST, ball, same
 from balls import STRIPED_SCENE as SCENE
 from stylesplat.rendering.render import rasterize
-from stylesplat.stylization import crop_scene as cutting
-from stylesplat.stylization.crop_scene import crop_scene
+from stylesplat.stylization import paint as cutting
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.paint import paint_context, paint_objects
+from stylesplat.stylization.paint import crop_scene, paint_context, paint_objects
 from stylesplat.stylization.target import PaintContext, PaintTarget
 
 BALL = ball(0)

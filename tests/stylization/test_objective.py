@@ -60,8 +60,8 @@ def extra(
 ) -> float:
     """What is added to the style's part."""
     (target,) = objective.targets([view], SCENE, begun)
-    found = objective(target, splats)
-    return float(found.total - found.style)
+    style, total = objective(target, splats)
+    return float(total - style)
 
 
 def optimised(objective: Objective, views: list[ObjectView], **settings: float) -> torch.Tensor:
@@ -100,10 +100,10 @@ def test_content_and_form_compare_with_the_highlights_that_were_there(
     content = with_settings(objective, content=1.0, form=1.0)
     matte = replace(SCENE, shN=torch.zeros_like(SCENE.shN))
     for target in content.targets(views, SCENE, None):
-        free = content(target, matte)
-        fixed = content(replace(target, view=with_fixed_bands([target.view], matte)[0]), matte)
-        assert float(fixed.total) == pytest.approx(float(free.total), rel=1e-3)
-        assert free.total > free.style + 1e-4
+        style, free = content(target, matte)
+        _, fixed = content(replace(target, view=with_fixed_bands([target.view], matte)[0]), matte)
+        assert float(fixed) == pytest.approx(float(free), rel=1e-3)
+        assert free > style + 1e-4
 
 
 def test_large_shapes_stay_and_detail_is_free(objective: Objective, views: list[ObjectView]):
@@ -120,8 +120,8 @@ def test_large_shapes_stay_and_detail_is_free(objective: Objective, views: list[
     def change(shown: torch.Tensor) -> float:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(ObjectView, "render", lambda *_: shown)
-            found = objective(target, SCENE)
-        return float(found.total - found.style)
+            style, total = objective(target, SCENE)
+        return float(total - style)
 
     everywhere = change(image + 0.1)
     assert change(image + fine) < 0.2 * everywhere, "but for the contour"
@@ -155,7 +155,7 @@ def test_linear_views_give_the_object_the_gradient_of_rendering_and_others_none(
         view = views_within(memory, network)[0]
         (target,) = full.targets([view], recolored(), recolored(3))
         leaf = SCENE.sh0.clone().requires_grad_()
-        full(target, replace(SCENE, sh0=leaf)).total.backward()
+        full(target, replace(SCENE, sh0=leaf))[1].backward()
         assert leaf.grad is not None
         gradients.append(leaf.grad)
     linear, rendered = gradients

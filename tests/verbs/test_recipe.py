@@ -115,7 +115,7 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         ("objects: {vase: wave.jpg}", "vase must be KEY: VALUE. Write vase: {style: IMAGE}."),
         ("objects: {vase: {style: lost.jpg}}", "lost.jpg. Paths are relative to the recipe's"),
         ("objects: {}", "it names no objects. Add `objects:`"),
-        ("objects: [{style: wave.jpg}]", "'' is no name"),
+        ("objects: [{style: wave.jpg}]", "a name must not be empty"),
         ("steps: 3\nobjects:\n  vase: [", "line 3 is no valid YAML: "),
         (
             "objects:\n  vase: {style: wave.jpg}\n  pear: {style: wave.jpg}\n"

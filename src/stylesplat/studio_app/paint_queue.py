@@ -25,6 +25,7 @@ from stylesplat.studio_app.session import Display, Session, Stopped
 from stylesplat.stylization.colors import color_map, map_colors
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
+from stylesplat.stylization.style_image import all_colors
 from stylesplat.verbs.stylize_live import Live, stylize_live
 
 SHOW_EVERY = 0.4  # seconds between two pictures of a painting
@@ -207,10 +208,9 @@ def preview_colors(
     """The colours of pictures on an object: a preview of its painting."""
     rows = solid(splats, picked)
     source = rgb_from_sh0(splats.sh0[rows, 0]).clamp(0, 1)
-    pixels = torch.cat([picture.reshape(-1, 3) for picture in pictures])
+    pixels = all_colors(pictures)
     pixels = pixels[:: -(-len(pixels) // SAMPLE)]
-    matrix, offset = color_map(source, pixels.to(source))
-    return map_colors(splats, picked, matrix, offset)
+    return map_colors(splats, picked, color_map(source, pixels.to(source)))
 
 
 def seconds_left(

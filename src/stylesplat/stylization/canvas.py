@@ -66,7 +66,7 @@ class Canvas:
     before: Splats
     """The scene without discs, whose detail they blur."""
     own: Bool[Tensor, " B"]
-    """The object's Gaussians in it."""
+    """The object's Gaussians there."""
     splats: Splats
     """The discs follow all other Gaussians."""
     parents: Int[Tensor, " N"]
@@ -81,7 +81,6 @@ class Canvas:
 
     @property
     def is_disc(self) -> Bool[Tensor, " N"]:
-        """Which of its Gaussians are discs."""
         return torch.arange(len(self.parents), device=self.parents.device) >= len(self.own)
 
     @property
@@ -97,7 +96,6 @@ class Canvas:
         return replace(self.splats, opacities=opacities)
 
     def changed(self, **tensors: Tensor) -> "Canvas":
-        """The canvas with other tensors of its splats."""
         return replace(self, splats=replace(self.splats, **tensors))
 
     def select(self, kept: Bool[Tensor, " N"]) -> "Canvas":
@@ -105,7 +103,6 @@ class Canvas:
         return replace(self, splats=self.splats[kept], parents=self.parents[kept])
 
     def to(self, device: torch.device | str) -> "Canvas":
-        """The same canvas on another device."""
         rest = {"own": self.own.to(device), "parents": self.parents.to(device)}
         return replace(self, before=self.before.to(device), splats=self.splats.to(device), **rest)
 
@@ -122,9 +119,8 @@ def lay_canvas(
 ) -> Canvas | None:
     """Lay a canvas on an object of a scene on the CPU, and fade the Gaussians under it.
 
-    The discs are fine enough for views in which the object is so many pixels long. The canvas is
-    not fitted yet (`fit_canvas`), and may show beside the object (`confine_canvas`). Returns None
-    if the object has no surface, as smoke has none.
+    The discs are fine enough for views in which the object is so many pixels long. Next come
+    `fit_canvas` and `confine_canvas`. Returns None if the object has no surface, as smoke has none.
     """
     *surface, pixel = find_surface(splats, mask, boxes)
     if len(surface[0]) < FEW:
@@ -155,7 +151,7 @@ def lay_canvas(
 
 
 def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
-    """Rotations that turn the z axis to the normals."""
+    """Rotations of the z axis to the normals."""
     x, y, z = normals.unbind(1)
     quats = torch.stack([1 + z, -y, x, torch.zeros_like(z)], dim=1)
     quats[z < -0.999] = quats.new_tensor([0.0, 1.0, 0.0, 0.0])

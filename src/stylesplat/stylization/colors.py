@@ -1,9 +1,9 @@
-"""Colours of an object: its initial colours, transfer by mean and covariance, and the palette."""
+"""Colours of an object: initial ones, transfer, the palette; recolouring in closed form."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 
 import torch
 from jaxtyping import Bool, Float
@@ -11,7 +11,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.metrics.lab import LUMA, distinct, lab_from_rgb, nearest_colors, thinned
-from stylesplat.scene.splats import SH_C0, Splats, map_bands, sh0_from_rgb
+from stylesplat.rendering.render import render
+from stylesplat.rendering.shares import COVERED
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.sampling import evenly
+from stylesplat.scene.splats import SH_C0, Splats, map_bands, rgb_from_sh0, sh0_from_rgb
+from stylesplat.stylization.config import RecolorConfig, parse_color
+from stylesplat.stylization.style_image import read_style, resize
 from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_bands
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
@@ -30,6 +36,13 @@ ROUNDS = 4  # of `project_to_palette`; further ones hardly change anything
 STRIDE = 1.5  # of its steps: more than 1 is sooner there, from 2 on it would diverge
 DARKEST = 1e-4  # of 1: above the clamp at black, which has no gradient, far below a level
 FAINT = 0.05  # of the median weight: Gaussians that show less move accordingly less
+# W3C, Filter Effects 1, hueRotate: what the sine of the angle is multiplied by
+HUE_SINE = ((-0.213, -0.715, 0.928), (0.143, 0.140, -0.283), (-0.787, 0.715, 0.072))
+WARMTH = 0.25  # logarithm of red's factor, and of 1 / blue's, at temperature 1
+STEEPEST = 2.0  # times the shading of a dark object: more shows its noise
+DARK = 1e-3  # luma to divide by
+VIEWS, LONGER_SIDE = 4, 160  # of renders that show the colours of an object
+PICTURE_SIDE = 256.0  # pixels of the picture whose colours are matched
 
 
 @torch.no_grad()
@@ -40,8 +53,7 @@ def transfer_colors(
     views: Sequence[ObjectView],
 ) -> Splats:
     """Map an object's colours so that its pixels have the style's mean and covariance."""
-    matrix, offset = color_map(object_colors(splats, views), style)
-    return map_colors(splats, mask, matrix, offset)
+    return map_colors(splats, mask, color_map(object_colors(splats, views), style))
 
 
 @torch.no_grad()
@@ -68,34 +80,29 @@ def vary_colors(splats: Splats, mask: Bool[Tensor, " N"], *, seed: int) -> Splat
     return splats.with_rows(rows, {"sh0": varied})
 
 
-def color_map(
-    source: Float[Tensor, "P 3"], target: Float[Tensor, "Q 3"]
-) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
+def color_map(source: Float[Tensor, "P 3"], target: Float[Tensor, "Q 3"]) -> Float[Tensor, "3 4"]:
     """The affine map that takes one set of colours to another's mean and covariance.
 
     Of all such maps it moves the colours least (Pitie & Kokaram 2007, "The linear
-    Monge-Kantorovitch linear colour mapping").
-
-    Returns:
-        `matrix` and `offset` of `matrix @ color + offset`.
+    Monge-Kantorovitch linear colour mapping"). The fourth column is the offset.
     """
     noise = NOISE * torch.eye(3).to(source)
     root = _matrix_sqrt(source.T.cov(correction=0) + noise)
     inverse = torch.linalg.inv(root)
     wanted = target.T.cov(correction=0) + noise
     matrix = inverse @ _matrix_sqrt(root @ wanted @ root) @ inverse
-    return matrix, target.mean(dim=0) - matrix @ source.mean(dim=0)
+    offset = target.mean(dim=0) - matrix @ source.mean(dim=0)
+    return torch.cat([matrix, offset[:, None]], dim=1)
 
 
-def map_colors(
-    splats: Splats,
-    mask: Bool[Tensor, " N"],
-    matrix: Float[Tensor, "3 3"],
-    offset: Float[Tensor, " 3"],
-) -> Splats:
+def mapped(colors: Float[Tensor, "*P 3"], color_map: Float[Tensor, "3 4"]) -> Float[Tensor, "*P 3"]:
+    """Colours after an affine map."""
+    return colors @ color_map[:, :3].T + color_map[:, 3]
+
+
+def map_colors(splats: Splats, mask: Bool[Tensor, " N"], color_map: Float[Tensor, "3 4"]) -> Splats:
     """Apply an affine map to the colours of some Gaussians, in all bands."""
     rows = mask.nonzero()[:, 0]
-    color_map = torch.cat([matrix, offset[:, None]], dim=1)
     sh0, shN = map_bands(splats.sh0[rows], splats.shN[rows], color_map)
     return splats.with_rows(rows, {"sh0": sh0, "shN": shN})
 
@@ -116,8 +123,7 @@ def remove_pattern(
     """Remove a share of the object's own pattern, all that is smaller than `PATTERN` of it.
 
     With it goes a part of the shading, so that strokes and form have room between the style's
-    darkest colour and its brightest on either side of the object. The length is the object's
-    longer side in views of all of it, in pixels.
+    darkest colour and its brightest. The views show the whole object, so many pixels long.
     """
     if share == 0:
         return splats
@@ -128,7 +134,6 @@ def remove_pattern(
 
 
 def add_luminance(splats: Splats, luminance: Float[Tensor, " N"]) -> Splats:
-    """Make Gaussians brighter by luminance in 0..1 units, or darker."""
     return replace(splats, sh0=splats.sh0 + luminance[:, None, None] / SH_C0)
 
 
@@ -225,11 +230,9 @@ def project_to_palette(
 ) -> Splats:
     """Move an object's colours until its pixels are near the palette.
 
-    Of Gaussians that lie beneath the strokes the colours themselves are near it: where they show
-    a little, other views may show them bare.
-
-    Each round backprojects every pixel's offset to the Gaussians by their weights, and averages
-    (simultaneous algebraic reconstruction, Gilbert 1972).
+    Of Gaussians beneath the strokes the colours themselves are near it: other views may show them
+    bare. Each round backprojects every pixel's offset to the Gaussians by their weights, and
+    averages (simultaneous algebraic reconstruction, Gilbert 1972).
     """
     views = with_fixed_bands(views, splats)
     weights = total_weights(views, splats, mask)
@@ -250,3 +253,54 @@ def project_to_palette(
         colors = (colors + STRIDE * offsets).minimum(brightest)
         colors = torch.where(beneath[rows, None], colors + palette.offset(colors), colors)
     return splats.with_rows(rows, {"sh0": sh0_from_rgb(colors.clamp(min=0))[:, None]})
+
+
+@torch.no_grad()
+def recolor_map(
+    config: RecolorConfig, splats: Splats, mask: Bool[Tensor, " N"], cameras: Cameras
+) -> Float[Tensor, "3 4"]:
+    """The affine map of a recolouring; matching and tinting depend on the colours of the object."""
+    luma, one = torch.tensor(LUMA), torch.eye(3)
+    grey = torch.ones(3, 1) * luma  # [3, 3], shows the luma of a colour
+    steps = []
+    if config.match is not None or config.tint is not None:
+        own = _shown_colors(splats, mask, cameras)
+        if config.match is not None:
+            picture = resize(read_style(config.match), PICTURE_SIDE)
+            steps.append(color_map(own, picture.reshape(-1, 3)))
+            own = mapped(own, steps[0])
+        if config.tint is not None:
+            steps.append(_tint(torch.tensor(parse_color(config.tint)), own.mean(dim=0)))
+    sine, cosine = math.sin(math.radians(config.hue)), math.cos(math.radians(config.hue))
+    gains = torch.tensor([WARMTH, 0.0, -WARMTH]).mul(config.temperature).exp()
+    matrices = [
+        grey + cosine * (one - grey) + sine * torch.tensor(HUE_SINE),
+        grey + config.saturation * (one - grey),
+        torch.diag(gains / (gains @ luma)),
+        config.brightness * one,
+    ]
+    steps += [F.pad(matrix, (0, 1)) for matrix in matrices]
+    steps.append(F.pad(config.contrast * one, (0, 1), value=(1 - config.contrast) / 2))
+    last_row = torch.tensor([[0.0, 0.0, 0.0, 1.0]])
+    return reduce(lambda a, b: b @ torch.cat([a, last_row]), steps)
+
+
+def _tint(color: Float[Tensor, " 3"], mean: Float[Tensor, " 3"]) -> Float[Tensor, "3 4"]:
+    """The map that takes the mean to a colour, and what is lighter or darker to shades of it."""
+    luma = torch.tensor(LUMA)
+    shade = color / (color @ luma).clamp(min=DARK)  # of luma 1
+    steepness = ((color @ luma) / (mean @ luma).clamp(min=DARK)).clamp(max=STEEPEST)
+    matrix = steepness * shade[:, None] * luma
+    return torch.cat([matrix, (color - matrix @ mean)[:, None]], dim=1)
+
+
+def _shown_colors(
+    splats: Splats, mask: Bool[Tensor, " N"], cameras: Cameras
+) -> Float[Tensor, "P 3"]:
+    """The colours of an object alone in a few views; where none shows it, its Gaussians'."""
+    own, shown = splats[mask.nonzero()[:, 0]], []
+    for row in evenly(range(len(cameras)), VIEWS):
+        image, alphas = render(own, cameras[row].at_most(LONGER_SIDE))
+        shown.append((image / alphas)[alphas[..., 0] > COVERED])
+    colors = torch.cat(shown)
+    return (colors if len(colors) else rgb_from_sh0(own.sh0[:, 0])).clamp(0, 1)

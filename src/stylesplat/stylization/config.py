@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -97,6 +97,13 @@ PLANS: dict[Quality, tuple[_Row, ...]] = {
 }
 
 
+def _check_limits(config: Any, verb: str, limits: Mapping[str, tuple[Any, Any]]) -> None:
+    for name, (least, most) in limits.items():
+        value = getattr(config, name)
+        if value is not None and not least <= value <= most:
+            raise StyleSplatError(f"Cannot {verb} with {name} {value}: use {least:,} to {most:,}.")
+
+
 @dataclass(frozen=True)
 class StyleConfig:
     """How to repaint an object."""
@@ -136,12 +143,7 @@ class StyleConfig:
     full, at the photos' size, in a quarter of the views, at a constant rate."""
 
     def __post_init__(self) -> None:
-        for name, (least, most) in LIMITS.items():
-            value = getattr(self, name)
-            if value is not None and not least <= value <= most:
-                raise StyleSplatError(
-                    f"Cannot stylise with {name} {value}: use {least:,} to {most:,}."
-                )
+        _check_limits(self, "stylise", LIMITS)
         if not self.layers or not set(self.layers) <= set(LAYERS):
             raise StyleSplatError(
                 f"Cannot match the layer groups {list(self.layers)}: name some of 1 to 4."
@@ -162,12 +164,9 @@ class StyleConfig:
         return 1 - min(self.content, 1.0)
 
     def max_discs(self, gaussians: int) -> int:
-        """How many discs a canvas may have.
+        """How many discs a canvas may have on an object of so many Gaussians.
 
         Smooth objects have few Gaussians and need more discs than a multiple of these.
-
-        Args:
-            gaussians: How many the object has.
         """
         if self.quality == "draft" or self.published:
             return 0
@@ -218,8 +217,7 @@ PRESETS = {
 NETWORKS: dict[str, Network] = {"default": DEFAULT_NETWORK, "paper": "vgg16"}
 """The network of each preset."""
 
-SETTINGS = {field.name: get_type_hints(StyleConfig)[field.name] for field in fields(StyleConfig)}
-"""The names and types of all settings."""
+SETTINGS = get_type_hints(StyleConfig)
 
 
 def plain_settings(config: StyleConfig) -> dict[str, Any]:
@@ -228,20 +226,12 @@ def plain_settings(config: StyleConfig) -> dict[str, Any]:
 
 
 def with_settings(config: StyleConfig, settings: Mapping[str, Any]) -> StyleConfig:
-    """Change some settings; see `convert_settings`.
-
-    Raises:
-        StyleSplatError: If there is no such setting, or it is out of range.
-    """
+    """Change some settings; see `convert_settings`."""
     return replace(config, **convert_settings(settings, SETTINGS)) if settings else config
 
 
 def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the values of an entry to their types: lists to tuples, 2 to 2.0.
-
-    Raises:
-        StyleSplatError: If a key has no hint, or a value does not fit its own.
-    """
+    """Convert the values of an entry to their types: lists to tuples, 2 to 2.0."""
     fit = {}
     for key, value in entry.items():
         if key not in hints:
@@ -252,9 +242,11 @@ def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict
             fit[key] = msgspec.convert(value, hints[key])
         except msgspec.ValidationError as error:
             shown = brief(json.dumps(value, ensure_ascii=False, default=str))
-            parts = (hints[key], *get_args(hints[key]))
             choices = [
-                word for each in parts if get_origin(each) is Literal for word in get_args(each)
+                word
+                for each in (hints[key], *get_args(hints[key]))
+                for word in get_args(each)
+                if get_origin(each) is Literal
             ]
             remedy = f" Use {' or '.join(choices)}." if choices else ""
             raise StyleSplatError(f"{key} cannot be {shown}: {error}.{remedy}") from error
@@ -281,11 +273,7 @@ class RecolorConfig:
     """Factor on their distance from mid-grey, 0 to 4."""
 
     def __post_init__(self) -> None:
-        for name, (least, most) in RECOLOR_LIMITS.items():
-            if not least <= getattr(self, name) <= most:
-                raise StyleSplatError(
-                    f"Cannot recolor with {name} {getattr(self, name)}: use {least} to {most}."
-                )
+        _check_limits(self, "recolor", RECOLOR_LIMITS)
         if self.tint is not None:
             parse_color(self.tint)
 
@@ -295,17 +283,10 @@ class RecolorConfig:
         return {k: v for k, v in asdict(self).items() if v != getattr(RecolorConfig, k)}
 
 
-RECOLOR_SETTINGS = get_type_hints(RecolorConfig)
-
-
 def recolor_config(settings: Mapping[str, Any]) -> RecolorConfig:
-    """The settings of a recolouring, which are not all the defaults.
-
-    Raises:
-        StyleSplatError: If there is no such setting, one is out of range, or none changes anything.
-    """
+    """The settings of a recolouring, which are not all the defaults."""
     settings = {name: str(v) if isinstance(v, Path) else v for name, v in settings.items()}
-    config = RecolorConfig(**convert_settings(settings, RECOLOR_SETTINGS))
+    config = RecolorConfig(**convert_settings(settings, get_type_hints(RecolorConfig)))
     if not config.changed:
         raise StyleSplatError(
             "Nothing to recolor. Pass a --hue, --saturation, --brightness, --contrast, "
@@ -315,7 +296,7 @@ def recolor_config(settings: Mapping[str, Any]) -> RecolorConfig:
 
 
 def parse_color(text: str) -> tuple[float, ...]:
-    """The colour of `#rrggbb` or a name, in 0..1."""
+    """The red, green and blue of `#rrggbb` or a name, in 0..1."""
     try:
         return tuple(level / 255 for level in ImageColor.getrgb(text)[:3])
     except ValueError:

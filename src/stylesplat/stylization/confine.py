@@ -1,4 +1,4 @@
-"""Confining a canvas to its object: discs show only where something of the object showed."""
+"""Discs turned along the strokes of the paint, and confined to where the object showed."""
 
 import math
 from collections.abc import Sequence
@@ -6,10 +6,13 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 from torch import Tensor
 
+from stylesplat.metrics.lab import LUMA
 from stylesplat.rendering.linear import contributions
+from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.shares import COVERED, coverage, without_looks
 from stylesplat.rendering.visibility import pixel_bounds, touching
 from stylesplat.scene.cameras import Cameras
@@ -17,7 +20,6 @@ from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, fade_hidden, fill_holes
-from stylesplat.stylization.strokes import align_to_strokes
 from stylesplat.stylization.surface import full_coverage
 from stylesplat.stylization.views import Box, per_view
 
@@ -28,6 +30,11 @@ MARGIN = 16  # pixels around what the object may reach in them
 FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
 EDGE = 2  # pixels around what is covered that are its edge
 SMALLER = 0.6  # factor on the size of a disc that shows beside the object
+NEIGHBOURS = 32  # discs that gradients and structure tensors are averaged over
+GRADIENT_WIDTH = 1.5  # deviation of the weights of a gradient's fit, in distances between discs
+TENSOR_WIDTH = 2.5  # and of the average of structure tensors
+RIDGE = 1e-3  # of the fit, for discs whose neighbours lie on a line
+LONG, NARROW = 1.8, 0.6  # factors on scales along and across a stroke; 2.5 spikes the silhouette
 SHINES = 0.1  # pixels of a disc that shine through what is protected, if that lies before it
 
 # One camera, the pixels [H, W] in which no disc may show, and the pixels of each that may
@@ -46,14 +53,9 @@ def confine_canvas(
 ) -> tuple[Canvas, Bool[Tensor, " M"]]:
     """Turn the discs of a canvas along the strokes, and let none show beside the object.
 
-    Discs that show beside it become smaller; those that still do are removed.
-
-    Args:
-        canvas: What was laid, on the CPU.
-        boxes: Where the object is seen.
-        cameras: Views in which nothing may show beside it.
-        painted: The canvas in the colours of the strokes; None leaves the discs round.
-        protected: Gaussians of the scene before that no disc may show on.
+    Discs that show beside it in a camera become smaller; those that still do are removed. Without
+    the canvas painted in the colours of the strokes, discs stay round. All is on the CPU. Nor
+    may discs show on what is protected of the Gaussians before.
 
     Returns:
         The canvas, and which of its Gaussians are left.
@@ -149,7 +151,73 @@ def _overflow(
     return torch.cat([NO_ROWS, *found]).unique(), uncovered
 
 
-@torch.no_grad()
 def reached_pixels(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
     """The pixels in which some Gaussians would show if there were no others."""
     return full_coverage(without_looks(splats), camera) > 0
+
+
+@torch.no_grad()
+def align_to_strokes(splats: Splats, discs: Bool[Tensor, " N"], distance: float) -> Splats:
+    """Turn discs along the strokes painted so far, and stretch them.
+
+    In each disc's tangent plane the structure tensor of the painted luminance gives the direction
+    (the eigenvector of its smaller eigenvalue) and how coherent it is (Weickert 1999). The third
+    axis of a disc is its normal, the distance that between neighbouring discs.
+    """
+    rows = discs.nonzero()[:, 0]
+    means, axes = splats.means[rows], rotation_matrices(splats.quats[rows])
+    tangents, normals = axes[:, :, :2], axes[:, :, 2]
+    points = means.double().numpy()
+    far, near = KDTree(points).query(points, k=min(NEIGHBOURS, len(rows)), workers=-1)
+    far = torch.from_numpy(far).to(means).view(len(rows), -1) / distance
+    near = torch.from_numpy(near).view(len(rows), -1)
+    same_side = (normals[near] * normals[:, None]).sum(dim=2).clamp(min=0)  # [D, k]
+
+    def weights(width: float) -> Tensor:
+        return same_side * (-(far / width).square() / 2).exp()
+
+    luma = splats.sh0[rows, 0] @ splats.sh0.new_tensor(LUMA)
+    gradients = _gradients(means / distance, tangents, luma, near, weights(GRADIENT_WIDTH))
+    averaged, tensors = weights(TENSOR_WIDTH), means.new_zeros(len(rows), 2, 2)
+    for column in range(near.shape[1]):
+        local = torch.einsum("dij,di->dj", tangents, gradients[near[:, column]])
+        tensors += averaged[:, column, None, None] * local[:, :, None] * local[:, None]
+    values, vectors = torch.linalg.eigh(tensors)  # ascending
+    along = vectors[:, :, 0]
+    coherence = (values[:, 1] - values[:, 0]) / values.sum(dim=1).clamp(min=1e-12)
+    half = torch.atan2(along[:, 1], along[:, 0]) / 2
+    stretch = 1 + torch.stack(
+        [(LONG - 1) * coherence, (NARROW - 1) * coherence, 0 * coherence], dim=1
+    )
+    turned = {
+        "quats": _turned_in_plane(splats.quats[rows], half.cos(), half.sin()),
+        "scales": splats.scales[rows] + stretch.log(),
+    }
+    return splats.with_rows(rows, turned)
+
+
+def _gradients(
+    points: Float[Tensor, "D 3"],
+    tangents: Float[Tensor, "D 3 2"],
+    values: Float[Tensor, " D"],
+    near: Tensor,
+    weights: Float[Tensor, "D k"],
+) -> Float[Tensor, "D 3"]:
+    """Gradients along the surface, by a weighted fit of a plane to each point's neighbours."""
+    total = weights.sum(dim=1, keepdim=True).clamp(min=1e-9)
+    offsets = torch.einsum("dki,dij->dkj", points[near] - points[:, None], tangents)
+    offsets = offsets - ((weights[..., None] * offsets).sum(dim=1) / total)[:, None]
+    changes = values[near] - (weights * values[near]).sum(dim=1, keepdim=True) / total
+    normal = torch.einsum("dk,dki,dkj->dij", weights, offsets, offsets)
+    right = torch.einsum("dk,dki,dk->di", weights, offsets, changes)
+    fitted = torch.linalg.solve(normal + RIDGE * torch.eye(2).to(points), right)
+    return torch.einsum("dij,dj->di", tangents, fitted)
+
+
+def _turned_in_plane(
+    quats: Float[Tensor, "D 4"], cos: Float[Tensor, " D"], sin: Float[Tensor, " D"]
+) -> Float[Tensor, "D 4"]:
+    """Rotations after one about their own third axis, by twice the angle of `cos` and `sin`."""
+    w, x, y, z = quats.unbind(1)
+    turned = [w * cos - z * sin, x * cos + y * sin, y * cos - x * sin, z * cos + w * sin]
+    return torch.stack(turned, dim=1)

@@ -7,8 +7,9 @@ luminance. What differs in hue alone, as hair and skin of a doll do, becomes lum
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -36,8 +37,7 @@ ROUNDS = 6  # of `form_relief`: with 1 eyes are blurred, 12 show no more
 RARE = 0.05  # share of an object: less form than that counts less
 
 
-@dataclass(frozen=True)
-class FormSurvey:
+class FormSurvey(NamedTuple):
     """The detail of an object in all views, by bands of size."""
 
     energies: Sequence[float]
@@ -48,16 +48,15 @@ class FormSurvey:
     """The object's main contrast besides luminance; see `main_hue`."""
 
 
-@dataclass(frozen=True)
-class Form:
-    """The form that one view shows, by bands of size."""
+class FormBand(NamedTuple):
+    """The form that one view shows in a band of sizes."""
 
-    details: Sequence[Float[Tensor, "H W"]]
+    detail: Float[Tensor, "H W"]
     """Luminance that stands out, in 0..1 units."""
-    weights: Sequence[Float[Tensor, "H W"]]
+    weight: Float[Tensor, "H W"]
     """How much each pixel counts."""
-    shares: Sequence[float]
-    """How much each band counts."""
+    share: float
+    """How much the band counts."""
 
 
 @torch.no_grad()
@@ -90,10 +89,7 @@ def object_detail(
     length: float,
     hue: Float[Tensor, " 3"],
 ) -> list[Float[Tensor, "H W"]]:
-    """The detail of an unpainted object, by bands, as luminance.
-
-    Hues become lighter or darker, whatever adds to the contrast in luminance around a place.
-    """
+    """The detail of an unpainted object, by bands, as luminance, to whose contrast hues add."""
     near = NEAR * length
     lumas = detail_bands(image @ luma_weights(image.device, image.dtype), mask, length)
     hues = detail_bands(CHROMA * (image @ hue.to(image)), mask, length)
@@ -107,21 +103,23 @@ def object_detail(
 @torch.no_grad()
 def measure_form(
     image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float, survey: FormSurvey
-) -> Form:
+) -> list[FormBand]:
     """Find the form in a view of the unpainted object, which is so many pixels long."""
-    details, weights = [], []
+    found = []
     bands = object_detail(image, mask, length, survey.hue)
-    for band, typical in zip(bands, survey.energies, strict=True):
+    for band, typical, share in zip(bands, survey.energies, survey.shares, strict=True):
         energy = smooth(band.square(), mask, ENERGY_DEVIATION * length)
         least = SALIENT * typical + FAINT**2
         weight = (1 - least / energy.clamp(min=least)) * mask
-        details.append(weight * band)
-        weights.append(weight)
-    return Form(details, weights, survey.shares)
+        found.append(FormBand(weight * band, weight, share))
+    return found
 
 
 def form_distance(
-    image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float, form: Form
+    image: Float[Tensor, "H W 3"],
+    mask: Bool[Tensor, "H W"],
+    length: float,
+    form: Sequence[FormBand],
 ) -> Float[Tensor, ""]:
     """1 minus the local correlation of a painted view's luminance with the form, over bands.
 
@@ -131,9 +129,7 @@ def form_distance(
     total, near = image.new_zeros(()), NEAR * length
     faint = _faint_energy(near)
     bands = detail_bands(image @ luma_weights(image.device, image.dtype), mask, length)
-    for band, detail, weight, share in zip(
-        bands, form.details, form.weights, form.shares, strict=True
-    ):
+    for band, (detail, weight, share) in zip(bands, form, strict=True):
         norms = blur(band.square(), near) * blur(detail.square(), near)
         correlation = blur(band * detail, near) / (norms + faint**2).sqrt()
         total = total + share * (weight * (1 - correlation)).sum() / (weight + RARE * mask).sum()
@@ -154,14 +150,11 @@ def form_relief(
     length: float,
     survey: FormSurvey,
 ) -> Float[Tensor, "N 2"]:
-    """The form of an object as luminance that each of its Gaussians adds, by bands.
+    """The form of an object as luminance that each of its Gaussians adds, by bands, in -1..1.
 
     Adding it to painted colours, or taking it away, changes the form in closed form. It is the
     luminance whose renders are nearest to the form in all views (simultaneous algebraic
-    reconstruction, Gilbert 1972).
-
-    The views show the whole object, so many pixels long. Values are in -1..1, and 0 for Gaussians
-    that are not the object's or hardly show.
+    reconstruction, Gilbert 1972). The views show the whole object, so many pixels long.
     """
     hidden = mask[:, None, None]
     flat = replace(splats, sh0=splats.sh0.masked_fill(hidden, 0), shN=splats.shN * ~hidden)
@@ -169,9 +162,8 @@ def form_relief(
     weights, targets = torch.zeros_like(splats.opacities), []
     for view in views:
         form = measure_form(rasterize(before, view.camera)[0][0], view.pixels, length, survey)
-        pairs = zip(form.details, form.shares, strict=True)
         own = view.pixels.to(splats.means)
-        target = torch.stack([*(share * detail for detail, share in pairs), own], dim=2)
+        target = torch.stack([*(band.share * band.detail for band in form), own], dim=2)
         weights += view.backproject(flat, target)[:, 0, 2]
         targets.append((view, (target + view.render(flat))[..., :2], own[..., None]))
     visible, relief = mask & (weights > HIDDEN), splats.means.new_zeros(len(splats), 2)

@@ -32,15 +32,8 @@ def nnfm_loss(
 ) -> Float[Tensor, ""]:
     """Mean cosine distance from each feature to its nearest style feature, searched exhaustively.
 
-    The matches are constants to the gradient, as in ARF.
-
-    Args:
-        feats: VGG features of the render, one row per pixel.
-        style_feats: VGG features of the style image.
-
-    Returns:
-        The loss (ARF, Zhang et al. 2022); 0 if every match is exact. The formula printed in the
-        StyleSplat paper lacks the "1 -".
+    The matches are constants to the gradient (ARF, Zhang et al. 2022). The formula printed in the
+    StyleSplat paper lacks the "1 -".
     """
     matches = most_similar(feats, F.normalize(style_feats, dim=1))
     return cosine_distance(feats, style_feats[matches])

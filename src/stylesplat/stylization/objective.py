@@ -13,7 +13,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.colors import Palette
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.form import Form, FormSurvey, form_distance, measure_form
+from stylesplat.stylization.form import FormBand, FormSurvey, form_distance, measure_form
 from stylesplat.stylization.matching import StyleIndex, cosine_distance
 from stylesplat.stylization.views import ObjectView, per_view
 
@@ -26,29 +26,18 @@ SIDE = 4  # pixels of a view that make one in which large shapes are compared
 
 
 @dataclass(frozen=True)
-class Losses:
-    """The parts of the objective in one view."""
-
-    style: Float[Tensor, ""]
-    """NNFM over the object's own features, averaged over the layer groups."""
-    total: Float[Tensor, ""]
-    """With the weighted form, content, large shapes and distance from the palette."""
-
-
-@dataclass(frozen=True)
 class ViewTarget:
-    """A view to paint in, and what the paint is compared with there."""
+    """A view to paint in, and what the paint is compared with there; None leaves it free."""
 
     view: ObjectView
-    """Cut to the object."""
     cells: Sequence[tuple[Int[Tensor, " _"], ...]]
     """The rows and columns of the features that are the object's, for each layer group."""
-    form: Form | None = None
-    """The unpainted object's form; None leaves it free."""
+    form: Sequence[FormBand] | None = None
+    """That of the unpainted object."""
     content: Sequence[Float[Tensor, "_ _"]] | None = None
-    """The unpainted object's features, by layer group; None leaves them free."""
+    """The features of the unpainted object, by layer group."""
     shapes: Float[Tensor, "3 h w"] | None = None
-    """The large shapes of the paint so far; None leaves them free."""
+    """The large shapes of the paint so far."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +45,6 @@ class Objective:
     """The losses of one object and style."""
 
     network: FeatureNetwork
-    """Whose features are matched."""
     styles: Sequence[StyleIndex]
     """The features of the style, for each layer group."""
     config: StyleConfig
@@ -64,7 +52,6 @@ class Objective:
     length: float
     """The whole object's longer side in the views, in pixels."""
     form: FormSurvey
-    """What tells the object's form from its pattern."""
     palette: Palette | None = None
     """The colours to stay near to; None leaves them free."""
 
@@ -92,8 +79,14 @@ class Objective:
 
         return [*per_view(look, views, "measuring the form", original.device)]
 
-    def __call__(self, target: ViewTarget, splats: Splats) -> Losses:
-        """The losses of splats in one view."""
+    def __call__(
+        self, target: ViewTarget, splats: Splats
+    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+        """NNFM of splats in one view, and all losses together.
+
+        NNFM is that of the object's own features, averaged over the layer groups. Form, content,
+        large shapes and the distance from the palette are added to it.
+        """
         view = target.view
         image = view.render(splats)
         feats = self._features(image, target.cells)
@@ -118,7 +111,7 @@ class Objective:
             # both hold 0 outside the object
             change = (_large_shapes(view, image) - target.shapes).square().sum()
             total = total + HOLD * change * SIDE**2 / view.pixels.sum()
-        return Losses(style, total)
+        return style, total
 
     def _features(self, image: Tensor, cells: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
         blocks = self.network(image, self.config.layers)

@@ -23,6 +23,7 @@ from stylesplat.stylization.colors import (
     blur_colors,
     build_palette,
     color_map,
+    mapped,
     object_colors,
     project_to_palette,
     remove_pattern,
@@ -107,7 +108,6 @@ class _Object:
     form: FormSurvey
 
     def on(self, canvas: Canvas) -> "_Object":
-        """The same object on another canvas."""
         context = replace(self.context, splats=canvas.splats)
         target = replace(self.target, mask=canvas.mask)
         return replace(self, context=context, target=target, canvas=canvas)
@@ -186,10 +186,7 @@ def survey_detail(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]
 def _paint(
     object: _Object, stages: Sequence[Stage], *, done: int = 0, steps: int, is_preview: bool = False
 ) -> Iterator[PaintState]:
-    """Paint an object in stages: on a canvas, or for a preview on its own Gaussians.
-
-    Of all the steps some are done before.
-    """
+    """Paint an object in stages: on a canvas, or for a preview on its own Gaussians."""
     config = object.target.config
     if not is_preview:
         object = _lay(object, stages[-1].length)
@@ -313,8 +310,8 @@ def style_pictures(
         styles = [coarsen_style(style, config.scale) for style in styles]
     if own is None:
         return [*styles]
-    matrix, offset = color_map(all_colors(styles), own)
-    return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in styles]
+    to_own = color_map(all_colors(styles), own)
+    return [style.lerp(mapped(style, to_own).clamp(0, 1), share) for style in styles]
 
 
 def stage_objective(
@@ -357,8 +354,7 @@ def optimize_colors(
 ) -> Iterator[tuple[Splats, Float[Tensor, ""]]]:
     """Move the colours of some Gaussians until the object's features match the style's.
 
-    Each step draws one of the targets. The objective's settings are the rates and the seed. Yields
-    the scene after every step, and the style loss before it.
+    Each step draws one of the targets. Yields the scene after every step, and the NNFM before it.
     """
     config = objective.config
     generator = torch.Generator().manual_seed(config.seed)
@@ -379,8 +375,8 @@ def optimize_colors(
     moments = Moments.zeros(leaves)
     for number, target in enumerate(drawn(targets, steps, generator), start=1):
         with torch.enable_grad():  # the caller may have disabled it
-            losses = objective(target, paint.with_rows(rows, leaves))
-            losses.total.backward()
+            nnfm, total = objective(target, paint.with_rows(rows, leaves))
+            total.backward()
         before = leaves["sh0"].detach().clone()
         decay = 1.0 if config.published else FINAL_RATE ** ((number - 1) / steps)
         adam_step(leaves, moments, {name: decay * rates[name] for name in leaves}, number)
@@ -389,16 +385,13 @@ def optimize_colors(
                 leaves["sh0"].copy_(before.lerp(leaves["sh0"], trust).clamp(*limits))
             for leaf in leaves.values():
                 leaf.grad = None
-        yield paint.with_rows(rows, leaves).detach(), losses.style.detach()
+        yield paint.with_rows(rows, leaves).detach(), nnfm.detach()
 
 
 def target_features(
     context: PaintContext, config: StyleConfig, pictures: Sequence[Tensor], length: float
 ) -> list[Tensor]:
-    """The features of all style images together, for each layer group.
-
-    The object is so many pixels long; the pictures' size follows it.
-    """
+    """The features of all style images together, for each layer group, beside an object so long."""
     size = config.scale * length
     generator = torch.Generator().manual_seed(config.seed)
     features = [

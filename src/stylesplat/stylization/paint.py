@@ -4,11 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import cv2
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.progress import task
+from stylesplat.rendering.shares import coverage, without_looks
+from stylesplat.rendering.visibility import LARGE, in_view, visible
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -16,15 +20,17 @@ from stylesplat.scene.compose import compose, family_of
 from stylesplat.scene.layer import Layer, without_identities
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig, plain_settings
-from stylesplat.stylization.crop_scene import crop_scene
+from stylesplat.stylization.confine import reached_pixels
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.optimize import PaintState, paint_steps
 from stylesplat.stylization.style_image import Picture, read_style
 from stylesplat.stylization.target import PaintContext, PaintTarget, check_targets, paint_context
-from stylesplat.stylization.views import Box, find_boxes
+from stylesplat.stylization.views import Box, find_boxes, per_view
 
 LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
+VISIBLE = 0.02  # share of some pixel: an object with less in a view is hidden, but for seams
+MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
 REPORT_EVERY = 10  # steps between two updates of the loss in the progress bar
 
 
@@ -51,8 +57,7 @@ def paint(
         network: The network whose features are matched; the package's own by default.
 
     Raises:
-        StyleSplatError: If the picture is unreadable or too small, or the object has too few
-            Gaussians or is not seen.
+        StyleSplatError: If the picture is unfit, or the object is too small or not seen.
     """
     config = config or StyleConfig()
     cameras = capture.cameras if isinstance(capture, Capture) else capture
@@ -82,12 +87,7 @@ class Painted:
 
 
 def paint_objects(context: PaintContext, targets: Sequence[PaintTarget]) -> Painted:
-    """Repaint several objects one after the other, each on what is painted before.
-
-    Raises:
-        StyleSplatError: If two objects have the same name, an object has too few Gaussians or is
-            not seen, or a style image is too small.
-    """
+    """Repaint several objects one after the other, each on what is painted before."""
     check_targets(targets)
     painted = Painted(context.splats, ())
     for target in targets:
@@ -104,10 +104,8 @@ def paint_layer(
 ) -> tuple[Layer, list[Box]]:
     """Paint an object on what lies beneath its layer.
 
-    The family is the row of the base that each of the Gaussians beneath belongs to.
-
-    Returns:
-        The layer, and the boxes of the object in all views, held-out ones included.
+    The family is the row of the base that each of the Gaussians beneath belongs to. Returns the
+    layer, and the boxes of the object in all views, held-out ones included.
     """
     part, own, rows = crop_scene(context, target)
     state = None
@@ -122,6 +120,55 @@ def paint_layer(
     boxes = [*state.boxes, *find_boxes(part.splats, held_out, own.mask)]
     tidy_heap()  # copies of the whole scene follow
     return layer, boxes
+
+
+@torch.no_grad()
+def crop_scene(
+    context: PaintContext, target: PaintTarget
+) -> tuple[PaintContext, PaintTarget, Int[Tensor, " M"]]:
+    """Crop a large scene to the Gaussians and views that matter to an object.
+
+    Besides the object's Gaussians these are all that would show near it if it were not there: what
+    hides it, and what it hides. In views that hide the object some of these may be missing, so that
+    they are left out. A small scene stays whole, and one of which no view shows the object. The
+    crop's rows of the scene are returned, too.
+    """
+    splats, views = context.splats, [*context.all_cameras]
+    everything = context, target, torch.arange(len(splats), device=splats.device)
+    names = {*context.all_cameras.names}
+    if len(splats) < LARGE or splats.device.type != "cpu" or len(names) < len(views):
+        return everything
+    bare, own = without_looks(splats), target.mask.nonzero()[:, 0]
+    others = replace(bare, opacities=bare.opacities.masked_fill(target.mask, -torch.inf))
+    alone, square = bare[own], np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
+
+    def look(view: Cameras) -> Tensor | None:
+        """The Gaussians that would show near the object; None if it is hidden."""
+        near = reached_pixels(alone, view)
+        if not near.any():
+            return None
+        near = torch.from_numpy(cv2.dilate(near.numpy().astype(np.uint8), square)).bool()
+        rows = visible(in_view(others, view, near), view).rows
+        there = torch.cat([own, rows])
+        shares = coverage(bare[there], view, torch.arange(len(there)) < len(own))
+        return rows if (shares > VISIBLE).any() else None
+
+    kept, shown = target.mask.clone(), set[str]()
+    found = per_view(look, views, "looking around the object")
+    for view, rows in zip(views, found, strict=True):
+        if rows is not None:
+            kept[rows] = True
+            shown.update(view.names)
+    if shown.isdisjoint(context.cameras.names):
+        return everything
+    rows = kept.nonzero()[:, 0]
+    cameras, all_cameras = (
+        each[[n for n, name in enumerate(each.names) if name in shown]]
+        for each in (context.cameras, context.all_cameras)
+    )
+    part = replace(context, splats=splats[rows], cameras=cameras, all_cameras=all_cameras)
+    protected = None if target.protected is None else target.protected[rows]
+    return part, replace(target, mask=target.mask[rows], protected=protected), rows
 
 
 def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) -> Layer:

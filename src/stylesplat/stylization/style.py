@@ -59,10 +59,6 @@ class Style:
             config: All settings; by default those of the preset.
             preset: `default`, or `paper` for the method as published, VGG16 included.
             settings: Fields of `StyleConfig` to change, such as `scale=2`.
-
-        Raises:
-            StyleSplatError: If there is no picture, no such preset or setting, or a setting is
-                out of range.
         """
         if not pictures:
             raise StyleSplatError("A style has at least one picture. Pass a file: Style('a.jpg').")
@@ -78,7 +74,7 @@ class Style:
         return one_line(self, some(Path(title).name for title in titles), *changed)
 
     def read(self) -> tuple[Float[Tensor, "_ _ 3"], ...]:
-        """The pictures, cropped and turned; raises as `read_style` does."""
+        """The pictures, cropped and turned."""
         turned = {"rotate": self.config.rotate, "region": self.config.region}
         return tuple(read_style(picture, **turned) for picture in self.pictures)
 

@@ -36,23 +36,18 @@ Pixels = UInt8[np.ndarray, "_ _ 3"] | Float[np.ndarray, "_ _ 3"]
 def read_style(
     picture: Picture, *, rotate: float = 0.0, region: tuple[int, int, int, int] | None = None
 ) -> Float[Tensor, "_ _ 3"]:
-    """Read a picture to take a style from.
+    """Read a picture to take a style from, as colours in 0..1.
 
     Longer sides than 4096 pixels are scaled down, which the user is told.
 
     Args:
-        picture: A file with one frame, of JPEG, PNG, TIFF, WebP, AVIF, BMP, GIF, PPM or TGA;
-            a material, such as `material:bronze`; or colours.
-        rotate: Degrees counter-clockwise; of what is turned, the largest upright rectangle
-            without empty corners is kept. Multiples of 90 keep every pixel as it is.
+        picture: A file with one frame; a material, such as `material:bronze`; or colours.
+        rotate: Degrees counter-clockwise; of what is turned, the largest upright rectangle of the
+            picture's shape is kept. Multiples of 90 keep every pixel as it is.
         region: x0, y0, x1, y1 to crop to before all else, in pixels of the upright picture.
 
-    Returns:
-        Colours in 0..1.
-
     Raises:
-        StyleSplatError: If the file is no picture or animated, no material has the name, colours
-            are out of range, the region lies beside it, or less than 32 pixels of a side remain.
+        StyleSplatError: If the picture or the region is unfit, or too little of it remains.
     """
     if isinstance(picture, Tensor):
         name, pixels = "the style tensor", _colors_of(picture)
@@ -65,21 +60,6 @@ def read_style(
     pixels = np.ascontiguousarray(_turn(_shrink(pixels, name), rotate, name))
     colors = torch.from_numpy(pixels)
     return colors.float() / 255 if colors.dtype == torch.uint8 else colors.clamp(0, 1)
-
-
-def inscribed_rectangle(width: int, height: int, degrees: float) -> tuple[float, float]:
-    """Width and height of the largest upright rectangle in a rectangle turned about its centre.
-
-    Either two of its corners lie on the long sides of the turned rectangle, halfway between
-    them, or all four lie on the four sides.
-    """
-    sin, cos = (abs(f(math.radians(degrees))) for f in (math.sin, math.cos))
-    short = min(width, height)
-    if short <= 2 * sin * cos * max(width, height) or math.isclose(sin, cos):
-        along, across = short / 2 / sin, short / 2 / cos
-        return (along, across) if width >= height else (across, along)
-    double = cos**2 - sin**2
-    return (width * cos - height * sin) / double, (height * cos - width * sin) / double
 
 
 def _decoded(path: Path) -> Pixels:
@@ -95,23 +75,18 @@ def _decoded(path: Path) -> Pixels:
 
 
 def _colors_of(tensor: Tensor) -> Pixels:
-    """The colours of a tensor, checked: bytes, or floats in 0..1."""
+    """The colours of a tensor, checked."""
     colors = tensor.detach().cpu()
-    is_levels = colors.dtype == torch.uint8
-    colors = colors if is_levels else colors.float()
-    if colors.ndim != 3 or colors.shape[2] != 3:
+    colors = colors if colors.dtype == torch.uint8 else colors.double()
+    most = 255 if tensor.dtype == torch.uint8 else 1
+    if colors.ndim != 3 or colors.shape[2] != 3 or not ((colors >= 0) & (colors <= most)).all():
         raise StyleSplatError(
-            f"A style tensor has the shape [H, W, 3], this one has {[*colors.shape]}. Move its "
-            "colour channels to the end."
+            f"A style tensor holds [H, W, 3] bytes or floats in 0..1, this one {[*colors.shape]} "
+            f"{tensor.dtype} from {colors.min():g} to {colors.max():g}. Move its channels to the "
+            "end, or divide it by 255."
         )
     _require_side(colors.shape[1], colors.shape[0], "The style tensor")
-    low, high = float(colors.min()), float(colors.max())
-    if not (is_levels or (tensor.is_floating_point() and 0 <= low <= high <= 1)):
-        raise StyleSplatError(
-            f"A style tensor holds bytes or floats in 0..1, this one has {tensor.dtype} from "
-            f"{low:g} to {high:g}. Divide it by 255, clamp it, or pass bytes."
-        )
-    return colors.numpy()
+    return (colors if most == 255 else colors.float()).numpy()
 
 
 def _require_side(width: int, height: int, what: str) -> None:
@@ -150,7 +125,9 @@ def _turn(pixels: Pixels, degrees: float, name: str) -> Pixels:
     if not math.isfinite(degrees):
         raise StyleSplatError(f"Cannot turn {name} by {degrees} degrees. Pass a number of degrees.")
     height, width = pixels.shape[:2]
-    inner_width, inner_height = (int(s) for s in inscribed_rectangle(width, height, degrees))
+    sin, cos = (abs(f(math.radians(degrees))) for f in (math.sin, math.cos))
+    inner = min(width / (width * cos + height * sin), height / (width * sin + height * cos))
+    inner_width, inner_height = int(inner * width), int(inner * height)
     _require_side(inner_width, inner_height, f"Turned by {degrees}, what is left of {name}")
     # Centres of pixels lie at +0.5
     T_to_turned = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1.0)
@@ -168,7 +145,7 @@ def _turn(pixels: Pixels, degrees: float, name: str) -> Pixels:
 def style_features(
     style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
 ) -> tuple[Float[Tensor, "_ _"], ...]:
-    """For each block the features, one per row, of a style image of this longer side in pixels.
+    """The features, one per row, of each block, of a style image of this longer side in pixels.
 
     Features that see past the border are left out, so its padding is in no style.
     """
@@ -191,7 +168,6 @@ def all_colors(pictures: Sequence[Float[Tensor, "_ _ 3"]]) -> Float[Tensor, "P 3
 
 
 def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3"]:
-    """The image with a longer side of `length` pixels, its shape kept."""
     height, width = image.shape[:2]
     size = _fitted_size(width, height, length)
     planes = image.permute(2, 0, 1)[None]

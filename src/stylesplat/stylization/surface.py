@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array, csr_array
 from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
@@ -24,7 +25,6 @@ BEHIND = 0.04  # of the object's extent: farther behind the mean depth is anothe
 GRAZING = 0.25  # cosine below which depths are too uncertain
 POOLED = 0.6  # side of the cubes whose points are averaged, in distances of the samples
 PLANE = 16  # points that a plane is fitted to
-ROUNDS = 20  # of `thin`: after a few hardly any point is undecided
 
 
 @torch.no_grad()
@@ -136,22 +136,12 @@ def project_to_planes(
 
 
 def thin(points: Float[Tensor, "P 3"], distance: float, *, seed: int) -> Int[Tensor, " L"]:
-    """Choose points of which no two are closer than a distance, as many as fit.
-
-    They are taken in random order (independent sets, Luby 1986).
-    """
+    """Choose points of which no two are closer than a distance, as many as fit, in random order."""
     pairs = KDTree(points.double().numpy()).query_pairs(distance, output_type="ndarray")
-    ranks = np.random.default_rng(seed).permutation(len(points))
-    left, taken = np.ones(len(points), bool), np.zeros(len(points), bool)
-    for _ in range(ROUNDS):
-        first, second = pairs.T
-        beaten = np.zeros(len(points), bool)
-        beaten[np.where(ranks[first] > ranks[second], first, second)] = True
-        won = left & ~beaten
-        taken |= won
-        left &= beaten
-        left[first[won[second]]] = left[second[won[first]]] = False
-        pairs = pairs[left[first] & left[second]]
-        if not left.any():
-            break
-    return torch.from_numpy(taken.nonzero()[0])
+    near = coo_array((np.ones(len(pairs), bool), pairs.T), shape=(len(points), len(points)))
+    near = csr_array(near + near.T)
+    free = np.ones(len(points), bool)
+    for row in np.random.default_rng(seed).permutation(len(points)).argsort():
+        if free[row]:
+            free[near.indices[near.indptr[row] : near.indptr[row + 1]]] = False
+    return torch.from_numpy(free.nonzero()[0])

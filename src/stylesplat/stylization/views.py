@@ -39,20 +39,17 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Box:
-    """Where an object lies in one camera's image."""
+    """Where an object lies in one camera's image, at full size: x and y, in pixels."""
 
     camera: Cameras
-    """One camera, at full size."""
     low: Float[Tensor, " 2"]
-    """Left and top, in pixels."""
     high: Float[Tensor, " 2"]
-    """Right and bottom, in pixels."""
     points: Float[Tensor, "P 2"]
-    """Pixels that the object covers, evenly spread: x and y."""
+    """Pixels that the object covers, evenly spread."""
 
     @property
     def length(self) -> float:
-        """The longer side, in pixels."""
+        """The longer side."""
         return float((self.high - self.low).max())
 
 
@@ -65,7 +62,7 @@ class ObjectView:
     cells: tuple[Bool[Tensor, "_ _"], ...]
     """Which features are the object's, for each layer group."""
     pixels: Bool[Tensor, "H W"]
-    """Which pixels are the object's."""
+    """Those of the object."""
     linear: Contributions | None = None
     """The image as a function of the object's colours; None rasterises it every time."""
     near: Int[Tensor, " M"] | None = None
@@ -124,7 +121,7 @@ def per_view(
 
 
 def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[Box]:
-    """Find the views that show an object, and where; occlusion is taken into account."""
+    """Find the views that show an object, and where."""
 
     def find(index: int) -> Box | None:
         camera = cameras[index]
@@ -144,12 +141,11 @@ def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> li
 
 
 def typical_length(boxes: Sequence[Box]) -> float:
-    """The median of the object's longer sides, in pixels."""
     return median(box.length for box in boxes)
 
 
 def require_boxes(context: PaintContext, target: PaintTarget) -> list[Box]:
-    """Find the views to optimise on that show the object; StyleSplatError if none does."""
+    """Find the views to optimise on that show the object; refuse it if none does."""
     boxes = find_boxes(context.splats, context.cameras, target.mask)
     if not boxes:
         raise StyleSplatError(
@@ -171,9 +167,6 @@ def object_views(
 
     Boxes that hardly show it are skipped. Linear views, which are the CPU's, may take so many bytes
     of memory; others are rasterised in every step, on a GPU with the Gaussians that reach them.
-
-    Raises:
-        StyleSplatError: If it is hardly visible in any.
     """
     splats, mask = context.splats, target.mask
     cells = [context.network.cells(group) for group in target.config.layers]
@@ -200,8 +193,8 @@ def object_views(
         masks = tuple(F.avg_pool2d(own[None], c.stride)[0] > COVERED for c in cells)
         if all(each.sum() >= MIN_CELLS for each in masks):
             used += linear.nbytes if linear else 0
-            if used > max_memory:
-                full, linear = True, None
+            full = used > max_memory
+            linear = None if full else linear
             views.append(ObjectView(camera, masks, covered > COVERED, linear, near))
     if not views:
         raise StyleSplatError(
@@ -242,10 +235,7 @@ def stage_views(
 
 
 def windows(boxes: Sequence[Box], side: float, count: int, generator: torch.Generator) -> list[Box]:
-    """Square windows in boxes, equally many in each, around random pixels of the object.
-
-    The side is in pixels of the cameras; windows of smaller boxes are smaller.
-    """
+    """Square windows in boxes, equally many in each, around random pixels of the object."""
     found = []
     order = torch.randperm(count, generator=generator).tolist()
     for box in (boxes[index % len(boxes)] for index in order):
@@ -258,10 +248,7 @@ def windows(boxes: Sequence[Box], side: float, count: int, generator: torch.Gene
 def crop_to_box(
     box: Box, zoom: float, margins: tuple[int, int]
 ) -> tuple[Cameras, Bool[Tensor, "H W"]]:
-    """The camera of a box at a multiple of its size, and the mask of the box's pixels.
-
-    The margins are pixels to the left and above, and to the right and below.
-    """
+    """The camera of a box, with margins before and behind, and the mask of the box's pixels."""
     camera = box.camera.downscale(1 / zoom)
     inner = (box.low * zoom).floor(), (box.high * zoom).ceil()
     low, high = inner[0] - margins[0], inner[1] + margins[1]

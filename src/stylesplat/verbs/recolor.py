@@ -14,8 +14,8 @@ from stylesplat.scene.compose import beneath, family, with_layers
 from stylesplat.scene.layer import RECOLOR, recoloring
 from stylesplat.scene.scene import Scene, check_name_or_id
 from stylesplat.selection.choose import background_of, find_object
+from stylesplat.stylization.colors import recolor_map
 from stylesplat.stylization.config import RecolorConfig, recolor_config
-from stylesplat.stylization.recolor import recolor_map
 from stylesplat.stylization.style import source_of
 
 BACKGROUND = "background"

@@ -83,8 +83,6 @@ SMALL = torch.zeros(32, 64, 3, 3)
         (ORIGINAL, "vgg16", 2, NO_BLOCK_2),
         (ORIGINAL, "compact", 3, "block1.conv1 is missing"),
         (PACKED | {"block2.conv2.weight": SMALL}, "compact", 3, "block2.conv2 is missing or its"),
-        (PACKED, "compact", 4, "Block 4 of compact .* Use --features vgg16"),
-        (TORCHVISION, "vgg16", 6, "Block 6 of vgg16 was asked for, it has blocks 1 to 5"),
     ],
 )
 def test_files_that_do_not_fit(

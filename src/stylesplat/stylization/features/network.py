@@ -131,7 +131,7 @@ class FeatureNetwork:
         if not 1 <= block <= self.depth:
             raise StyleSplatError(
                 f"Features of block {block} were asked for, the network has blocks 1 to "
-                f"{self.depth}. Choose among those, or load deeper weights."
+                f"{self.depth}. Choose among those, or use --features vgg16."
             )
         if self.heads:
             return COMPACT_CELLS[block - 1]

@@ -40,7 +40,7 @@ MARKS = {  # layers that the other network does not have
 def load_weights(
     network: Network, path: Path | str | None = None, *, depth: int = 3, download: bool = True
 ) -> FeatureNetwork:
-    """Load a feature network as deep as needed.
+    """Load a feature network, as deep as needed.
 
     Args:
         network: Which one; `compact` ships with the package.
@@ -48,20 +48,13 @@ def load_weights(
             in torchvision (`features.0.weight`) or as in the original (`conv1_1.weight`), whose
             first layer expects colours in 0..255, blue first, unless the file's metadata say
             otherwise. By default the package's own; of VGG what is in torch's cache, or else a
-            download of a few megabytes into it, announced on stderr.
-        depth: The deepest block of features that is needed.
-        download: Whether to, if there is no file of VGG.
+            download of a few megabytes into it.
+        depth: The deepest block of VGG that is needed.
+        download: Whether to download VGG.
 
     Raises:
-        StyleSplatError: If the file is missing, unreadable or of another network, if there is none
-            and it cannot or must not be downloaded, or if the network is not that deep.
+        StyleSplatError: If there is no such file, or it is unreadable or of another network.
     """
-    most = len(DEPTHS[network])
-    if not 1 <= depth <= most:
-        remedy = " Use --features vgg16." if network == "compact" else ""
-        raise StyleSplatError(
-            f"Block {depth} of {network} was asked for, it has blocks 1 to {most}.{remedy}"
-        )
     if network == "compact":
         path = Path(path or PACKAGED)
         return compact_from(_read(path)[0], path)
