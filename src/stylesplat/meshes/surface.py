@@ -164,15 +164,10 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
         depth, covered = surface_depth(alone, camera, side)
         cosines = cosines_of(depth, camera)
         shown = (covered >= (COVERED if trusted else EMPTY)).numpy()
-        outside = np.maximum(distance_transform_edt(~shown) - 0.5, 0).astype(np.float32)
+        outside = 0.5 - np.asarray(distance_transform_edt(~shown), np.float32)  # below 0
         kinds = torch.where((cosines > LEAST_COSINE) & trusted, cosines, 0.0).numpy()
-        return (
-            row,
-            depth,
-            np.where(shown, kinds, -outside),
-            int((covered > FAINT).sum()),
-            int((covered > COVERED).sum()),
-        )
+        kinds = np.where(shown, kinds, outside)
+        return row, depth, kinds, int((covered > FAINT).sum()), int((covered > COVERED).sum())
 
     every = [*per_view(look, range(len(views.cameras)), "looking for the surface")]
     shown, solid = (sum(each[place] for each in every) for place in (3, 4))
@@ -184,17 +179,8 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
     for row, depth, kinds, *_ in every:
         camera = views.cameras[row]
         matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
-        place = low, voxel, TRUNCATION * voxel
-        _fuse(
-            depth.numpy(),
-            kinds,
-            matrix,
-            *place,
-            float(camera.Ks[0, 0, 0]),
-            values,
-            weights,
-            support,
-        )
+        place = low, voxel, TRUNCATION * voxel, float(camera.Ks[0, 0, 0])
+        _fuse(depth.numpy(), kinds, matrix, *place, values, weights, support)
     field = np.where(weights > 0, values / np.maximum(weights, 1e-6), -1).astype(np.float32)
     field = np.pad(gaussian_filter(field, SMOOTHING), 1, constant_values=1.0)
     vertices, faces, _, _ = marching_cubes(-field, 0.0, gradient_direction="ascent")
