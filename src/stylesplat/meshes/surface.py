@@ -15,6 +15,7 @@ from numba import prange
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -50,7 +51,8 @@ SMOOTHING = 0.7  # voxels
 FAINT, SOLID = 0.1, 0.5  # coverage that shows, and the share of what shows that has to be opaque
 LEAST_SEEN = 0.05  # weight of the depths at a vertex: less is a guess
 OPEN = 0.3  # share of the surface: where more is a guess, it is left open
-APART = 0.05  # of the way to the faces' middle: so far faces that touch are moved apart
+APART = 0.05  # of the way to their faces' middle: so far vertices that coincide are moved apart
+SAME = 1e-5  # of the extent: closer vertices coincide, and programs that read files merge them
 SPECK = 0.05  # of the largest part's area: smaller parts are strays
 
 
@@ -269,7 +271,18 @@ def simplify(surface: Surface, count: int) -> Surface:
         return surface
     points, faces, *_ = collapse_edges(surface.vertices, surface.faces, target_count=count, agg=5)
     points, faces = np.asarray(points, np.float32), np.asarray(faces, np.int32)
-    return without_pinches(compact(Surface(points, faces, np.zeros(len(points), np.float32))))
+    surface = without_pinches(compact(Surface(points, faces, np.zeros(len(points), np.float32))))
+    near = KDTree(surface.vertices).query_pairs(SAME * float(np.ptp(points)), output_type="ndarray")
+    return move_apart(surface, np.unique(near[:, 1]))
+
+
+def move_apart(surface: Surface, rows: Int[np.ndarray, " L"]) -> Surface:
+    """The surface with some vertices moved into their faces."""
+    points = surface.vertices.copy()
+    for row in rows:
+        around = surface.faces[(surface.faces == row).any(axis=1)]
+        points[row] += APART * (surface.vertices[around].mean(axis=(0, 1)) - points[row])
+    return replace(surface, vertices=points)
 
 
 def without_pinches(surface: Surface) -> Surface:
@@ -304,8 +317,5 @@ def without_pinches(surface: Surface) -> Surface:
         _, owner = connected_components(graph, directed=False)
         _, first, apart = np.unique(owner[: faces.size], return_index=True, return_inverse=True)
         origins, apart = faces.ravel()[first], apart.reshape(-1, 3).astype(np.int32)
-        points = surface.vertices[origins]
-        for vertex in np.flatnonzero(np.isin(origins, torn)):
-            around = points[apart[(apart == vertex).any(axis=1)]].mean(axis=(0, 1))
-            points[vertex] += APART * (around - points[vertex])
-        surface = Surface(points, apart, surface.seen[origins])
+        surface = Surface(surface.vertices[origins], apart, surface.seen[origins])
+        surface = move_apart(surface, np.flatnonzero(np.isin(origins, torn)))
