@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.evaluation.consistency import view_consistency
-from stylesplat.evaluation.statistics import content_ssim
+from stylesplat.evaluation.style import content_ssim
 from stylesplat.metrics.lab import LUMA
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, coverage

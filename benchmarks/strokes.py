@@ -1,39 +1,45 @@
-"""The size of strokes: how far the detail that painting adds goes with itself.
+"""The size of strokes: at which size of the picture it looks most like what was painted.
 
     .venv/bin/python benchmarks/strokes.py --scene SCENE --object OBJECT --painting FILE
 
-For some sizes of strokes (`--stroke-size`): the distance in pixels
-at which the autocorrelation of what was added to the object's lightness falls to one half; the mean
-over four held-out views. What its colours before explain (its own pattern, recoloured) does not
-count, nor does what changes slowly. Noise of 1, 2, 4 and 8 times the size gives 1.5, 3.3, 6.5 and
-12.4 on the demo's vase. It should double when the stroke size does, within a quarter.
+For some sizes of strokes (`--stroke-size`) the object is painted, and its features in four held-out
+views are compared with those of the picture at many sizes: that of the least mean distance (NNFM),
+as a multiple of the object's length, is the size that the strokes seem to have. It should double
+when the stroke size does, within a quarter. Lengths of strokes in pixels cannot be told by
+correlation or edges: paintings have detail of every size, and give the same length at every size.
+
+No size is larger than the picture itself, as what is enlarged is soft and resembles everything
+soft: take a picture twice as long as the largest stroke size times the object's length.
 """
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import torch
 import tyro
 from bench import table
+from jaxtyping import Bool, Float
+from judge import find_sights
 from torch import Tensor
+from torch.nn import functional as F
 
 import stylesplat as ss
-from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import COVERED, coverage
-from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sampling import evenly
-from stylesplat.scene.splats import Splats
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.matching import most_similar
 from stylesplat.stylization.paint import paint
-from stylesplat.stylization.style_image import read_style
-from stylesplat.stylization.views import Box, find_boxes
+from stylesplat.stylization.style_image import read_style, resize
 
-SLOW = 0.25  # of the object's length: what changes more slowly is no stroke
-LEVEL = 0.5  # of the autocorrelation
+LAYER = 3  # group of the network's layers, as the default paints with
 VIEWS = 4
+SIZES = 2.0 ** torch.arange(-1.5, 3.01, 0.25)  # of the picture, in lengths of the object
+SIDE = 1000  # pixels of the picture at most: of a larger one the first
+FEATURES = 3000  # at random, equally many of each size: more would be nearer
+BORDER = 3  # features that see beside the picture
+INSIDE = 0.99  # of a feature's cell that has to be the object's
 
 
 @dataclass(frozen=True)
@@ -46,76 +52,64 @@ class Options:
     """A picture."""
     object: int = 1
     """A label id."""
-    scales: tuple[float, ...] = (1.0, 2.0, 4.0)
-
-
-def stroke_length(before: Splats, after: Splats, picked: Tensor, boxes: list[Box]) -> float:
-    """Pixels from one half of a stroke to the other, the mean over some views."""
-    lengths = [_length(before, after, picked, b.camera, b.length) for b in evenly(boxes, VIEWS)]
-    return sum(lengths) / len(lengths)
-
-
-def _length(before: Splats, after: Splats, picked: Tensor, camera: Cameras, size: float) -> float:
-    mask = coverage(before, camera, picked) > COVERED
-    old, new = (rasterize(splats, camera)[0][0].clamp(0, 1) for splats in (before, after))
-    return detail_length(old, new, mask, size)
-
-
-def detail_length(before: Tensor, after: Tensor, mask: Tensor, size: float) -> float:
-    """Pixels at which what painting added goes half with itself.
-
-    Args:
-        before: [H, W, 3].
-        after: [H, W, 3].
-        mask: [H, W], the object.
-        size: Its longer side, in pixels.
-    """
-    inside = mask.float()
-    added = torch.zeros_like(inside)
-    added[mask] = _unexplained(before[mask], after[mask])
-    slow = _blurred(added, SLOW * size) / _blurred(inside, SLOW * size).clamp(min=1e-6)
-    detail = (added - slow) * inside
-    pairs = _with_itself(inside)
-    products = _with_itself(detail) / pairs.clamp(min=1)
-    y, x = (torch.fft.fftfreq(n, 1 / n) for n in products.shape)
-    radii = torch.hypot(y[:, None], x[None]).round().long()
-    last = math.ceil(size / 2)
-    by_radius = [float(products[radii == r].mean() / products[0, 0]) for r in range(last + 1)]
-    far = next((r for r, value in enumerate(by_radius) if value < LEVEL), last)
-    near = by_radius[far - 1]
-    return far - 1 + (near - LEVEL) / (near - by_radius[far])
-
-
-def _unexplained(before: Tensor, after: Tensor) -> Tensor:
-    """The lightness after that is no linear function of the colours before, for each pixel."""
-    known = torch.cat([before, torch.ones_like(before[:, :1])], dim=1)
-    light = after.mean(dim=1, keepdim=True)
-    return (light - known @ torch.linalg.lstsq(known, light).solution)[:, 0]
-
-
-def _blurred(image: Tensor, deviation: float) -> Tensor:
-    return torch.from_numpy(cv2.GaussianBlur(image.numpy(), (0, 0), deviation))
-
-
-def _with_itself(image: Tensor) -> Tensor:
-    size = [2 * n for n in image.shape]  # so that nothing meets itself from behind
-    return torch.fft.irfft2(torch.fft.rfft2(image, size).abs().square(), size)
+    scales: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
 
 
 @torch.no_grad()
+def apparent_size(
+    network: FeatureNetwork,
+    painted: Sequence[tuple[Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]],
+    picture: Float[Tensor, "_ _ 3"],
+    length: float,
+) -> tuple[float, float]:
+    """The size of a picture that resembles some views of an object most, and the distance to it.
+
+    Args:
+        network: Whose features are compared.
+        painted: Views, and where the object is in them.
+        picture: That the style was taken from.
+        length: The object's, in pixels; the size is a multiple of it.
+    """
+    owns = []
+    for image, mask in painted:
+        seen = _features(network, image)
+        inside = F.interpolate(mask[None, None].float(), seen.shape[:2], mode="area")[0, 0]
+        owns.append(_few(seen[inside > INSIDE]))
+    found = []
+    for size in SIZES[SIZES * length <= max(picture.shape)].tolist():
+        style = _features(network, resize(picture, size * length)[:SIDE, :SIDE])
+        few = _few(style[BORDER:-BORDER, BORDER:-BORDER].flatten(0, 1))
+        nearest = [(own * few[most_similar(own, few)]).sum(dim=1).mean() for own in owns]
+        found.append((1 - float(torch.stack(nearest).mean()), size))
+    distance, size = min(found)
+    return size, distance
+
+
+def _features(network: FeatureNetwork, image: Tensor) -> Float[Tensor, "h w D"]:
+    return F.normalize(network(image, (LAYER,))[0].float(), dim=2)
+
+
+def _few(rows: Float[Tensor, "P D"]) -> Float[Tensor, "Q D"]:
+    chosen = torch.randperm(len(rows), generator=torch.Generator().manual_seed(0))
+    return rows[chosen[:FEATURES]]
+
+
 def main(options: Options) -> None:
     """Print the table."""
-    scene = ss.open(options.scene)
+    scene, picture = ss.open(options.scene), read_style(options.painting)
     training, held_out = scene.working_views()
     picked = pick(scene.splats, object_id=options.object)
-    boxes = find_boxes(scene.splats, held_out or training, picked)
-    style = read_style(options.painting)
-    configs = {f"scale {scale:g}": StyleConfig(scale=scale) for scale in options.scales}
+    sights = find_sights(scene.splats, held_out or training, picked, VIEWS)
+    network = load_weights("compact", depth=LAYER)
+    length = sum(sight.extent for sight in sights) / len(sights)
     rows = []
-    for name, config in configs.items():
-        styled = paint(scene.splats, training, picked, style, config=config)
-        rows.append([name, f"{stroke_length(scene.splats, styled, picked, boxes):.2f}"])
-    print(table(["settings", "length, px"], rows))
+    for scale in options.scales:
+        config = StyleConfig(scale=scale)
+        styled = paint(scene.splats, training, picked, picture, config=config)
+        painted = [(sight.shows(styled), sight.mask) for sight in sights]
+        size, distance = apparent_size(network, painted, picture, length)
+        rows.append([f"{scale:g}", f"{size:.2f}", f"{distance:.3f}"])
+    print(table(["stroke size", "seems", "NNFM"], rows))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
 """Scenes of Gaussian balls whose objects are known exactly: bare, striped, stretched, painted."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 from PIL import Image
 from torch import Tensor
@@ -219,25 +221,13 @@ def painted(
     return stylize(scene, {name: style}, **rest)
 
 
-def write_painted(
-    folder: Path, second: str, pictures: Callable[[Path, Path], Sequence[Path] | Path]
-) -> Path:
-    """The balls; red painted on a canvas, a second one on its own Gaussians; and two pictures.
-
-    Args:
-        folder: Gets `trained`, `once`, `twice` and the pictures.
-        second: The object's name or id.
-        pictures: What it is painted with, of the two.
-    """
-    wave, night = write_pictures(folder)
-    scene_folder.save(TRAINED, folder / "trained")
-    rest = {"measured": False}
-    once = painted(opened(folder / "trained"), "red", wave, **rest)
-    scene_folder.save(once, folder / "once")
-    pictured = pictures(wave, night)
-    twice = painted(opened(folder / "once"), second, pictured, quality="draft", **rest)
-    scene_folder.save(twice, folder / "twice")
-    return folder
+@contextmanager
+def painting_quickly() -> Iterator[None]:
+    """Objects are compared with their styles at a small size, and new Gaussians hardly fitted."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stylesplat.evaluation.style.LENGTH", 30.0)
+        patch.setattr("stylesplat.stylization.canvas.STEPS", 4)
+        yield
 
 
 def contents(folder: Path, *but: str) -> dict[str, bytes]:

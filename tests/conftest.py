@@ -8,7 +8,7 @@ import stylesplat  # noqa: F401  (first: it sets up threading before torch loads
 import pytest  # isort: skip
 import torch  # isort: skip
 
-from stylesplat.progress import Silence, observed
+from stylesplat.progress import Observer, observed
 from tiny_models import network, stripes  # noqa: F401  (fixtures)
 
 
@@ -22,7 +22,7 @@ def said() -> Iterator[list[str]]:
     """What the library tells the user in the course of a test."""
     lines: list[str] = []
 
-    class Listener(Silence):
+    class Listener(Observer):
         def say(self, line: str) -> None:
             lines.append(line)
 
@@ -32,10 +32,9 @@ def said() -> Iterator[list[str]]:
 
 @pytest.fixture(scope="module")
 def quick_painting() -> Iterator[None]:
-    """Objects are compared with their styles at a small size, and new Gaussians hardly fitted."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stylesplat.evaluation.style.LENGTH", 30.0)
-        patch.setattr("stylesplat.stylization.canvas.STEPS", 4)
+    from balls import painting_quickly  # loads torch's users: types are checked from later on
+
+    with painting_quickly():
         yield
 
 

@@ -17,6 +17,8 @@ from torch.utils._pytree import tree_flatten
 
 from fake_gsplat import install_training_kernels
 from rendering.native_gsplat import install
+from stylesplat.metrics.lab import luma_weights
+from stylesplat.stylization.colors import blur_matrix
 
 MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__set__}  # pyright: ignore
 INDEXES = {Tensor.__getitem__, Tensor.index_put, Tensor.index_put_}
@@ -41,6 +43,8 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: card)
     with FakeCuda():
         yield "cuda"
+    for cached in (blur_matrix, luma_weights):  # else a real GPU is given the stand-in's tensors
+        cached.cache_clear()
 
 
 def _kernel(function: Callable) -> Callable:

@@ -10,7 +10,7 @@ import transformers
 from safetensors.torch import save_file
 from transformers.models.sam3 import configuration_sam3
 
-from stylesplat.stylization.features.network import Convolution, Vgg
+from stylesplat.stylization.features.network import Convolution, FeatureNetwork
 
 tf: Any = transformers  # its configurations are typed, what is common to them here is not
 sam3: Any = configuration_sam3
@@ -236,7 +236,7 @@ BUILDERS: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.fixture(scope="session")
-def network() -> Vgg:
+def network() -> FeatureNetwork:
     """Two blocks of few random filters; features of block 2 span 10 pixels."""
     generator = torch.Generator().manual_seed(0)
     blocks, inputs = [], 3
@@ -247,7 +247,7 @@ def network() -> Vgg:
             convs.append(Convolution(weight, torch.zeros(width)))
             inputs = width
         blocks.append(tuple(convs))
-    return Vgg(tuple(blocks), torch.full((3,), 0.5), torch.full((3,), 0.25))
+    return FeatureNetwork(tuple(blocks), torch.full((3,), 0.5), torch.full((3,), 0.25))
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,7 @@ from paper_figures.figure2 import leakage
 from paper_figures.painting import default_config, painted, paper_config
 from paper_figures.story import Block, Figure, Row, Table, digits, percent
 from paper_figures.subject import Subject, cut, shot
-from stylesplat.evaluation.statistics import content_ssim
-from stylesplat.evaluation.style import measure_style
+from stylesplat.evaluation.style import content_ssim, measure_style
 from stylesplat.stylization.paint import paint_context
 from stylesplat.stylization.target import PaintTarget
 

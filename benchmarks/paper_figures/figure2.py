@@ -25,7 +25,7 @@ from paper_figures.story import Block, Figure, Row, Table, Text, digits, percent
 from paper_figures.subject import JOINT_TRAINING, Subject, each, shot
 from still_life.label_faults import FaultConfig, corrupt_label_maps
 from stylesplat.evaluation.changes import farther_than
-from stylesplat.evaluation.statistics import content_ssim
+from stylesplat.evaluation.style import content_ssim
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras

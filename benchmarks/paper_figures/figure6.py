@@ -16,7 +16,7 @@ from paper_figures.figure2 import leakage
 from paper_figures.painting import few_style_features, painted, paper_config
 from paper_figures.story import Block, Figure, Grid, Table, Text, digits
 from paper_figures.subject import Subject, shot
-from stylesplat.evaluation.statistics import content_ssim
+from stylesplat.evaluation.style import content_ssim
 from stylesplat.figures.best_views import close_up
 from stylesplat.stylization.views import find_boxes, typical_length
 

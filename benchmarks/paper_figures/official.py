@@ -22,8 +22,7 @@ from paper_figures.painting import paper_config
 from paper_figures.story import Block, Figure, Row, Table, digits
 from paper_figures.subject import Subject, cut, each, shot
 from stylesplat.evaluation.changes import farther_than
-from stylesplat.evaluation.statistics import content_ssim
-from stylesplat.evaluation.style import measure_style
+from stylesplat.evaluation.style import content_ssim, measure_style
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture

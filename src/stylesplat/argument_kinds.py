@@ -27,17 +27,15 @@ REMEDIES = {
 def check_arguments(verb: Callable[P, T]) -> Callable[P, T]:
     """Make a verb raise a StyleSplatError for arguments of other types than it declares."""
     signature = inspect.signature(verb)
-    kinds = {
-        name: _alternatives(each.annotation)
-        for name, each in signature.parameters.items()
-        if each.kind not in (each.VAR_POSITIONAL, each.VAR_KEYWORD)
-    }
 
     @wraps(verb)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T:
         for name, value in signature.bind(*args, **kwargs).arguments.items():
-            if name in kinds and not any(_is_instance(value, each) for each in kinds[name]):
-                _refuse(verb.__name__, name, value, kinds[name])
+            parameter = signature.parameters[name]
+            kinds = _alternatives(parameter.annotation)
+            variable = parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
+            if not (variable or any(_is_instance(value, each) for each in kinds)):
+                _refuse(verb.__name__, name, value, kinds)
         return verb(*args, **kwargs)
 
     return checked

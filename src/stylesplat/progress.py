@@ -23,9 +23,8 @@ class Task(Protocol):
         """Show a few words about the work, such as the loss."""
 
 
-@runtime_checkable
-class Observer(Protocol):
-    """Receives progress and messages."""
+class Observer(Task):
+    """Receives progress and messages; this one ignores them."""
 
     def task(
         self, what: str, total: int | float | None, unit: str, done: int | float
@@ -38,17 +37,13 @@ class Observer(Protocol):
             unit: What is counted.
             done: How much of it an earlier run has done.
         """
-        return nullcontext(SILENCE)
+        return nullcontext(self)
 
     def say(self, line: str) -> None:
         """Receive a message for the user."""
 
 
-class Silence(Observer, Task):
-    """The observer that ignores everything."""
-
-
-SILENCE = Silence()
+SILENCE = Observer()
 _observer: ContextVar[Observer] = ContextVar("observer", default=SILENCE)
 
 

@@ -5,8 +5,8 @@ Rendering in several threads at once is not safe with every threading layer of n
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
+from operator import itemgetter
 
 Job = Callable[[], object]
 
@@ -18,7 +18,7 @@ class Worker:
         """Start the thread, which passes to `failed` what a job raises."""
         self._failed = failed
         self._changed = threading.Condition()
-        self._soon, self._later = deque[tuple[str, Job]](), deque[tuple[str, Job]]()
+        self._jobs = list[tuple[bool, str, Job]]()  # the patient ones last
         self._lengthy: Iterator[object] | None = None
         self._busy, self._closed = False, False
         self._thread = threading.Thread(target=self._run, name="stylesplat worker", daemon=True)
@@ -33,11 +33,8 @@ class Worker:
             patient: Whether all other jobs come first, but not the long work.
         """
         with self._changed:
-            queue = self._later if patient else self._soon
-            if kind:
-                for waiting in [each for each in queue if each[0] == kind]:
-                    queue.remove(waiting)
-            queue.append((kind, job))
+            waiting = [each for each in self._jobs if not kind or each[:2] != (patient, kind)]
+            self._jobs = sorted([*waiting, (patient, kind, job)], key=itemgetter(0))
             self._changed.notify_all()
 
     def go_on_with(self, steps: Iterator[object] | None) -> None:
@@ -55,16 +52,16 @@ class Worker:
         """Within a long step, in the worker's thread: do the jobs that are not patient."""
         while threading.current_thread() is self._thread:
             with self._changed:
-                if not self._soon or self._closed:
+                if not self._jobs or self._jobs[0][0] or self._closed:
                     return
-                _, job = self._soon.popleft()
+                job = self._jobs.pop(0)[-1]
             self._do(job)
 
     def settle(self, seconds: float = 60.0) -> bool:
         """Wait until there is nothing more to do; return whether that was in time."""
         end = time.monotonic() + seconds
         with self._changed:
-            while self._busy or self._soon or self._later or self._lengthy is not None:
+            while self._busy or self._jobs or self._lengthy is not None:
                 if self._closed or not self._changed.wait(max(0.0, end - time.monotonic())):
                     return False
         return True
@@ -82,14 +79,11 @@ class Worker:
             with self._changed:
                 self._busy = False
                 self._changed.notify_all()
-                self._changed.wait_for(
-                    lambda: self._closed or self._soon or self._later or self._lengthy is not None
-                )
+                self._changed.wait_for(lambda: self._closed or self._jobs or self._lengthy)
                 if self._closed:
                     return
                 self._busy = True
-                queue = self._soon or self._later
-                job = queue.popleft()[1] if queue else self._step
+                job = self._jobs.pop(0)[-1] if self._jobs else self._step
             self._do(job)
 
     def _do(self, job: Job) -> None:

@@ -1,10 +1,7 @@
 """The figures of `benchmarks/looks.py` and `strokes.py` where they are known."""
 
 from dataclasses import replace
-from itertools import pairwise
 
-import cv2
-import numpy as np
 import pytest
 import torch
 from judge import (
@@ -14,13 +11,15 @@ from judge import (
     painting_features,
     spill_and_missed,
 )
-from strokes import detail_length
+from paintings import line_print
+from strokes import apparent_size
 from target_2d import target_2d
 
 from balls import CAMERAS
 from scenes import rand
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.style_image import resize
 
 SIZE = 96
 SHARE = torch.zeros(SIZE, SIZE)
@@ -91,18 +90,9 @@ def test_free_pixels_come_closer_and_leave_the_rest(compact: FeatureNetwork):
     assert found[SHARE > 0].mean(dim=0) == pytest.approx(STRIPES.mean(dim=(0, 1)), abs=0.1)
 
 
-def blobs(size: float) -> torch.Tensor:
-    """Grey noise blurred to a size in pixels."""
-    noise = np.random.default_rng(0).standard_normal((SIZE, SIZE)).astype(np.float32)
-    smooth = cv2.GaussianBlur(noise, (0, 0), size)
-    grey = torch.from_numpy(0.5 + 0.15 * smooth / smooth.std())
-    return grey[..., None].expand(SIZE, SIZE, 3)
-
-
-def test_the_length_of_strokes_doubles_when_they_do_and_is_that_of_nothing_else():
-    before = 0.4 + 0.2 * BEFORE
-    lengths = [detail_length(before, blobs(size), SHARE > 0, 80) for size in (1, 2, 4)]
-    ratios = [b / a for a, b in pairwise(lengths)]
-    assert ratios == pytest.approx([2, 2], rel=0.25)  # as far as its file says it holds
-    recoloured = before.flip(-1) * 0.5 + 0.3 + 0.3 * (blobs(4) - 0.5)
-    assert detail_length(before, recoloured, SHARE > 0, 80) > 4, "of the strokes, not the pattern"
+def test_strokes_seem_as_large_as_the_picture_that_they_are_cut_from():
+    network, picture = load_weights("compact", depth=3), torch.from_numpy(line_print()) / 255
+    mask = torch.ones(120, 120, dtype=torch.bool)
+    for size in (1, 2, 4):
+        image = resize(picture, size * 150.0)[-120:, -120:]
+        assert apparent_size(network, [(image, mask)], picture, 150.0)[0] == size

@@ -5,7 +5,7 @@ import pytest
 import torch
 from PIL import Image
 
-from balls import CAMERAS, SPLATS
+from balls import CAMERAS, SPLATS, painting_quickly
 from capture_files import write_ball_capture
 from processes import QUICK, run
 from stylesplat.io.scene_folder import save
@@ -43,12 +43,13 @@ def style(tmp_path: Path) -> Path:
     return save_stripes(tmp_path / "stripes.png")
 
 
-@pytest.fixture(scope="module")
-def styled_once(quick_painting: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="session")
+def styled_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("styled")
     scene, style, out = save_scene(folder / "scene"), save_stripes(folder / "a.png"), folder / "out"
-    styles = ("--style", f"3={style}", "--style", f"7={style}")
-    assert run("stylize", scene, "-o", out, "--steps", 2, "--intensity", 0.5, *QUICK, *styles) == 0
+    styles = ("--style", f"3={style}", "--style", f"7={style}", "--intensity", 0.5)
+    with painting_quickly():
+        assert run("stylize", scene, "-o", out, "--steps", 2, *QUICK, *styles) == 0
     return out
 
 

@@ -5,13 +5,15 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
 from balls import BALLS, BARE, CAMERAS, SPLATS, agreement, around
 from capture_files import write_ball_capture
 from processes import QUICK, complaint, result, run
+from stylesplat.cli.mask import PREVIEW
 from stylesplat.cli.results import selection_file
 from stylesplat.io import scene_folder
-from stylesplat.io.label_maps import read_label_map
+from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map, write_names
 from stylesplat.selection.identities import render_labels
 from stylesplat.verbs.export import export
 
@@ -101,9 +103,8 @@ def test_label_maps_whose_picture_cannot_be_drawn(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     mask = ("mask", photos, "--box", BOX, "--scene", scene, "--device", "cpu", "--overwrite")
-    assert run(*mask) == 0
-    said = capsys.readouterr().err
-    assert "preview.jpg" in said and "--not-stroke" in said, "the picture, and what mends masks"
+    (photos / "object_mask").mkdir()
+    (photos / "object_mask" / "preview.jpg").touch()
     monkeypatch.setattr("stylesplat.figures.sheets.mask_preview", fail)
     assert run(*mask, "--json") == 0
     out, err = capsys.readouterr()
@@ -112,9 +113,30 @@ def test_label_maps_whose_picture_cannot_be_drawn(
     assert not (photos / "object_mask" / "preview.jpg").exists(), "that of other label maps"
 
 
+def test_what_an_earlier_run_said_is_replaced_and_nothing_else(
+    photos: Path, scene: Path, tmp_path: Path
+):
+    folder, masks = photos / "object_mask", tmp_path / "masks"
+    write_label_map(torch.full((36, 48), 5), folder / "0001.png")
+    write_names({5: "cup"}, folder)
+    (folder / "mine.png").touch()
+    (folder / "0000.png").write_bytes(b"damaged")
+    again = ("--device", "cpu", "--overwrite")
+    assert run("mask", photos, "--box", BOX, "--scene", scene, *again) == 0
+    assert read_names(folder) == {1: "vase"}
+    assert {*read_label_map(folder / "0000.png").unique().tolist()} == {0, 1}
+    pictures = {f"000{row}.png" for row in range(8)}
+    assert {path.name for path in folder.iterdir()} == pictures | {"mine.png", NAMES, PREVIEW}
+    write_label_map(torch.full((36, 48), 9), masks / "0000.png")
+    assert run("mask", photos, "--from", masks, "--overwrite") == 0
+    assert {path.name for path in folder.iterdir()} == {"0000.png", "mine.png", PREVIEW}
+
+
 def test_strokes_as_they_are_typed(photos: Path, scene: Path, capsys: pytest.CaptureFixture[str]):
     lines = ("--stroke", "vase=0001.jpg:10,12,20,12", "--not-stroke", "vase=0001.jpg:7,9")
     assert run("mask", photos, "--box", BOX, *lines, "--scene", scene, "--device", "cpu") == 0
+    said = capsys.readouterr().err
+    assert "preview.jpg" in said and "--not-stroke" in said, "the picture, and what mends masks"
     labels = read_label_map(photos / "object_mask" / "0001.png")
     assert labels[12, 10:20].all() and not labels[9, 7]
     for bad in ("vase=0001.jpg:1,2,3", "vase=1,2", "vase=0001.jpg:nan,1"):

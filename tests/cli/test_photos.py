@@ -56,6 +56,16 @@ def test_an_earlier_capture_is_found_beside_the_photos_and_the_scene(photos: Pat
         find_photos_capture(photos, beside=tmp_path / "My photos-capture")
 
 
+def test_poses_that_nobody_has_found_are_found_first(
+    photos: Path, tmp_path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    made = []
+    monkeypatch.setattr("stylesplat.verbs.sfm.sfm", lambda *places: made.append(places))
+    output = find_photos_capture(photos, beside=tmp_path / "scene")
+    assert made == [(photos, output)] and output.name == "My photos-capture"
+    assert "has no camera poses: finding them first" in said[-1]
+
+
 def test_a_capture_of_other_photos_is_not_taken(photos: Path, tmp_path: Path):
     others = shutil.copytree(photos, tmp_path / "others" / photos.name)
     place = write_record(write_capture(capture_place(photos, beside=photos)), photos)
@@ -103,20 +113,19 @@ def save_ids(path: Path) -> None:
 
 
 def test_from_photos_to_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """`mask` finds the poses, beside the photos, and `train` takes them from there."""
+    """`sfm` finds the poses; `mask` and `train` take them from the capture beside the photos."""
     photos = tmp_path / "Walls"
     write_photos(photos, corner(5) | {"blank.jpg": np.full((240, 320), 90, np.uint8)})
     for name in corner(5):
         save_ids(tmp_path / "ids" / name.replace("jpg", "png"))
-    assert run("mask", photos, "--from", tmp_path / "ids") == 0
     capture = tmp_path / "Walls-capture"
-    assert "has no camera poses: finding them first" in capsys.readouterr().err
+    found = result(capsys, "sfm", photos, "-o", capture)
+    assert (found["registered"], found["photos"]) == (5, 6)
+    assert [*found["left_out"], *found["unregistered"]] == ["blank.jpg"]
+    assert run("mask", photos, "--from", tmp_path / "ids") == 0
     assert {p.name for p in capture.iterdir()} >= {"images", "sparse", "object_mask"}
     out = tmp_path / "scene"
     assert run("train", photos, "-o", out, "--steps", 4, "--device", "cpu") == 0
     assert f"taking those in {capture}" in capsys.readouterr().err
     assert open_scene(out).splats.classifier is not None
     assert "--overwrite" in complaint(capsys, "sfm", photos, "-o", capture)
-    found = result(capsys, "sfm", photos, "-o", capture, "--overwrite")
-    assert (found["registered"], found["photos"]) == (5, 6)
-    assert [*found["left_out"], *found["unregistered"]] == ["blank.jpg"]

@@ -13,7 +13,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.verbs.export import export
 
 SCENES = {
-    "missing": "There is no scene {at}/missing: nothing has that name. Check it",
+    "missing": "There is no scene {at}/missing. Check the name",
     "empty": "empty is an empty folder, not a scene: it has no scene.json. Give the folder",
     "photos": "photos is a folder of photos, not a scene. {train} {at}/photos -o photos-scene`",
     "video.mp4": "is a video, not a scene. {train} {at}/video.mp4 -o video-scene`",
@@ -25,22 +25,22 @@ SCENES = {
 }
 CAPTURE = {"capture": SCENES["capture"]}
 CAPTURES = {
-    "missing": "There is no folder {at}/missing: nothing has that name. Check it",
-    "scene": "scene is a scene, not a capture, which has the photos. It was made from {at}/capture",
-    "import": "its photos are unknown. Name its objects by `stylesplat select {at}/import --name",
-    "splat.ply": "splat.ply is a splat, not photos. {import_} {at}/splat.ply -o splat-scene`",
+    "missing": "There is no capture {at}/missing. Check the name",
+    "scene": "scene is a scene, not a capture. It was made from {at}/capture, which has the photos",
+    "import": "Its photos are unknown: name objects by `stylesplat select {at}/import --name",
+    "splat.ply": "splat.ply is a splat, not a capture. {import_} {at}/splat.ply -o splat-scene`",
 }
-RING = {"ring": "or cut them out of its views by `stylesplat mask {at}/ring --box NAME=VIEW"}
+RING = {"ring": "or in its own views by `stylesplat mask {at}/ring --box NAME=VIEW"}
 POSED = CAPTURES | {
-    "photos": "photos is a folder of photos, not a capture: no camera poses are known. Find",
-    "video.mp4": "a video, not a capture: no camera poses are known. Find the cameras first: "
+    "photos": "photos is a folder of photos, not a capture, as no camera poses are known. Find",
+    "video.mp4": "a video, not a capture, as no camera poses are known. Find the cameras first: "
     "`stylesplat sfm {at}/video.mp4 -o CAPTURE`; or give the capture that was made of it.",
     "capture/images": "holds the photos of the capture {at}/capture, whose poses are known. Give",
     "scenes": "neither sparse/0/cameras.bin (or .txt) nor transforms.json, nor photos. Check",
     "captures": "captures is not a capture, but holds some: {at}/captures/a. Give one of them",
     "empty": "empty is an empty folder, but photos are needed: at least 3",
     "recipe.json": "recipe.json is a file, not a capture",
-    "picture.png": "picture.png is one picture, not a capture. Give the folder of all photos",
+    "picture.png": "picture.png is a picture, not a capture. Give the folder of all photos",
 }
 UNPOSED = CAPTURES | {
     "empty": "empty is an empty folder, but photos are needed: at least 3",
@@ -48,14 +48,14 @@ UNPOSED = CAPTURES | {
     "picture.png": "picture.png is one photo. Give the folder of all photos",
 }
 SPLAT_FILES = {
-    "missing": "There is no file {at}/missing. Check the name",
+    "missing": "There is no file of splats {at}/missing. Check the name",
     "empty": "empty is an empty folder, not a file of splats. Give one that ends in .ply",
     "photos": "photos is a folder of photos, not a file of splats. {train} {at}/photos",
     "video.mp4": "a video, not a file of splats. {train}",
     "capture": "capture is a capture, not a file of splats. {train} {at}/capture -o capture-scene`",
-    "scene": "scene is a scene already, not a file of splats. Go on with it: `stylesplat objects",
-    "splats": "splats is a folder that holds {at}/splats/a.spz. Give one of these files",
-    "picture.png": "is a picture with the suffix '.png', not a file of splats. Give one",
+    "scene": "scene is a scene, not a file of splats. It has its splats: `stylesplat objects",
+    "splats": "splats is not a file of splats, but holds some: {at}/splats/a.spz. Give one of them",
+    "picture.png": "picture.png is a picture, not a file of splats. Give one",
 }
 PICTURES = {
     "missing": "There is no image {at}/missing. Check the name",
@@ -146,7 +146,7 @@ def test_names_that_nothing_can_have(name: str, tmp_path: Path, monkeypatch, cap
     Path("loop").symlink_to("loop")
     for call in (("train", name, "-o", "out"), ("mask", name, "--box", BOX), ("objects", name)):
         line = complaint(capsys, *call)
-        assert "nothing has that name" in line or "File name too long" in line
+        assert "There is no" in line or "File name too long" in line
     assert [p.name for p in tmp_path.iterdir()] == ["loop"]
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -12,6 +13,8 @@ from processes import complaint, run
 from stylesplat.demo import doctor as module
 from stylesplat.demo.doctor import SelfTest, doctor, gsplat_state
 from stylesplat.rendering.render import render as real_render
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.scene import Scene
 from stylesplat.verbs.train import train as real_train
 
 TINY = SelfTest(downscale=6.0, gaussians=2000, train_steps=60, paint_steps=4, renders=1)
@@ -31,8 +34,13 @@ REPORT = {
 
 def test_the_devices_render_and_paint_alike(cuda: str, monkeypatch: pytest.MonkeyPatch):  # noqa: F811
     if not torch.cuda.is_initialized():  # the stand-in has no memory to pin and no generators
-        on_cpu = lambda capture, device, **settings: real_train(capture, device="cpu", **settings)  # noqa: E731
-        monkeypatch.setattr(module, "train", on_cpu)
+        trained = []
+
+        def once(capture: Capture, device: str, **settings: Any) -> Scene:
+            trained.extend([] if trained else [real_train(capture, device="cpu", **settings)])
+            return trained[0]
+
+        monkeypatch.setattr(module, "train", once)
     found = [doctor(device, TINY) for device in ("cpu", cuda)]
     (processor,), (card,) = (each["self_test"] for each in found)
     assert (processor["device"], card["device"]) == ("cpu", "cuda:0")

@@ -2,19 +2,30 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 
-from balls import CAMERAS, FAST, ball, with_settings
+from balls import CAMERAS, FAST, SPLATS, ball, with_settings
+from balls import RED as PICKED
 from balls import STRIPED_SCENE as SCENE
-from scenes import rand
+from scenes import rand, randn
 from stylesplat.evaluation import style
-from stylesplat.evaluation.style import measure_painted, object_nnfm, own_nnfm
+from stylesplat.evaluation.style import (
+    TOLERANCE,
+    content_ssim,
+    measure_painted,
+    object_nnfm,
+    off_palette,
+    own_nnfm,
+)
+from stylesplat.metrics.lab import PIXELS
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.stylization.features.network import FeatureNetwork, Vgg
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint import Painted, paint_context, paint_objects
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import ObjectView
@@ -61,17 +72,7 @@ def test_the_object_comes_closer_to_the_style(
     assert (before - after).abs().max() > 0.1
 
 
-def test_a_style_too_small_to_compare_does_not_cost_the_result(
-    job: PaintTarget, network: FeatureNetwork, said: list[str]
-):
-    fine = with_settings(job, layers=(1,), scale=0.05, object_size=192, steps=2)
-    styled, metrics = measured([fine], network)
-    assert any("ball is not compared with its style" in line for line in said)
-    assert metrics["objects"]["ball"] == {}
-    assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
-
-
-def test_how_near_a_style_is_to_itself(network: Vgg):
+def test_how_near_a_style_is_to_itself(network: FeatureNetwork):
     repeated = NOISE[:8, :8].repeat(6, 6, 1)  # 48 pixels: features of block 2 span 10
     for pictures in ([repeated], [NOISE, NOISE]):
         assert own_nnfm(pictures, network, (2,), length=48.0) == pytest.approx(0, abs=1e-6)
@@ -93,3 +94,48 @@ def test_the_background_has_no_say(network: FeatureNetwork):
     rest = ([view], [torch.rand(30, 12, generator=generator)], network, [2])
     own, elsewhere, covered = (object_nnfm([each], *rest) for each in images)
     assert own == pytest.approx(elsewhere, abs=1e-6) and covered != pytest.approx(own, abs=1e-6)
+
+
+# Colours that a style does not have, and the content that an object keeps.
+
+
+def repainted(mask: torch.Tensor) -> Splats:
+    """The scene with other colours of some Gaussians."""
+    noise = randn(*SPLATS.sh0.shape)
+    return replace(SPLATS, sh0=SPLATS.sh0 + noise * mask[:, None, None])
+
+
+def test_content_is_the_luminance_of_the_object():
+    little, much = (
+        replace(SPLATS, sh0=SPLATS.sh0 + f * (repainted(PICKED).sh0 - SPLATS.sh0))
+        for f in (0.1, 1.0)
+    )
+    # A change of hue that keeps Rec. 709's luminance
+    hue = torch.tensor([0.0722, 0.0, -0.2126]) * PICKED[:, None, None]
+    beside = repainted(torch.arange(len(SPLATS)) >= 280)  # the other balls
+    everyone = [SPLATS, replace(SPLATS, sh0=SPLATS.sh0 - 2 * hue), beside, little, much]
+    same, recoloured, elsewhere, less, least = (
+        content_ssim(SPLATS, styled, CAMERAS[:1], PICKED) or 0.0 for styled in everyone
+    )
+    assert same == pytest.approx(1, abs=1e-5)  # variances: differences of rounded squares
+    assert recoloured == pytest.approx(1, abs=1e-3)
+    assert elsewhere > 0.95 and 0.995 > less > least + 0.1
+    assert content_ssim(SPLATS, SPLATS, CAMERAS[:2], PICKED & False) is None, "it shows nowhere"
+
+
+def test_a_picture_is_on_its_own_palette():
+    picture = rand(3 * PIXELS, 3)
+    assert off_palette(picture, picture) == 0
+    grey = torch.linspace(0, 1, 256)[:, None].expand(256, 3)
+    assert off_palette(torch.tensor([[1.0, 0.0, 0.0]]), grey) == 1
+
+
+@pytest.mark.parametrize(("away", "expected"), [(TOLERANCE - 0.5, 0.0), (TOLERANCE + 0.5, 0.25)])
+def test_what_is_farther_than_10_is_off(away: float, expected: float):
+    """L of grey is a third power of what sRGB makes of it."""
+    light = torch.tensor([40.0, 40.0 + away])
+    grey = ((light + 16) / 116) ** 3
+    grey = 1.055 * grey ** (1 / 2.4) - 0.055
+    assert (
+        off_palette(grey[[0, 0, 0, 1], None].expand(4, 3), grey[:1, None].expand(1, 3)) == expected
+    )

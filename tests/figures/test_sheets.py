@@ -117,15 +117,6 @@ def test_blue_is_what_takes_no_paint():
     assert blue > 1.3 * max(red, green)
 
 
-def test_a_small_selection_is_shown_from_close_by():
-    small = replace(CAMERAS, Ks=CAMERAS.Ks.clone(), sizes=4 * CAMERAS.sizes)
-    small.Ks[:, :2, 2] *= 4  # the same objects in a picture four times as long
-    far, near = panel(drawn(RED, small), 0), panel(drawn(RED), 0)
-    lengths = [colored(view, (230, 26, 26)).nonzero()[:, 1].float().std() for view in (far, near)]
-    assert 0.5 < lengths[0] / lengths[1] < 2  # uncut, it would be a quarter
-    assert colored(far, OUTLINE).any()
-
-
 def test_selections_in_fewer_and_in_other_views():
     tall = replace(CAMERAS[:1], sizes=torch.tensor([[36, 48]]), names=("tall.jpg",))
     both = drawn(RED, tall + CAMERAS[2:3])

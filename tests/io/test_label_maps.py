@@ -16,7 +16,6 @@ from stylesplat.io.label_maps import (
 )
 
 SMALL = Lens("PINHOLE", 8, 6, (9.0, 9.0, 4.0, 3.0))
-BARREL = Lens("OPENCV", 64, 48, (60.0, 62.0, 31.0, 25.0, 0.2, 0.0, 0.0, 0.0))
 
 
 def photo(lens: Lens, size: tuple[int, int] | None = None) -> Photo:

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import distill_features as distill
-from stylesplat.stylization.features.network import Convolution, Vgg
+from stylesplat.stylization.features.network import Convolution, FeatureNetwork
 from stylesplat.stylization.features.weights import compact_from
 from training_pictures import SIZE, training_pictures
 
@@ -28,7 +28,7 @@ def teacher(pictures: torch.Tensor) -> distill.Teacher:
             convs.append(Convolution(weight, torch.zeros(width)))
             inputs = width
         blocks.append(tuple(convs))
-    network = Vgg(tuple(blocks), torch.full((3,), 0.5), torch.full((3,), 0.25))
+    network = FeatureNetwork(tuple(blocks), torch.full((3,), 0.5), torch.full((3,), 0.25))
     return distill.find_teacher(network, batches(pictures))
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.frames import Frame, move_cameras
-from stylesplat.structure_from_motion.world_frame import camera_up, find_centre, working_frame
+from stylesplat.structure_from_motion.world_frame import find_centre, working_frame
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 NOTHING = torch.zeros(0, 3)
@@ -56,40 +56,16 @@ def walk(start: float, end: float, count: int, height: float = 1.5) -> Cameras:
     return held_by_hand(cameras_at(places, torch.tensor([0.0, 0.0, 0.3])), roll=3)
 
 
-def table(*, count: int = 1500, seed: int = 0) -> Tensor:
-    """A table, things on it, a wall behind it that has more points, and far strays."""
-    generator = torch.Generator().manual_seed(seed)
-
-    def spread(number: int, low: tuple[float, ...], high: tuple[float, ...]) -> Tensor:
-        ends = torch.tensor([low, high])
-        return ends[0] + torch.rand(number, 3, generator=generator) * (ends[1] - ends[0])
-
-    top = spread(count, (-1, -1, 0), (1, 1, 0))
-    things = spread(count // 2, (-0.4, -0.4, 0), (0.4, 0.4, 0.6))
-    wall = spread(2 * count, (-2, -1, -1), (-2, 1, 2))
-    strays = spread(count // 20, (-30, -30, -30), (30, 30, 30))
-    points = torch.cat([top, things, wall, strays])
-    return points + 3e-3 * torch.randn(len(points), 3, generator=generator)
+def table(count: int = 1500) -> Tensor:
+    """Things on a table, and far strays."""
+    points = torch.rand(count, 3, generator=torch.Generator().manual_seed(0)) - 0.5
+    points[: count // 20] *= 60
+    return points
 
 
-def test_the_plane_makes_up_exact():
-    cameras, points = walk(-60, 60, 24), table()
-    assert 0.3 < degrees(camera_up(cameras), UP), "the cameras alone would not do"
-    frame = working_frame(cameras, points)
-    assert degrees(up_of(frame), UP) < 0.2
+def test_up_is_what_hands_agree_on():
     around = walk(0, 350, 30)  # rolls of 3 degrees in 30 photos leave half a degree
     assert degrees(up_of(working_frame(around, NOTHING)), UP) < 2
-
-
-def test_a_wall_or_a_slope_is_not_the_ground():
-    cameras, points = walk(-60, 60, 24), table()
-    steep = points[(points[:, 0] < -1.9)]  # the wall alone
-    slope = points[:1500] @ torch.linalg.matrix_exp(
-        math.radians(30) * torch.tensor([[0.0, 0, -1], [0, 0, 0], [1, 0, 0]])
-    )
-    alone = up_of(working_frame(cameras, NOTHING))
-    for unfit in (steep, slope):
-        assert degrees(up_of(working_frame(cameras, unfit)), alone) < 1e-3
 
 
 def test_centre_scale_and_heading():

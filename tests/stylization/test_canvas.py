@@ -121,7 +121,7 @@ def test_it_fades_in_as_strongly_as_is_wanted(laid: Canvas):
     sh0 = laid.splats.sh0.clone()
     sh0[count:] = -sh0[count:]  # any other colours
     after = replace(laid.splats, sh0=sh0)
-    state = PaintState(1, 1, 0.0, after, before, laid.parents, torch.zeros(len(after)))
+    state = PaintState(1, 1, torch.zeros(()), after, before, laid.parents, torch.zeros(len(after)))
     layer = layer_of(state, PaintTarget("ball", PICKED, (), StyleConfig()), ROWS)
     for index in (0, 3):
         first, last = (rasterize(s, FINE[index])[0][0] for s in (before, after))

@@ -18,7 +18,7 @@ from balls import (
     dense_ball,
 )
 from scenes import rand, randn, random_splats
-from stylesplat.evaluation.statistics import TOLERANCE, off_palette
+from stylesplat.evaluation.style import TOLERANCE, off_palette
 from stylesplat.metrics.lab import lab_from_rgb, nearest_colors
 from stylesplat.rendering.reference import spherical_harmonics
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb

@@ -1,13 +1,14 @@
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 
-from balls import CAMERAS, FAST, ball
+from balls import CAMERAS, FAST, ball, same
 from balls import STRIPED_SCENE as SCENE
 from stylesplat.rendering.render import rasterize
 from stylesplat.stylization import crop_scene as cutting
-from stylesplat.stylization.crop_scene import SceneCrop, crop_scene
+from stylesplat.stylization.crop_scene import crop_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint import paint_context, paint_objects
 from stylesplat.stylization.target import PaintContext, PaintTarget
@@ -30,10 +31,8 @@ def behind(mask: torch.Tensor) -> torch.Tensor:
     return torch.cat([torch.zeros(ELSEWHERE, dtype=torch.bool), mask])
 
 
-def cut_to(studio: PaintContext, mask: torch.Tensor) -> SceneCrop:
-    cut = crop_scene(studio, behind(mask))
-    assert cut is not None
-    return cut
+def target(mask: torch.Tensor, *styles: torch.Tensor, **settings: Any) -> PaintTarget:
+    return PaintTarget("ball", behind(mask), styles, replace(FAST, **settings))
 
 
 def test_what_the_object_hides_matters_and_what_no_view_shows_does_not(studio: PaintContext):
@@ -41,9 +40,11 @@ def test_what_the_object_hides_matters_and_what_no_view_shows_does_not(studio: P
     means = studio.splats.means.clone()
     hidden = ELSEWHERE + int((~BALL).nonzero()[0])
     means[hidden] = inside
-    rows = cut_to(replace(studio, splats=replace(studio.splats, means=means)), BALL).rows
+    scene = replace(studio, splats=replace(studio.splats, means=means))
+    part, own, rows = crop_scene(scene, target(BALL))
     assert hidden in rows and torch.isin(ELSEWHERE + BALL.nonzero()[:, 0], rows).all()
     assert (rows >= ELSEWHERE).all() and (rows.diff() > 0).all()
+    assert same(part.splats, scene.splats[rows]) and torch.equal(own.mask, behind(BALL)[rows])
 
 
 def test_views_that_hide_the_object_do_not_matter(studio: PaintContext):
@@ -52,21 +53,19 @@ def test_views_that_hide_the_object_do_not_matter(studio: PaintContext):
     turned = away.viewmats.clone()
     turned[:, :3] *= torch.tensor([-1.0, 1.0, -1.0])[:, None]  # half a turn: it looks elsewhere
     away = replace(away, viewmats=turned, names=("away",))
-    cut = cut_to(replace(studio, all_cameras=CAMERAS + away), BALL)
-    assert cut.views == {*CAMERAS.names}
-    assert cut.cameras(CAMERAS + away).names == CAMERAS.names
+    part, _, _ = crop_scene(replace(studio, all_cameras=CAMERAS + away), target(BALL))
+    assert part.cameras.names == part.all_cameras.names == CAMERAS.names
     only = replace(studio, cameras=away, all_cameras=away + CAMERAS)
-    assert crop_scene(only, behind(BALL)) is None
-    assert crop_scene(replace(studio, all_cameras=CAMERAS + CAMERAS), behind(BALL)) is None
+    for whole in (only, replace(studio, all_cameras=CAMERAS + CAMERAS)):
+        assert crop_scene(whole, target(BALL))[0] is whole
 
 
 def test_the_object_looks_the_same_to_the_bit(studio: PaintContext):
-    cut = cut_to(studio, BALL)
-    whole, part = studio.splats, studio.splats[cut.rows]
+    part, _, rows = crop_scene(studio, target(BALL))
     shown = behind(BALL).float()[:, None]
     for index in range(len(CAMERAS)):
-        one, _, _ = rasterize(whole, CAMERAS[index], features=shown)
-        other, _, _ = rasterize(part, CAMERAS[index], features=shown[cut.rows])
+        one, _, _ = rasterize(studio.splats, CAMERAS[index], features=shown)
+        other, _, _ = rasterize(part.splats, CAMERAS[index], features=shown[rows])
         mine = one[0, ..., 3] > 0
         assert mine.any() and torch.equal(one[0][mine], other[0][mine])
 
@@ -74,7 +73,7 @@ def test_the_object_looks_the_same_to_the_bit(studio: PaintContext):
 def test_painted_as_in_the_whole_scene(
     studio: PaintContext, stripes: torch.Tensor, monkeypatch: pytest.MonkeyPatch
 ):
-    job = PaintTarget("ball", behind(BALL), (stripes,), FAST)
+    job = target(BALL, stripes)
     cut = paint_objects(studio, [job])
     monkeypatch.setattr(cutting, "LARGE", len(studio.splats) + 1)
     whole = paint_objects(studio, [job])
@@ -85,13 +84,10 @@ def test_painted_as_in_the_whole_scene(
 
 
 def test_nothing_else_changes_beside_a_canvas(studio: PaintContext, stripes: torch.Tensor):
-    job = PaintTarget("ball", behind(BALL), (stripes,), replace(FAST, quality="normal"))
+    job = target(BALL, stripes, quality="normal")
     styled = paint_objects(studio, [job])
     count = len(studio.splats)
     assert len(styled.splats) == len(styled.family) > count
     assert job.mask[styled.family[count:]].all()
     for name, before in studio.splats.tensors().items():
         assert torch.equal(styled.splats.tensors()[name][:count][~job.mask], before[~job.mask])
-    cut = cut_to(studio, BALL)
-    after = styled.splats[cut.of_base(torch.arange(count)).rows_in(styled.family)]
-    assert len(after) == len(cut.rows) + len(styled.splats) - count

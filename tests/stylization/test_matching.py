@@ -74,3 +74,19 @@ def test_chunks_do_not_matter(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(matching, "SIMILARITIES_AT_ONCE", 7 * 80)
     assert torch.equal(index.nearest(feats), whole[0])
     assert torch.equal(most_similar(feats, style), whole[1])
+
+
+def test_balanced_searches_use_a_style_as_often_as_it_has_each_kind():
+    flat = torch.tensor([1.0, 0.0, 0.3]) + 0.01 * randn(20, 3, seed=0)
+    lines = torch.tensor([0.0, 1.0, 0.3]) + 0.01 * randn(180, 3, seed=1)
+    feats = torch.tensor([0.55, 0.45, 0.3]) + 0.05 * randn(400, 3, seed=2)
+    style = torch.cat([flat, lines])
+
+    def shares(*, balanced: bool) -> list[float]:
+        index = build_index(style, torch.float32, balanced=balanced)
+        return [float((index.nearest(feats) < len(flat)).float().mean()) for _ in range(60)]
+
+    nearest = shares(balanced=False)
+    assert min(nearest) == max(nearest) > 0.8, "most are nearer to what is flat"
+    last = sum(shares(balanced=True)[-20:]) / 20
+    assert last == pytest.approx(0.1, abs=0.1)

@@ -178,7 +178,7 @@ def test_whose_colors_the_object_has(job: PaintTarget, network: FeatureNetwork):
     near = 0.1
     assert (ways["keep"].mean(dim=0) - own).norm() < near
     assert (ways["style"].mean(dim=0) - style.mean(dim=0)).norm() < 2.5 * near
-    assert (ways["blend"].mean(dim=0) - (own + style.mean(dim=0)) / 2).norm() < near
+    assert (ways["blend"].mean(dim=0) - (own + style.mean(dim=0)) / 2).norm() < 1.2 * near
     assert (own - style.mean(dim=0)).norm() > 4 * near
     spread, wanted = ways["style"].T.cov(), style.T.cov()
     # what the closed form spreads beyond three colours is led back to near them
@@ -243,7 +243,6 @@ FEW = ball(0) & (torch.arange(len(SCENE)) < TABLE + 49)
 
 
 def test_what_cannot_be_painted_is_refused(job: PaintTarget, network: FeatureNetwork):
-    small = replace(job, styles=(*job.styles, torch.rand(8, 90, 3)))
     for splats, jobs, fault in (
         (HIDDEN, [job], "ball: it is seen in none of the 8 views"),
         (HAZE, [job], "ball: most of what each"),
@@ -251,7 +250,6 @@ def test_what_cannot_be_painted_is_refused(job: PaintTarget, network: FeatureNet
         (SCENE, [replace(job, mask=FEW)], "ball: it has 49 Gaussians"),
         (SCENE, [job, replace(job, mask=ball(1))], "ball was given twice"),
         (SCENE, [], "Nothing to stylise"),
-        (SCENE, [small], "of 90x8 pixels"),
     ):
         with pytest.raises(StyleSplatError, match=fault):
             paint_objects(paint_context(splats, CAMERAS, network), jobs)
@@ -276,15 +274,8 @@ def test_no_object_is_painted_if_another_cannot_be(monkeypatch: pytest.MonkeyPat
         stylize(TRAINED, styles, device="cpu")
 
 
-def test_a_style_too_small_for_the_coarse_stage_is_painted_at_the_last_size(
-    job: PaintTarget, network: FeatureNetwork
-):
-    network_needs = 11 + 1  # pixels of this style image's shorter side
-    height, width = job.styles[0].shape[:2]
-    scale = 1.2 * network_needs * max(height, width) / min(height, width) / 24
-    small = with_settings(job, object_size=24, scale=scale, steps=4)
-    *_, last = paint_steps(paint_context(SCENE, CAMERAS, network), small)
-    assert (last.step, last.steps) == (4, 4)
+def test_a_style_smaller_than_a_feature_is_painted(job: PaintTarget, network: FeatureNetwork):
+    small = with_settings(job, object_size=24, scale=0.1, steps=4)
     styled = painted([small], network)
     assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
 

@@ -16,7 +16,7 @@ from balls import CAMERAS, enlarged
 from capture_files import write_cut_outs
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.photos import evaluate_views
-from stylesplat.progress import Silence, observed
+from stylesplat.progress import Observer, observed
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
@@ -149,7 +149,7 @@ def test_nothing_is_where_cut_out_photos_are_transparent(tmp_path: Path):
         assert coverage[0, ..., 0][alpha > 250].mean() > 0.9
 
 
-class Listener(Silence):
+class Listener(Observer):
     """Remembers what it is told."""
 
     def __init__(self) -> None:

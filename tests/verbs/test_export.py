@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from balls import BLUE, PICKS, RED, TRAINED, assert_same_splats, write_painted
+from balls import BLUE, PICKS, RED, TRAINED, assert_same_splats
 from scenes import random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
@@ -84,19 +84,18 @@ def test_each_object_has_a_file_and_so_has_the_rest(tmp_path: Path):
     assert (tmp_path / "four" / "mine.txt").read_text() == "mine"
 
 
-def test_a_part_of_a_painted_scene_knows_what_was_before(tmp_path: Path):
-    folder = write_painted(tmp_path, "blue", lambda wave, night: night)
-    scene = open(folder / "twice")
+def test_a_part_of_a_painted_scene_knows_what_was_before(stack: Path, tmp_path: Path):
+    scene = open(stack / "twice")
     part = cut_out(scene, rows_of_part(scene, ["red"]))
     own = scene.objects["red"].picked[: len(scene.unpainted)]
     assert_same_splats(part.unpainted, scene.unpainted[own])
     assert_same_splats(part.splats, scene.splats[scene.objects["red"].picked])
     assert part.painted_objects == ("red",), "of the other nothing is there"
     assert_same_splats(compose(part.unpainted, part.layers), part.splats)
-    rest = cut_out(scene, rows_of_part(scene, without=["both", "blue"]))
+    rest = cut_out(scene, rows_of_part(scene, without=["both"]))
     assert rest.layers == () and rest.base is None
-    export(scene, tmp_path / "blue.html", objects=["blue"])
-    assert (tmp_path / "blue.html").stat().st_size > 10_000
+    export(scene, tmp_path / "green.html", objects=["green"])
+    assert (tmp_path / "green.html").stat().st_size > 10_000
 
 
 def test_what_cannot_be_cut_out_is_told(tmp_path: Path):

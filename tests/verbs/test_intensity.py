@@ -5,27 +5,23 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import SPLATS, TRAINED
+from balls import RED, SPLATS, TRAINED
+from scenes import layer_towards, randn
 from stylesplat.rendering.render import rasterize
+from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import sh_basis
-from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.stylize import stylize
 
-pytestmark = pytest.mark.usefixtures("quick_painting")
 EXACT = 1e-5  # colours below 2, sums over some dozen Gaussians in float32
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def calm() -> Scene:
     """Painted with colours in the middle of their range, so that none is clamped."""
     scene = replace(TRAINED, splats=replace(SPLATS, sh0=SPLATS.sh0 / 2))
-    picture = 0.45 + 0.1 * torch.rand(64, 80, 3, generator=torch.Generator().manual_seed(0))
-    style = Style(picture, steps=3, layers=(1,), object_size=30, lr=0.01, quality="draft")
-    painted = stylize(scene, {"red": style}, device="cpu", measured=False)
-    assert len(painted.splats) == len(SPLATS), "it is painted on its own Gaussians"
-    return painted
+    paint = replace(scene.splats, sh0=scene.splats.sh0 + 0.1 * randn(len(SPLATS), 1, 3))
+    return with_layers(scene, [layer_towards(scene.splats, paint, RED, "red")])
 
 
 @pytest.mark.parametrize("intensity", [0.3, 0.6, 1.5])

@@ -33,16 +33,13 @@ def test_one_box_in_one_view_names_an_object(masked: Scene):
     assert torch.equal(again.objects["same"].picked, masked.objects["red"].picked)
 
 
-def test_a_second_object_joins_the_first(masked: Scene, said: list[str]):
+def test_a_second_object_joins_the_first(masked: Scene):
     both = mask(masked, boxes={"green": around(7, "view_020")}, device="cpu")
     assert [*both.objects] == ["red", "green"]
     assert [each["names"] for each in objects(both)] == [["red"], ["green"]]
     assert agreement(both.objects["green"].picked, 7) > 0.8
     assert agreement(pick(both.splats, object_id=1), 3) > 0.8, "by its label as well"
-    again = mask(both, boxes={"red": around(3, "view_004")}, device="cpu")
-    assert object_ids(again.splats) == (1, 2) and [*again.objects] == ["green", "red"]
-    assert agreement(again.objects["red"].picked, 3) > 0.8
-    assert "'red' meant" in said[-1]
+    assert object_ids(both.splats) == (1, 2)
 
 
 def test_masks_drawn_on_renders_replace_all_labels(masked: Scene, tmp_path: Path):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from safetensors.torch import save_file
 
-from balls import SPLATS, TRAINED, assert_same_splats, contents, opened, painted, write_pictures
+from balls import SPLATS, TRAINED, assert_same_splats, contents, opened, painted
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.scene.scene import Scene
@@ -40,13 +40,10 @@ def as_of_old(folder: Path) -> None:
 
 
 @pytest.fixture
-def old(tmp_path: Path) -> tuple[Path, Scene]:
+def old(stack: Path, tmp_path: Path) -> tuple[Path, Scene]:
     """A painted scene of old on disk, and as it is."""
-    wave, _ = write_pictures(tmp_path)
-    scene = painted(TRAINED, "red", wave, measured=False)
-    scene_folder.save(scene, tmp_path / "old")
-    as_of_old(tmp_path / "old")
-    return tmp_path / "old", scene
+    as_of_old(shutil.copytree(stack / "once", tmp_path / "old"))
+    return tmp_path / "old", opened(stack / "once")
 
 
 def test_a_painted_scene_of_old_opens_as_it_looks(old: tuple[Path, Scene], said: list[str]):
@@ -67,10 +64,10 @@ def test_a_painted_scene_of_old_opens_as_it_looks(old: tuple[Path, Scene], said:
 PICKED = {"red", "green", "blue", "both"}
 
 
-def test_a_scene_of_old_is_painted_on_and_written_anew(old: tuple[Path, Scene]):
+def test_a_scene_of_old_is_painted_on_and_written_anew(old: tuple[Path, Scene], stack: Path):
     folder, _ = old
     found = scene_folder.open(folder)
-    again = painted(found, "green", folder.parent / "night.png", measured=False)
+    again = painted(found, "green", stack / "night.png", quality="draft", measured=False)
     scene_folder.revise(found, again, folder)
     scene_folder.save(again, folder.parent / "new")
     assert contents(folder) == contents(folder.parent / "new"), "nothing of old is left"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from balls import GREEN, TRAINED, assert_same_splats, painted, write_pictures
+from balls import GREEN, TRAINED, assert_same_splats, opened
 from balls import PAINTED_FAST as FAST
 from capture_files import write_ball_capture
 from fake_cuda import cuda  # noqa: F401  (a fixture)
@@ -14,40 +14,24 @@ from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.load import load
 from stylesplat.verbs.select import select
-from stylesplat.verbs.stylize import stylize
 from stylesplat.verbs.stylize_live import stylize_live
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
 
-@pytest.fixture(scope="module")
-def wave(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_pictures(tmp_path_factory.mktemp("styles"))[0]
-
-
-@pytest.fixture(scope="module")
-def styled(wave: Path) -> Scene:
+@pytest.fixture
+def styled(stack: Path) -> Scene:
     """Painted on the CPU."""
-    return painted(TRAINED, "red", wave, measured=False)
+    return opened(stack / "once")
 
 
-def test_what_stylize_paints_is_undone(cuda: str, wave: Path):  # noqa: F811
-    styled = stylize(TRAINED, {"red": Style(wave, config=FAST)}, device=cuda)
-    assert_same_splats(adjust(styled, undo=True).splats, TRAINED.splats)
-
-
-def test_what_stylize_live_paints_is_painted_upon_and_undone(
-    cuda: str,  # noqa: F811
-    wave: Path,
-    styled: Scene,
-):
-    scene = styled
-    for name in ("green", "blue"):
-        *_, live = stylize_live(scene, name, Style(wave, config=FAST), device=cuda)
-        scene = live.scene()
-    without = adjust(scene, objects=["green", "blue"], undo=True)
+def test_what_is_painted_upon_is_undone(cuda: str, stack: Path, styled: Scene):  # noqa: F811
+    """`stylize` with a GPU is a part of the test of `doctor`."""
+    style = Style(stack / "wave.png", config=FAST, quality="draft")
+    *_, live = stylize_live(styled, "green", style, device=cuda)
+    without = adjust(live.scene(), objects="green", undo=True)
     assert_same_splats(without.splats, styled.splats)
-    assert_same_splats(adjust(scene, undo=True).splats, TRAINED.splats)
+    assert_same_splats(adjust(live.scene(), undo=True).splats, TRAINED.splats)
 
 
 def test_evaluate_measures_the_same(cuda: str, styled: Scene, tmp_path: Path):  # noqa: F811

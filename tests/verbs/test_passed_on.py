@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from balls import GREEN, RED, TRAINED, opened, write_painted
+from balls import GREEN, RED, TRAINED, opened
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.ply import read_ply_table
@@ -17,7 +17,7 @@ from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.export import export, export_objects
+from stylesplat.verbs.export import export
 from stylesplat.verbs.import_ import import_
 from stylesplat.verbs.objects import objects
 from stylesplat.verbs.select import select
@@ -28,10 +28,9 @@ FRAME = Frame(
 )
 
 
-@pytest.fixture(scope="module")
-def painted(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    folder = write_painted(tmp_path_factory.mktemp("painted"), "blue", lambda wave, night: night)
-    return opened(folder / "twice")
+@pytest.fixture
+def painted(stack: Path) -> Scene:
+    return opened(stack / "twice")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".splat"])
@@ -61,7 +60,7 @@ def test_a_ply_marks_objects_as_selected(tmp_path: Path):
     assert torch.equal(back.objects["red"].picked, torch.from_numpy(table["state"] == 1))
     with pytest.raises(StyleSplatError, match=r"no more columns .* Choose a \.ply"):
         export(TRAINED, tmp_path / "b.spz", selected=["red"])
-    with pytest.raises(StyleSplatError, match="A page has no rows"):
+    with pytest.raises(StyleSplatError, match="--sidecar means nothing for a page"):
         export(TRAINED, tmp_path / "a.html", sidecar=True)
     (tmp_path / "c.ply.objects.npz").write_text("mine")
     with pytest.raises(StyleSplatError, match=r"c\.ply\.objects\.npz exists"):
@@ -70,7 +69,7 @@ def test_a_ply_marks_objects_as_selected(tmp_path: Path):
 
 def test_picks_go_out_and_come_in(tmp_path: Path):
     path = tmp_path / "picks.npz"
-    assert export_objects(TRAINED, path, objects=["red", "300"]) == 2
+    assert export(TRAINED, path, objects=["red", "300"]) == 2
     bare = replace(TRAINED, objects={})
     again = select(bare, "red", rows=path)
     assert torch.equal(again.objects["red"].picked, RED)
@@ -83,7 +82,7 @@ def test_picks_go_out_and_come_in(tmp_path: Path):
         select(bare, "vase", rows=RED[:5])
     with pytest.raises(StyleSplatError, match="has no objects"):
         plain = replace(TRAINED.splats, identities=None, classifier=None)
-        export_objects(replace(bare, splats=plain), tmp_path / "none.npz")
+        export(replace(bare, splats=plain), tmp_path / "none.npz")
 
 
 def edited(scene: Scene, *, frame: Frame | None = None) -> tuple[torch.Tensor, Scene]:

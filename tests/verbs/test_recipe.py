@@ -10,7 +10,7 @@ from stylesplat.stylization.config import PRESETS, StyleConfig
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe
 
-DEFAULTS = StyleConfig(steps=7, seed=5)
+DEFAULTS = StyleConfig()
 
 Read = Callable[[str], Recipe]
 
@@ -29,7 +29,7 @@ def read(folder: Path) -> Read:
 
     def read(text: str) -> Recipe:
         (folder / "r.yaml").write_text(text, encoding="utf-8")
-        return read_recipe(folder / "r.yaml", defaults=DEFAULTS)
+        return read_recipe(folder / "r.yaml")
 
     return read
 
@@ -115,7 +115,7 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
         ("objects: {vase: wave.jpg}", "vase must be KEY: VALUE. Write vase: {style: IMAGE}."),
         ("objects: {vase: {style: lost.jpg}}", "lost.jpg. Paths are relative to the recipe's"),
         ("objects: {}", "it names no objects. Add `objects:`"),
-        ("objects: [{style: wave.jpg}]", "each of the list `objects` must have a name"),
+        ("objects: [{style: wave.jpg}]", "'' is no name"),
         ("steps: 3\nobjects:\n  vase: [", "line 3 is no valid YAML: "),
         (
             "objects:\n  vase: {style: wave.jpg}\n  pear: {style: wave.jpg}\n"

@@ -176,7 +176,7 @@ def quick(picture: Path) -> Style:
         ({"tint": "blurple"}, "no color 'blurple'"),
         ({"match": "lost.jpg"}, "lost.jpg"),
         ({"shade": 2}, "there is no key 'shade'"),
-        ({"hue": 3, "strength": 2.0}, "Cannot blend with intensity 2.0"),
+        ({"hue": 3, "strength": 2.0}, "the intensity 2.0"),
     ],
     ids=str,
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from balls import CAMERAS, SPLATS, TRAINED, assert_same_splats, painted, write_pictures
+from balls import CAMERAS, SPLATS, assert_same_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import read_json
@@ -18,15 +18,9 @@ from stylesplat.verbs.select import select
 SCENE = select(select(Scene(SPLATS, CAMERAS), "red", id=3), "green", id=7)
 
 
-@pytest.fixture(scope="module")
-def styled(tmp_path_factory: pytest.TempPathFactory, quick_painting: None) -> Scene:
-    """The red ball painted, from disk."""
-    folder = tmp_path_factory.mktemp("styled")
-    wave, _ = write_pictures(folder)
-    scene_folder.save(TRAINED, folder / "trained")
-    scene = painted(scene_folder.open(folder / "trained"), "red", wave)
-    scene_folder.save(scene, folder / "styled")
-    return scene_folder.open(folder / "styled")
+@pytest.fixture
+def styled(stack: Path) -> Scene:
+    return scene_folder.open(stack / "once")
 
 
 @pytest.mark.parametrize(

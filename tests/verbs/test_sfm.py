@@ -13,7 +13,7 @@ from PIL import Image
 import stylesplat as ss
 from capture_files import corner, photograph_corner, places_around, towards, write_photos
 from stylesplat.io.captures.sfm_file import read_sfm
-from stylesplat.progress import Silence, Task, observed
+from stylesplat.progress import Observer, Task, observed
 
 COUNT = 8
 
@@ -57,7 +57,7 @@ def test_what_became_of_each_photo_is_written_down(capture: ss.Capture, photos: 
     assert {p.name for p in photos.parent.iterdir()} == {"Ma pièce", "capture"}
 
 
-class InterruptedAt(Silence):
+class InterruptedAt(Observer):
     """Ctrl-C when a kind of work begins."""
 
     def __init__(self, stage: str) -> None:
@@ -81,15 +81,26 @@ def test_each_photo_without_a_pose_is_named_once(tmp_path: Path, said: list[str]
     assert any(line.startswith("Take more photos between") for line in said)
 
 
-def test_an_interrupted_call_goes_on(photos: Path, tmp_path: Path):
-    output = tmp_path / "capture"
+def test_an_interrupted_call_goes_on_and_keeps_label_maps(
+    capture: ss.Capture, photos: Path, tmp_path: Path
+):
+    output, partial = tmp_path / "capture", tmp_path / "capture.partial"
+    assert capture.path is not None
+    shutil.copytree(capture.path, output)
+    (output / "object_mask").mkdir()
+    Image.new("L", (320, 240), 3).save(output / "object_mask" / "00.png")
+    partial.mkdir()
+    (partial / "diary.txt").write_text("dear")
+    before = {file: file.read_bytes() for file in output.rglob("*") if file.is_file()}
     for stage in ("finding features", "finding poses", "undistorting photos"):
         with observed(InterruptedAt(stage)), pytest.raises(KeyboardInterrupt):
-            ss.sfm(photos, output)
-        assert not output.exists()
-        assert (tmp_path / "capture.partial" / "sfm" / "prepared" / "00.jpg").is_file()
-    assert len(ss.sfm(photos, output)) == COUNT
-    assert [p.name for p in tmp_path.iterdir()] == ["capture"]
+            ss.sfm(photos, output, overwrite=True)
+        assert {file: file.read_bytes() for file in output.rglob("*") if file.is_file()} == before
+        assert (partial / "sfm" / "prepared" / "00.jpg").is_file()
+    assert len(ss.sfm(photos, output, overwrite=True)) == COUNT
+    by_hand = output / "object_mask" / "00.png"
+    assert by_hand.read_bytes() == before[by_hand]
+    assert [p.name for p in partial.iterdir()] == ["diary.txt"]
 
 
 def test_places_that_cannot_be(photos: Path, tmp_path: Path):
@@ -102,22 +113,6 @@ def test_places_that_cannot_be(photos: Path, tmp_path: Path):
     with pytest.raises(ss.StyleSplatError, match="which would be replaced"):
         ss.sfm(photos, photos.parent, overwrite=True)
     assert (photos / "00.jpg").is_file()
-
-
-def test_another_time_label_maps_and_what_lies_beside_stay(
-    capture: ss.Capture, photos: Path, tmp_path: Path
-):
-    output = tmp_path / "capture"
-    assert capture.path is not None
-    shutil.copytree(capture.path, output)
-    (output / "object_mask").mkdir()
-    Image.new("L", (320, 240), 3).save(output / "object_mask" / "00.png")
-    by_hand = (output / "object_mask" / "00.png").read_bytes()
-    (tmp_path / "capture.partial").mkdir()
-    (tmp_path / "capture.partial" / "diary.txt").write_text("dear")
-    assert len(ss.sfm(photos, output, overwrite=True)) == COUNT
-    assert (output / "object_mask" / "00.png").read_bytes() == by_hand
-    assert [p.name for p in (tmp_path / "capture.partial").iterdir()] == ["diary.txt"]
 
 
 @pytest.mark.parametrize(

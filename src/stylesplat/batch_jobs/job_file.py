@@ -16,13 +16,12 @@ from msgspec import UNSET, Meta, UnsetType
 from stylesplat.batch_jobs.job import Content, Job, JobVerb, Needs, OptionValue
 from stylesplat.errors import StyleSplatError, brief, some, within
 from stylesplat.io.files import is_there, read_bytes
-from stylesplat.io.kinds import SPLATS, Kind, kind_of, no_capture, no_scene, no_splat
+from stylesplat.io.kinds import SPLATS, Kind, kind_of, wrong_kind
 from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
 from stylesplat.stylization.materials import is_material
 
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks
 CONTENTS: dict[Kind, Content] = {"scene": "scene", "capture": "capture", "splat": "splat"}
-REFUSALS = {"scene": no_scene, "capture": no_capture, "splat": no_splat}
 ADDRESS = re.compile(r"[A-Za-z][\w+.-]+:/")  # a scheme is longer than the letter of a drive
 LONGEST = 120  # characters of a name: file systems take 255 bytes, and suffixes are appended
 UNFIT = re.compile(r"[^\w.+~]+")  # characters that names of results do not have
@@ -123,7 +122,9 @@ class _Planner:
                 with within(f"line {self._line(place)}"):
                     kind = CONTENTS.get(kind_of(path))
                     if kind is None:
-                        raise REFUSALS[verb.takes[0]](path)
+                        wanted = verb.takes[0]
+                        assert wanted != "files"  # which verbs make and do not take
+                        raise wrong_kind(path, wanted)
                 yield from self._expand(entry, place, name, kind, source=path)
 
     def _expand(

@@ -2,18 +2,18 @@
 
 import io
 from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 from itertools import islice
 from pathlib import Path
 from string import Template
-from typing import Any
 from urllib.parse import quote
 
 from PIL import Image
 
 from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_process import JobRecord
+from stylesplat.evaluation.summary import flat
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import is_file
 
@@ -43,16 +43,6 @@ def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobRecord]], *, of: int
     return path
 
 
-def numbers_in(result: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, int | float]]:
-    """The numbers of a result, each with the names that lead to it."""
-    for name, value in result.items():
-        label = f"{before} {name}".strip()
-        if isinstance(value, Mapping):
-            yield from numbers_in(value, label)
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield label, value
-
-
 def job_picture(record: JobRecord, folder: Path) -> Path | None:
     """A picture of what a job has made, if there is one."""
     named = (record.result.get(key) for key in PICTURES)
@@ -67,7 +57,7 @@ def _article(record: JobRecord, picture: Path | None) -> str:
     memory = record.memory and f", {record.memory} GB"
     took = f" {record.seconds:.1f} s{memory}" if record.command else ""
     reason = f": {record.reason}" if record.reason else ""
-    rows = islice(numbers_in(record.result), MAX_NUMBERS)
+    rows = islice(flat(record.result), MAX_NUMBERS)
     numbers = "".join(
         f"<dt>{escape(k)}</dt><dd>{format(v, ',' if isinstance(v, int) else '.4g')}</dd>"
         for k, v in rows

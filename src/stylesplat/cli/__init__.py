@@ -6,20 +6,18 @@ from contextlib import closing
 
 from stylesplat.cli.arguments import read_arguments
 from stylesplat.cli.batch import Batch
-from stylesplat.cli.demo import Demo
-from stylesplat.cli.doctor import Doctor
+from stylesplat.cli.demo import Demo, Doctor
 from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.mcp import Mcp
 from stylesplat.cli.objects import Delete, Objects, Rename, Select
-from stylesplat.cli.recolor import Recolor
 from stylesplat.cli.render import Render
 from stylesplat.cli.results import exit_status
 from stylesplat.cli.sfm import Check, Sfm
 from stylesplat.cli.sheet import Sheet
-from stylesplat.cli.stylize import Adjust, Stylize
+from stylesplat.cli.stylize import Adjust, Recolor, Stylize
 from stylesplat.cli.train import Train
 from stylesplat.cli.view import StudioCommand, ViewCommand
 from stylesplat.progress import observed, write_lines

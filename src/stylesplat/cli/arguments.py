@@ -17,7 +17,14 @@ from typing import Annotated, Any, TypedDict, get_args, get_type_hints, is_typed
 
 import tyro
 from docstring_parser import parse_from_object
-from tyro.conf import DisallowNone, OmitArgPrefixes, PositionalMetavarFromFieldName, arg, subcommand
+from tyro.conf import (
+    DisallowNone,
+    FlagCreatePairsOff,
+    OmitArgPrefixes,
+    PositionalMetavarFromFieldName,
+    arg,
+    subcommand,
+)
 from tyro.constructors import (
     ConstructorRegistry,
     StructConstructorSpec,
@@ -31,7 +38,10 @@ from stylesplat.io.files import is_file
 PROGRAM = "stylesplat"
 ALIASES = {"stylize": ("stylise",)}
 REGISTRY = ConstructorRegistry()
-TYRO = {"config": (DisallowNone, PositionalMetavarFromFieldName), "registry": REGISTRY}
+TYRO = {
+    "config": (DisallowNone, FlagCreatePairsOff, PositionalMetavarFromFieldName),
+    "registry": REGISTRY,
+}
 OVERVIEW = """\
 Repaint chosen objects of a 3D Gaussian splat in the style of any picture.
 

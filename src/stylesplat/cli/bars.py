@@ -7,7 +7,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from stylesplat.progress import write_lines
+from stylesplat.progress import Observer, write_lines
 
 MOMENT = 0.5  # seconds of work that is not worth a bar
 EVERY = 10.0  # seconds between two lines of a task in a log
@@ -39,7 +39,7 @@ class _Lines:
     def flush(self) -> None: ...
 
 
-class Bars:
+class Bars(Observer):
     """The observer of the command line. It says no line twice."""
 
     def __init__(self, *, terminal: bool | None = None, delay: int | float | None = None) -> None:

@@ -19,10 +19,9 @@ from stylesplat.cli.import_ import Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Select
 from stylesplat.cli.options import CONTINUES, NAMES, Command, Output
-from stylesplat.cli.recolor import Recolor
 from stylesplat.cli.render import Render
 from stylesplat.cli.sheet import Sheet
-from stylesplat.cli.stylize import Stylize
+from stylesplat.cli.stylize import Recolor, Stylize
 from stylesplat.cli.train import Train
 from stylesplat.errors import StyleSplatError, some
 

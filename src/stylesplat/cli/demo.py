@@ -1,13 +1,25 @@
-"""`stylesplat demo`."""
+"""`stylesplat demo` and `doctor`: what an installation can do, and whether it works."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stylesplat.cli.options import CONTINUES, MakingCommand, Output
+from stylesplat.cli.options import CONTINUES, Command, Device, MakingCommand, Output
 from stylesplat.cli.results import mask_command, next_lines
+from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
+
+COLUMNS = {  # of the table: what the result calls them
+    "train, steps/s": "steps_per_second",
+    "PSNR, dB": "psnr",
+    "render, ms": "render_ms",
+    "as reference, dB": "agreement",
+    "paint, s": "seconds_by_object",
+    "NNFM before": "nnfm_before",
+    "after": "nnfm_after",
+    "all, s": "seconds",
+}
 
 
 @dataclass(frozen=True)
@@ -34,3 +46,43 @@ class Demo(MakingCommand):
         yield f"Video: {result['video']}"
         yield f"It took {result['seconds']} s."
         yield from next_lines(mask_command(Path("MyPhotos")))
+
+
+@dataclass(frozen=True)
+class Doctor(Command):
+    """Say what this machine has, and test rendering, training and painting on each device.
+
+    The table and the JSON are for reports of problems: paste them whole.
+
+    Example: stylesplat doctor --json
+    """
+
+    device: Device = "auto"
+    """What to test; auto tests the CPU and every GPU whose gsplat is compiled, and cuda compiles
+    gsplat first, which takes some minutes."""
+
+    def run(self) -> dict[str, Any]:
+        from stylesplat.demo.doctor import doctor
+
+        return doctor(self.device)
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        from stylesplat.io.json_files import strict_json
+
+        system, versions = result["system"], result["versions"]
+        for name in ("stylesplat", "python", "torch", "numba", "gsplat"):
+            yield f"{name:11} {versions[name] or 'not installed'}"
+        yield f"{'processor':11} {system['processor']}, {system['threads']} threads"
+        yield f"{'memory':11} {system['memory_gib']} GiB"
+        for name, gpu in result["gpus"].items():
+            yield f"{name:11} {gpu['name']}, {gpu['memory_gib']} GiB"
+        yield f"{'kernels':11} gsplat is {result['gsplat']}"
+        yield f"{'device':8}{'  '.join(COLUMNS)}"
+        for row in result["self_test"]:
+            cells = [f"{row.get(key, '-'):>{len(title)}}" for title, key in COLUMNS.items()]
+            yield f"{row['device']:8}{'  '.join(cells)}"
+        yield from ("```json", strict_json(result), "```")
+
+    def after_answer(self, result: dict[str, Any]) -> None:
+        if result["problems"]:
+            raise StyleSplatError(f"Something is wrong. {'; '.join(result['problems'])}.")

@@ -8,7 +8,7 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Device, Flag, MakingCommand, OptionalOutput, SceneFolder
+from stylesplat.cli.options import Device, MakingCommand, OptionalOutput, SceneFolder
 from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
@@ -36,7 +36,7 @@ class Evaluate(MakingCommand):
     output: OptionalOutput = None
     """JSON file to make of the numbers; without it the scene keeps them, in its metrics.json. With
     --compare the page to make."""
-    compare: Flag = False
+    compare: bool = False
     """Compare several scenes on an HTML page, -o: the same views, the numbers of each, and the
     differences to the first. The scenes stay as they are."""
     capture: Path | None = None
@@ -61,7 +61,8 @@ class Evaluate(MakingCommand):
             refuse_unwritable(self.scene)
         else:
             refuse_file(self.output, overwrite=self.overwrite)
-        metrics = ss.evaluate(scene, self._photos(scene, self.scene), device=self.device)
+        capture = self._photos(scene, self.scene, required=not scene.layers)
+        metrics = ss.evaluate(scene, capture, device=self.device)
         with changing(self.output or self.scene):
             if self.output is not None:
                 write_json(metrics, self.output)
@@ -84,21 +85,22 @@ class Evaluate(MakingCommand):
         video = unused(self.scene, ".mp4")
         yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))
 
-    def _photos(self, scene: "ss.Scene", path: Path) -> "ss.Capture | None":
-        """The photos of a scene; None if they are gone, but the scene has a style to measure."""
+    def _photos(
+        self, scene: "ss.Scene", path: Path, *, required: bool = False
+    ) -> "ss.Capture | None":
+        """The photos of a scene; None, after a line that says so, if they are gone."""
         from stylesplat.io.captures.capture_folder import exact_masks
 
         source = self.capture or scene.capture
-        if source is None or not (self.capture or source.is_dir()):
-            gone = f"are no longer in {source}" if source else "are unknown"
-            if not scene.layers:
-                raise StyleSplatError(
-                    f"The photos of {path} {gone}. Pass --capture with their folder."
-                )
-            if source is not None:
-                say(f"The photos of {path} {gone}, so only the style is measured. See --capture.")
-            return None
-        return ss.load(source, downscale=scene.downscale, masks=self.masks or exact_masks(source))
+        if source is not None and (self.capture or source.is_dir()):
+            masks = self.masks or exact_masks(source)
+            return ss.load(source, downscale=scene.downscale, masks=masks)
+        gone = f"are no longer in {source}" if source else "are unknown"
+        fact = f"The photos of {path} {gone}. Pass --capture with their folder."
+        if required:
+            raise StyleSplatError(fact)
+        say(fact)
+        return None
 
     def _compare(self) -> dict[str, Any]:
         from stylesplat.figures.html_page import comparison_page
@@ -114,21 +116,13 @@ class Evaluate(MakingCommand):
             )
         refuse_file(page, overwrite=self.overwrite)
         given = (self.scene, *self.others)
-        names = [path.resolve().name for path in given]
-        if len({*names}) < len(given):
-            names = [str(path) for path in given]
-        folders = dict(zip(names, given, strict=True))
+        folders = {path.resolve().name: path for path in given}
+        if len(folders) < len(given):
+            folders = {str(path): path for path in given}
         scenes = {name: ss.open(folder) for name, folder in folders.items()}
         shared_views(scenes)  # raises before photos are read
-        captures = {}
-        for name, folder in folders.items():
-            try:
-                capture = self._photos(scenes[name], folder)
-            except StyleSplatError as error:  # pictures and styles are compared all the same
-                say(str(error))
-                continue
-            if capture is not None:
-                captures[name] = capture
+        photos = {name: self._photos(scene, folders[name]) for name, scene in scenes.items()}
+        captures = {name: each for name, each in photos.items() if each is not None}
         with changing(page):
             found = ss.compare(scenes, captures, device=self.device)
             title = "Scenes compared"

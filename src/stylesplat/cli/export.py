@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import Positional, UseAppendAction, arg
 
 import stylesplat as ss
-from stylesplat.cli.arguments import from_config
-from stylesplat.cli.options import Flag, MakingCommand, OptionalOutput, SceneFolder
+from stylesplat.cli.arguments import from_config, help_texts
+from stylesplat.cli.options import MakingCommand, OptionalOutput, SceneFolder, refuse_given
 from stylesplat.cli.results import next_lines, pasted, unused
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
@@ -38,54 +38,39 @@ class Export(MakingCommand):
     """Folder to make instead of a file: each object in a .ply of its name, the rest in rest.ply."""
     selected: UseAppendAction[tuple[str, ...]] = ()
     """Select this object for SuperSplat, in a .ply. May be repeated."""
-    sidecar: Flag = False
+    sidecar: bool = False
     """Write FILE.objects.npz beside it, for `import --labels`: the objects, by rows of the file."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
-    mesh: Flag = False
+    mesh: bool = False
     """Write a textured mesh into a .glb or .obj, of one object or of a scene that shows one."""
     mesh_settings: Annotated[dict[str, Any], from_config(MeshConfig, "faces", "texture_size")] = (
         field(default_factory=dict)
     )
-    repaint: Flag = False
-    """Paint the mesh's texture anew in the object's style: its strokes are finer than Gaussians."""
+    repaint: Annotated[bool, arg(help=help_texts(MeshConfig)["repaint"])] = False
     spz_version: Literal[2, 3, 4] | None = None
     """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs."""
 
     def run(self) -> dict[str, Any]:
         from stylesplat.io.gaussian_lists import LISTS
-        from stylesplat.verbs.export import export_each, export_objects
+        from stylesplat.verbs.export import export_each
 
         places = [each for each in (self.file, self.output, self.each) if each is not None]
         if len(places) != 1:
             raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
         (file,) = places
-        others = (self.without, self.selected, self.sidecar, self.mesh)
         settings = self.mesh_settings | ({"repaint": True} if self.repaint else {})
         if settings and not self.mesh:
             names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
             raise StyleSplatError(f"{names} means nothing without --mesh. Add it, or leave it out.")
         options = {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
-        if self.spz_version is not None and file.suffix.lower() != ".spz":
-            raise StyleSplatError(f"{file} is no .spz. Leave --spz-version out.")
         if self.each is not None:
-            if self.object or any(others):
-                raise StyleSplatError(
-                    "--each writes every object by itself. Leave --object, --without, --selected, "
-                    "--sidecar and --mesh out."
-                )
+            whole = ("object", "without", "selected", "sidecar", "mesh", "spz_version")
+            refuse_given(self, whole, "--each")
             return {"files": export_each(ss.open(self.scene), file, **options)}
         refuse_file(file, overwrite=self.overwrite)
-        scene = ss.open(self.scene)
-        if file.suffix.lower() == LISTS:
-            if any(others) or self.sh_degree is not None:
-                raise StyleSplatError(
-                    f"{file} lists objects. Of the options it takes --object alone."
-                )
-            count = export_objects(scene, file, objects=self.object, overwrite=self.overwrite)
-            return {"file": file, "objects": count}
         count = ss.export(
-            scene,
+            ss.open(self.scene),
             file,
             objects=self.object,
             without=self.without,
@@ -95,7 +80,8 @@ class Export(MakingCommand):
             spz_version=self.spz_version,
             **options,
         )
-        return {"file": file, "faces" if self.mesh else "gaussians": count}
+        lists = file.suffix.lower() == LISTS
+        return {"file": file, "faces" if self.mesh else "objects" if lists else "gaussians": count}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         from stylesplat.scene.one_line import counted
@@ -103,15 +89,9 @@ class Export(MakingCommand):
         if "files" in result:
             yield f"{self.each}: {', '.join(path.name for path in result['files'])}."
             return
-        file = result["file"]
-        size = f"{file.stat().st_size / 1e6:.1f} MB"
-        if "objects" in result:
-            yield f"{file}: {counted(result['objects'], 'object')}, {size}."
-            return
-        if "faces" in result:
-            yield f"{file}: {result['faces']:,} faces, {size}."
-            return
-        yield f"{file}: {result['gaussians']:,} Gaussians, {size}."
+        file, (what, count) = result["file"], [*result.items()][1]
+        noun = {"gaussians": "Gaussian"}.get(what, what[:-1])
+        yield f"{file}: {counted(count, noun)}, {file.stat().st_size / 1e6:.1f} MB."
         if self.sidecar:
             yield f"Objects: {file}.objects.npz, for `import --labels`."
         video = unused(self.scene, ".mp4")

@@ -8,9 +8,8 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Device, MakingCommand, Output
+from stylesplat.cli.options import Device, MakingCommand, Output, refuse_given
 from stylesplat.cli.results import describe_scene, new_scene, new_scene_lines, pasted
-from stylesplat.errors import StyleSplatError
 
 
 @dataclass(frozen=True)
@@ -44,14 +43,9 @@ class Import(MakingCommand):
     device: Device = "auto"
 
     def run(self) -> dict[str, Any]:
-        if self.capture is None and (self.masks is not None or self.frame != "capture"):
-            raise StyleSplatError("--masks and --frame need the capture. Name its folder as well.")
-        if self.labels is not None and self.masks is not None:
-            raise StyleSplatError("--labels and --masks both say what is what. Pass one of them.")
-        if self.like is not None and (self.capture is not None or self.labels is not None):
-            raise StyleSplatError(
-                "--like has views and labels. Leave the capture and --labels out."
-            )
+        if self.capture is None or self.labels is not None:
+            without = "no capture" if self.capture is None else "--labels"
+            refuse_given(self, ("masks",), without)
         with new_scene(self.output, overwrite=self.overwrite) as save:
             capture = self.capture and ss.load(self.capture, masks=self.masks)
             scene = ss.import_(

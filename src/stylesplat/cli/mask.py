@@ -86,26 +86,15 @@ class Mask(MakingCommand):
         return self.method is not None and self.method not in WITHOUT_MODEL
 
     def run(self) -> dict[str, Any]:
-        from stylesplat.io.captures.capture_folder import OBJECT_MASK
         from stylesplat.io.kinds import SCENE
         from stylesplat.scene.framing import has_no_photos
         from stylesplat.verbs.mask import settled_method
 
-        boxes, strokes = self._drawn(None)
-        given = {"boxes": boxes, "strokes": strokes, "source": self.source, "model": self.model}
-        settled_method(self.method, given | {"scene": self.scene})  # before photos are read
+        given = self._drawn() | {"source": self.source, "model": self.model, "scene": self.scene}
+        settled_method(self.method, given)  # before photos are read
         if is_file(self.capture / SCENE) and has_no_photos(ss.open(self.capture)):
             return self._mask_scene()
-        refuse_given(self, ("output",), "photos, whose label maps go into object_mask/")
-        scene = ss.open(self.scene) if self.scene else None
-        lines = ((view, None) for view, _ in chain(*strokes.values()))
-        drawn = chain(*boxes.values(), lines)
-        folder = find_photos_capture(self.capture, beside=self.capture, drawn=drawn)
-        output = folder / OBJECT_MASK
-        refuse_occupied(output, marker="", overwrite=True)  # label maps are refused below
-        capture = ss.load(folder, masks=False)
-        with changing(output):
-            return self._mask_photos(capture, scene, output)
+        return self._mask_photos()
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         names = result["names"]
@@ -126,7 +115,7 @@ class Mask(MakingCommand):
         scene = unused(self.capture, "-scene")
         yield from next_lines(pasted("train", self.capture, "-o", scene))
 
-    def _drawn(self, record: "SfmRecord | None") -> tuple[Drawn, Drawn]:
+    def _drawn(self, record: "SfmRecord | None" = None) -> dict[str, Drawn]:
         """The boxes and strokes by object, with the names that photos have in the capture."""
         boxes, strokes = Drawn(), Drawn()
         for text in self.box:
@@ -137,58 +126,51 @@ class Mask(MakingCommand):
                 name, view, line = _parse_drawn(text, "VIEW:x,y,x,y,...")
                 stroke = ss.Stroke((*zip(line[::2], line[1::2], strict=True),), over_object)
                 strokes.setdefault(name, []).append((view_of_photo(view, record), stroke))
-        return boxes, strokes
+        return {"boxes": boxes, "strokes": strokes}
 
-    def _masked(self, photos: Any, progress: Path, **options: Any) -> Any:
-        """Photos or a scene with masks; models keep what they have found so far in `progress`."""
-        return ss.mask(
-            photos,
-            source=self.source,
-            method=self.method,
-            model=self.model,
-            device=self.device,
-            progress=progress if self._keeps_progress else None,
-            **options,
-        )
+    def _masked(self, photos: Any, place: Path, drawn: dict[str, Drawn], **options: Any) -> Any:
+        """Photos or a scene with masks; models keep what they have found beside the result."""
+        progress = partial_of(place) if self._keeps_progress else None
+        options |= {"method": self.method, "model": self.model, "device": self.device}
+        return ss.mask(photos, source=self.source, progress=progress, **drawn, **options)
 
-    def _mask_photos(
-        self, capture: "ss.Capture", scene: "ss.Scene | None", output: Path
-    ) -> dict[str, Any]:
+    def _mask_photos(self) -> dict[str, Any]:
+        from stylesplat.io.captures.capture_folder import OBJECT_MASK
         from stylesplat.io.captures.sfm_file import read_sfm
         from stylesplat.io.label_maps import refuse_label_maps, write_label_maps
         from stylesplat.scene.cameras import find_name
 
-        record = read_sfm(output.parent)
-        boxes, strokes = self._drawn(record)
-        names = capture.cameras.names
-        own = [record.origins.get(name, name) for name in names] if record else names
-        for view, *_ in chain(*boxes.values(), *strokes.values()):
-            find_name(view, names, shown_names=own)  # raises before label maps are refused
-        refuse_label_maps(capture, output, overwrite=self.overwrite)
-        progress = partial_of(output)
-        masked = self._masked(capture, progress, boxes=boxes, strokes=strokes, scene=scene)
-        found = write_label_maps(masked, output, overwrite=self.overwrite)
-        ids = sorted(set[int]().union(*found.values()))
-        called = {id: masked.object_names[id] for id in ids if id in masked.object_names}
-        preview = output / PREVIEW
-        with optional_picture():
-            preview.unlink(missing_ok=True)  # it shows earlier label maps
-            _draw(ss.load(output.parent), called, preview)
-        if self._keeps_progress:
-            shutil.rmtree(progress, ignore_errors=True)
-        return {
-            "masks": output,
-            "preview": preview if is_file(preview) else None,
-            "photos": len(found),
-            "of": len(masked),
-            "ids": ids,
-            "names": called,
-        }
+        refuse_given(self, ("output",), "photos, whose label maps go into object_mask/")
+        scene = ss.open(self.scene) if self.scene else None
+        folder = find_photos_capture(
+            self.capture, beside=self.capture, drawn=_places(self._drawn())
+        )
+        output = folder / OBJECT_MASK
+        refuse_occupied(output, marker="", overwrite=True)  # label maps are refused below
+        capture = ss.load(folder, masks=False)
+        with changing(output):
+            record, names = read_sfm(folder), capture.cameras.names
+            drawn = self._drawn(record)
+            own = [record.origins.get(name, name) for name in names] if record else names
+            for view, _ in _places(drawn):
+                find_name(view, names, shown_names=own)  # raises before label maps are refused
+            refuse_label_maps(capture, output, overwrite=self.overwrite)
+            masked = self._masked(capture, output, drawn, scene=scene)
+            found = write_label_maps(masked, output, overwrite=self.overwrite)
+            ids = sorted(set[int]().union(*found.values()))
+            called = {id: masked.object_names[id] for id in ids if id in masked.object_names}
+            preview = output / PREVIEW
+            with optional_picture():
+                preview.unlink(missing_ok=True)  # it shows earlier label maps
+                _draw(ss.load(folder), called, preview)
+            shutil.rmtree(partial_of(output), ignore_errors=True)
+        drawn_to = preview if is_file(preview) else None
+        counts = {"photos": len(found), "of": len(masked), "ids": ids, "names": called}
+        return {"masks": output, "preview": drawn_to, **counts}
 
     def _mask_scene(self) -> dict[str, Any]:
         refuse_given(self, ("scene",), "a scene, which is that scene itself")
         place = self.output or self.capture
-        progress = partial_of(place / "masks")
 
         def mask(before: "ss.Scene") -> "ss.Scene":
             if before.splats.classifier and not (self.box or self.overwrite):
@@ -196,13 +178,11 @@ class Mask(MakingCommand):
                     f"{self.capture} knows objects already, which these masks would replace. "
                     "Pass --overwrite, or add objects with --box."
                 )
-            boxes, strokes = self._drawn(None)
-            return self._masked(before, progress, boxes=boxes, strokes=strokes)
+            return self._masked(before, place / "masks", self._drawn())
 
         with changing(place):
             after = rewrite_scene(self.capture, self.output, mask, overwrite=self.overwrite)
-            if self._keeps_progress:
-                shutil.rmtree(progress, ignore_errors=True)
+            shutil.rmtree(partial_of(place / "masks"), ignore_errors=True)
             return _describe_objects(after, place, self.device)
 
 
@@ -210,6 +190,12 @@ def _parse_drawn(text: str, form: str) -> tuple[str, str, tuple[float, ...]]:
     """An object's name, which may be left out, the view, and the numbers behind it."""
     name, equals, place = text.partition("=")
     return (name if equals else "object", *parse_place(place if equals else text, form))
+
+
+def _places(drawn: dict[str, Drawn]) -> list[tuple[str, Any]]:
+    """All views, and the boxes in them; None for a stroke."""
+    boxes, strokes = (chain(*each.values()) for each in drawn.values())
+    return [*boxes, *((view, None) for view, _ in strokes)]
 
 
 def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> dict[str, Any]:
@@ -222,22 +208,15 @@ def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> dict[str, 
 
     ids = object_ids(scene.splats)
     names = {id: name for id in ids for name in names_of(scene, id)[:1]}
-    preview, photos = place / SCENE_PREVIEW, None
+    found: dict[str, Any] = {"scene": place, "preview": None, "photos": None}
     with optional_picture():
-        torch_device = pick_device(device)
-        small = at_most(rendered_capture(scene, torch_device), SIDE)
-        splats = scene.splats.to(torch_device)
-        maps = [render_labels(splats, small.cameras[row]).cpu() for row in range(len(small))]
-        _draw(replace(small, label_maps=maps), names, preview)
-        photos = sum(bool(labels.any()) for labels in maps)
-    return {
-        "scene": place,
-        "preview": None if photos is None else preview,
-        "photos": photos,
-        "of": len(scene.cameras),
-        "ids": list(ids),
-        "names": names,
-    }
+        small = at_most(rendered_capture(scene, pick_device(device)), SIDE)
+        splats = scene.splats.to(pick_device(device))
+        maps = [render_labels(splats, camera).cpu() for camera in small.cameras]
+        _draw(replace(small, label_maps=maps), names, place / SCENE_PREVIEW)
+        shows = sum(bool(labels.any()) for labels in maps)
+        found |= {"preview": place / SCENE_PREVIEW, "photos": shows}
+    return found | {"of": len(scene.cameras), "ids": list(ids), "names": names}
 
 
 def _draw(capture: "ss.Capture", names: dict[int, str], target: Path) -> None:

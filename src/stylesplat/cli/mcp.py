@@ -41,9 +41,6 @@ class Mcp(Command):
         mcp_server(self.root, VERBS).run("stdio")
         return {}
 
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        yield from ()
-
 
 def mcp_server(root: Path, verbs: Mapping[str, type]) -> "MCPServer":
     """A server with a tool for each verb, whose paths are confined to a folder.

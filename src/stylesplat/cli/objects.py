@@ -11,9 +11,8 @@ from tyro.conf import Positional, UseAppendAction
 import stylesplat as ss
 from stylesplat.cli.arguments import parse_place
 from stylesplat.cli.options import (
-    Flag,
+    EditingCommand,
     MakingCommand,
-    NewScene,
     OptionalOutput,
     SceneFolder,
     refuse_picture,
@@ -22,7 +21,6 @@ from stylesplat.cli.results import (
     next_lines,
     object_commands,
     optional_picture,
-    rewrite_scene,
     selection_file,
     stylize_command,
 )
@@ -96,7 +94,7 @@ def _box(place: dict[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class Select(MakingCommand):
+class Select(EditingCommand):
     """Name an object of a scene, by label id, places in photos, words, or a shape in the world.
 
     Several choices are united: `--id 3 --plus lid --minus lamp`.
@@ -104,7 +102,6 @@ class Select(MakingCommand):
     Example: stylesplat select garden-scene --name vase --point IMG_0007.jpg:640,420
     """
 
-    scene: SceneFolder
     name: str
     """The object's name."""
     id: UseAppendAction[tuple[tuple[int, ...], ...]] = ()
@@ -135,9 +132,9 @@ class Select(MakingCommand):
     """Names of earlier selections that belong to it, several or one at a time."""
     minus: UseAppendAction[tuple[tuple[str, ...], ...]] = ()
     """Names of earlier selections that do not, likewise."""
-    all: Flag = False
+    all: bool = False
     """Everything."""
-    background: Flag = False
+    background: bool = False
     """What belongs to no object: a table, a wall. Take parts of it away with --minus."""
     grow: float | None = None
     """Add Gaussians close by: 0.05 reaches 5 % of the object's extent."""
@@ -145,20 +142,19 @@ class Select(MakingCommand):
     """Remove Gaussians close to anything else: 0.02 reaches 2 % of the object's extent."""
     threshold: float = 0.5
     """Probability of the object above which a Gaussian belongs to it."""
-    keep_outliers: Flag = False
+    keep_outliers: bool = False
     """Keep Gaussians that lie apart from the rest of the object."""
-    picture: Flag = True
+    picture: bool = True
     """Draw no picture of it into the scene."""
-    output: NewScene = None
 
     def run(self) -> dict[str, Any]:
         if self.model is not None and not self.text:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
-        selection_file(self._folder, self.name)  # raises before the work
-        after = rewrite_scene(self.scene, self.output, self._select, overwrite=self.overwrite)
+        selection_file(self.folder, self.name)  # raises before the work
+        after = self.rewrite(self._select)
         picture = self._draw() if self.picture and self.json else None
         how = after.objects[self.name].how
-        return {"name": self.name, **how, "scene": self._folder, "picture": picture}
+        return {"name": self.name, **how, "scene": self.folder, "picture": picture}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         yield f"{self.name}: {result['gaussians']:,} Gaussians."
@@ -168,10 +164,6 @@ class Select(MakingCommand):
         if self.picture and not self.json and (picture := self._draw()):
             what = "the selected Gaussians in colour, in blue those of them that get no paint"
             say(f"Picture: {picture}, {what}.")
-
-    @property
-    def _folder(self) -> Path:
-        return self.output or self.scene
 
     def _select(self, scene: "ss.Scene") -> "ss.Scene":
         return ss.select(
@@ -204,13 +196,13 @@ class Select(MakingCommand):
         from stylesplat.selection.choose import find_object
 
         with optional_picture(self.name):
-            scene = ss.open(self._folder)
+            scene = ss.open(self.folder)
             picture = selection_picture(scene.splats, scene.cameras, find_object(scene, self.name))
             if picture is None:
                 say(f"{self.name} shows in none of the views, so there is no picture of it.")
                 return None
-            target = selection_file(self._folder, self.name)
-            with changing(self._folder):
+            target = selection_file(self.folder, self.name)
+            with changing(self.folder):
                 write_image(picture, target)
             return target
         return None
@@ -223,30 +215,22 @@ def _places(texts: tuple[str, ...], *forms: str) -> list[Any]:
 
 
 @dataclass(frozen=True)
-class Rename(MakingCommand):
+class Rename(EditingCommand):
     """Give an object of a scene another name.
 
     Example: stylesplat rename garden-scene object vase
     """
 
-    scene: SceneFolder
     old: Positional[str]
     """The object's name."""
     new: Positional[str]
     """Its new name."""
-    output: NewScene = None
 
     def run(self) -> dict[str, Any]:
-        folder = self.output or self.scene
-        picture = selection_file(folder, self.new)
-        after = rewrite_scene(
-            self.scene,
-            self.output,
-            lambda scene: ss.rename(scene, self.old, self.new),
-            overwrite=self.overwrite,
-        )
+        after = self.rewrite(lambda scene: ss.rename(scene, self.old, self.new))
+        picture = selection_file(self.folder, self.new)
         found = {"name": self.new, "was": self.old, **after.objects[self.new].how}
-        return found | {"scene": folder, "picture": picture if picture.is_file() else None}
+        return found | {"scene": self.folder, "picture": picture if picture.is_file() else None}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         yield f"{result['was']} is called {result['name']} now."
@@ -254,26 +238,18 @@ class Rename(MakingCommand):
 
 
 @dataclass(frozen=True)
-class Delete(MakingCommand):
+class Delete(EditingCommand):
     """Delete the name of an object; its Gaussians stay, and so does their paint.
 
     Example: stylesplat delete garden-scene lid
     """
 
-    scene: SceneFolder
     name: Positional[str]
     """The object's name."""
-    output: NewScene = None
 
     def run(self) -> dict[str, Any]:
-        after = rewrite_scene(
-            self.scene,
-            self.output,
-            lambda scene: ss.delete(scene, self.name),
-            overwrite=self.overwrite,
-        )
-        names = [*after.objects]
-        return {"scene": self.output or self.scene, "deleted": self.name, "names": names}
+        after = self.rewrite(lambda scene: ss.delete(scene, self.name))
+        return {"scene": self.folder, "deleted": self.name, "names": [*after.objects]}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         left = ", ".join(result["names"]) or "none"

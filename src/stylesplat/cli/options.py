@@ -1,27 +1,23 @@
 """The base of all commands, options that several verbs share, and checks of options."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional, arg
+from tyro.conf import Positional, arg
 
+from stylesplat.cli.results import rewrite_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
 from stylesplat.stylization.config import Network
 
-Flag = FlagCreatePairsOff[bool]
+if TYPE_CHECKING:
+    from stylesplat.scene.scene import Scene
+
 SceneFolder = Annotated[Positional[Path], arg(help="Folder of the scene.")]
 Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
-NewScene = Annotated[
-    Path | None,
-    arg(
-        aliases=["-o"],
-        help="Folder of a scene to make; without it the scene itself is changed.",
-    ),
-]
 Device = Annotated[
     Literal["auto", "cpu", "cuda"],
     arg(help="Where to compute; auto uses an NVIDIA GPU if there is one."),
@@ -49,7 +45,7 @@ CONTINUES = "The same command goes on where it stopped."  # after Ctrl-C
 class Command:
     """A verb of the command line: its fields are its options."""
 
-    json: Annotated[Flag, arg(help="Print the result as JSON on stdout.")] = False
+    json: Annotated[bool, arg(help="Print the result as JSON on stdout.")] = False
 
     def run(self) -> dict[str, Any]:
         """Run the verb, and return what `--json` prints."""
@@ -57,7 +53,7 @@ class Command:
 
     def words(self, result: dict[str, Any]) -> Iterable[str]:
         """Lines for people: what was made, and the next commands."""
-        raise NotImplementedError
+        return ()
 
     def after_answer(self, result: dict[str, Any]) -> None:
         """Do what nobody has to wait for: the result is printed already."""
@@ -67,7 +63,26 @@ class Command:
 class MakingCommand(Command):
     """A verb that makes files."""
 
-    overwrite: Annotated[Flag, arg(help="Replace what the output holds.")] = False
+    overwrite: Annotated[bool, arg(help="Replace what the output holds.")] = False
+
+
+@dataclass(frozen=True)
+class EditingCommand(MakingCommand):
+    """A verb that changes a scene, or makes another one of it."""
+
+    scene: SceneFolder
+    output: Annotated[
+        OptionalOutput, arg(help="Folder of a scene to make; without it the scene itself changes.")
+    ] = field(default=None, kw_only=True)
+
+    @property
+    def folder(self) -> Path:
+        """Of the scene that changes, or is made."""
+        return self.output or self.scene
+
+    def rewrite(self, change: "Callable[[Scene], Scene]") -> "Scene":
+        """Open the scene, change it, and save it."""
+        return rewrite_scene(self.scene, self.output, change, overwrite=self.overwrite)
 
 
 def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:

@@ -16,11 +16,7 @@ from stylesplat.progress import say, write_lines
 from stylesplat.scene.arguments import pasted
 from stylesplat.signals import WHOLE, report_interruption
 
-BEFORE_AFTER = "before_after.png"
-PHOTO_AND_RENDER = "photo_and_render.png"
-VIEW = "view.png"
 PICTURE = "PICTURE.jpg"  # stands for any picture of the user's
-AT_FAULT = 1  # the user's input, or a machine that is too small for it
 PIPE_CLOSED = 141  # as shells report it, after `| head`
 # Words of torch, OpenCV and CUDA, in errors of many kinds
 NO_MEMORY = ("allocate memory", "not enough memory", "out of memory", "insufficient memory")
@@ -86,17 +82,13 @@ def rewrite_scene(
 
 def _update_pictures(before: "ss.Scene", after: "ss.Scene", folder: Path) -> None:
     """Move the pictures of renamed selections, and delete those that show something else now."""
-    for name in {**after.objects, **before.objects}:
-        now, picture = after.objects.get(name), selection_file(folder, name)
-        if now is before.objects.get(name):
-            continue
-        gone = before.objects.keys() - after.objects.keys()
-        was = next((other for other in gone if before.objects[other] is now), None)
-        with suppress(OSError):
-            if was is None:
-                picture.unlink()
-            else:
-                selection_file(folder, was).replace(picture)
+    for name in {**after.objects, **before.objects}:  # new names first
+        was = before.objects.get(name)
+        if after.objects.get(name) is not was:
+            picture = selection_file(folder, name)
+            now = [other for other, each in after.objects.items() if each is was]
+            with suppress(OSError):
+                picture.replace(selection_file(folder, now[0])) if now else picture.unlink()
 
 
 def selection_file(scene: Path, name: str) -> Path:
@@ -113,7 +105,7 @@ def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") 
     from stylesplat.figures.sheets import before_after
     from stylesplat.io.images import write_image
 
-    target = folder / BEFORE_AFTER
+    target = folder / "before_after.png"
     with optional_picture():
         target.unlink(missing_ok=True)  # it shows an earlier painting
         found = before_after(scene, device=device)
@@ -138,7 +130,7 @@ def describe_scene(
 
     names = scene.held_out or scene.cameras.names
     name = names[len(names) // 2]
-    target = folder / (VIEW if capture is None else PHOTO_AND_RENDER)
+    target = folder / ("view.png" if capture is None else "photo_and_render.png")
     described = {"scene": folder, "picture": None, "objects": sorted(scene.objects)}
     with optional_picture():
         if capture is None:
@@ -233,7 +225,7 @@ def exit_status(error: BaseException, command: object = None) -> int | None:
         error.add_note(BUG)
         return None
     write_lines(f"stylesplat: {line}")
-    return AT_FAULT
+    return 1
 
 
 def user_message(error: BaseException) -> str | None:

@@ -99,14 +99,14 @@ class Check(MakingCommand):
         from stylesplat.figures.capture_picture import capture_picture
         from stylesplat.io.captures.capture_folder import open_capture
         from stylesplat.io.images import write_image
-        from stylesplat.io.kinds import is_posed, kind_of, no_capture
+        from stylesplat.io.kinds import is_posed, kind_of, wrong_kind
         from stylesplat.structure_from_motion.image_measures import SIDE
 
         if self.output is not None:
             refuse_picture(self.output, overwrite=self.overwrite)
         folder = self.capture
         if kind_of(folder) == "nothing":
-            raise no_capture(folder)
+            raise wrong_kind(folder, "capture")
         if not is_posed(folder):
             folder = find_earlier_capture(folder, beside=folder) or folder
         files = open_capture(folder, masks=False)
@@ -138,13 +138,13 @@ def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path
     An earlier capture of the same photos is used if it lies beside them or beside `beside`;
     otherwise `sfm` makes one beside `beside`, after the names and boxes in `drawn` are checked.
     """
-    from stylesplat.io.kinds import is_posed, kind_of, no_capture, refuse_other_than_photos
+    from stylesplat.io.kinds import is_posed, kind_of, refuse_other_than_photos, wrong_kind
 
     if is_posed(given):
         return given
     refuse_other_than_photos(given)
     if kind_of(given) == "part of a capture":
-        raise no_capture(given)
+        raise wrong_kind(given, "capture")
     from stylesplat.structure_from_motion.prepare import check_source
     from stylesplat.verbs.sfm import sfm
 

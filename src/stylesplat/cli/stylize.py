@@ -1,20 +1,19 @@
-"""`stylesplat stylize`, and `adjust`: how strong the paint is."""
+"""`stylesplat stylize`; `recolor`, without a style; and `adjust`, how strong the paint is."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import UseAppendAction
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, parse_style
 from stylesplat.cli.options import (
     Device,
+    EditingCommand,
     Features,
-    Flag,
     MakingCommand,
-    NewScene,
     Output,
     SceneFolder,
     Weights,
@@ -25,14 +24,13 @@ from stylesplat.cli.results import (
     new_scene,
     next_lines,
     pasted,
-    rewrite_scene,
     unused,
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
 from stylesplat.progress import say
 from stylesplat.runtime import tidy_heap
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.config import RecolorConfig, StyleConfig
 
 if TYPE_CHECKING:
     from stylesplat.stylization.style import Recipe
@@ -51,6 +49,7 @@ SETTINGS = from_config(
     "seed",
     scale=("stroke-size", "scale"),
 )
+RECOLOR_SETTINGS = from_config(RecolorConfig, *vars(RecolorConfig()))
 
 
 @dataclass(frozen=True)
@@ -133,32 +132,60 @@ class Stylize(MakingCommand):
             raise StyleSplatError(
                 f"Got --style and --recipe. Write {name} into {self.recipe}, or pass only --style."
             )
-        objects = []
-        for each in ss.read_recipe(self.recipe, preset=self.preset).objects:
+        recipe, objects = ss.read_recipe(self.recipe, preset=self.preset), []
+        for each in recipe.objects:
             before = {"config": each.style.config, "preset": each.style.preset}
             style = ss.Style(*each.style.pictures, **before, **self.settings)
             intensity = self.settings.get("intensity", each.intensity)
             objects.append(replace(each, style=style, intensity=intensity))
-        return Recipe(tuple(objects))
+        return replace(recipe, objects=tuple(objects))
 
 
 @dataclass(frozen=True)
-class Adjust(MakingCommand):
+class Recolor(EditingCommand):
+    """Change the colours of an object or of the background, at once and without a style.
+
+    Example: stylesplat recolor garden-scene --object vase --hue 120
+    """
+
+    object: UseAppendAction[tuple[str, ...]] = ()
+    """A name or a label id; background is what belongs to no object. May be repeated."""
+    settings: Annotated[dict[str, Any], RECOLOR_SETTINGS] = field(default_factory=dict)
+    strength: float = 1.0
+    """How much of the change to blend in, 0 to 1.5."""
+
+    def run(self) -> dict[str, Any]:
+        def change(scene: "ss.Scene") -> "ss.Scene":
+            return ss.recolor(scene, self.object, strength=self.strength, **self.settings)
+
+        with changing(self.folder):
+            picture = draw_before_after(self.rewrite(change), self.folder)
+        return {"scene": self.folder, "recolored": list(self.object), **picture}
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        yield f"{self.folder}: {', '.join(self.object)} recoloured."
+        yield from before_after_line(result)
+        place, name = unused(self.folder, "-before"), f"{self.object[0]}/recolor"
+        yield from next_lines(
+            pasted("adjust", self.folder, "--object", name, "--undo", "-o", place),
+            pasted("export", self.folder, unused(self.folder, ".ply")),
+        )
+
+
+@dataclass(frozen=True)
+class Adjust(EditingCommand):
     """Change how strong a style is, at once and without optimising, or undo it.
 
     Example: stylesplat adjust garden-wave --intensity 0.6
     """
 
-    scene: Positional[Path]
-    """Folder of the styled scene."""
-    output: NewScene = None
     intensity: float | None = None
     """0 for the colours before, 1 for the style's, up to 1.5 to exaggerate."""
     form: float | None = None
     """How much of the object's own light and relief shows in the paint, 0 to 1.5."""
     object: UseAppendAction[tuple[str, ...]] = ()
     """Adjust or undo this object only. May be repeated."""
-    undo: Flag = False
+    undo: bool = False
     """Remove the paint: write the scene as it was before, to the bit, to the --output folder."""
 
     def run(self) -> dict[str, Any]:
@@ -169,17 +196,12 @@ class Adjust(MakingCommand):
                 "Undoing keeps the styled scene. Pass a folder for the other with -o."
             )
         options = {"form": self.form, "objects": self.object, "undo": self.undo}
-        folder = self.output or self.scene
-        with changing(folder):
-            after = rewrite_scene(
-                self.scene,
-                self.output,
-                lambda scene: ss.adjust(scene, self.intensity, **options),
-                overwrite=self.overwrite,
-            )
-            result = {"scene": folder, "before_after": None}
+        result: dict[str, Any] = {"scene": self.folder, "before_after": None}
+        with changing(self.folder):
+            after = self.rewrite(lambda scene: ss.adjust(scene, self.intensity, **options))
             if after.layers:
-                result |= {"intensity": strengths_of(after), **draw_before_after(after, folder)}
+                result |= {"intensity": strengths_of(after)}
+                result |= draw_before_after(after, self.folder)
         if self.form is not None:
             result["form"] = {each.object: each.form for each in after.layers}
         return result
@@ -189,10 +211,9 @@ class Adjust(MakingCommand):
         if self.undo:
             undone, left = ", ".join(self.object), ", ".join(painted)
             how = f"{undone} as before; {left} as painted" if left else "as before it was painted"
-            yield f"{result['scene']}: {how}."
+            yield f"{self.folder}: {how}."
         else:
             strengths = (f"{name} at {100 * share:.0f} %" for name, share in painted.items())
-            yield f"{result['scene']}: {', '.join(strengths)} of the style."
+            yield f"{self.folder}: {', '.join(strengths)} of the style."
         yield from before_after_line(result)
-        scene = result["scene"]
-        yield from next_lines(pasted("export", scene, unused(scene, ".ply")))
+        yield from next_lines(pasted("export", self.folder, unused(self.folder, ".ply")))

@@ -14,13 +14,13 @@ from tyro.conf import Positional, arg
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, help_texts
-from stylesplat.cli.options import CONTINUES, Device, Flag, MakingCommand, Output, refuse_given
+from stylesplat.cli.options import CONTINUES, Device, MakingCommand, Output, refuse_given
 from stylesplat.cli.results import describe_scene, new_scene, new_scene_lines
 from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import is_there
-from stylesplat.progress import Silence, observed
+from stylesplat.progress import Observer, observed
 from stylesplat.signals import WHOLE
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 
@@ -55,15 +55,15 @@ class Train(MakingCommand):
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
     settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
-    refine_poses: Annotated[Flag, arg(help=help_texts(TrainConfig)["refine_poses"])] = False
+    refine_poses: Annotated[bool, arg(help=help_texts(TrainConfig)["refine_poses"])] = False
     preset: Literal["default", "paper"] = "default"
     """Settings to start from; paper takes 30,000 steps."""
     segment: Segment | None = None
     """How Gaussians learn their objects: with their colours, which `--preset paper` does, or by
     lifting the label maps afterwards, the default otherwise."""
-    restart: Flag = False
+    restart: bool = False
     """Forget an interrupted run."""
-    finish: Flag = False
+    finish: bool = False
     """Take no more steps: make the scene of what an interrupted run has reached. `--steps` below
     those taken do the same."""
     device: Device = "auto"
@@ -98,7 +98,7 @@ class Train(MakingCommand):
         )
         with _torchrun(self.device) as is_first:
             if not is_first:  # the first process prints and saves
-                with observed(Silence()):
+                with observed(Observer()):
                     Ranks.here().meet()  # the first process has found the poses
                     train(self._capture())
                 sys.exit()

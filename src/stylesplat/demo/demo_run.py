@@ -21,10 +21,10 @@ from stylesplat.io.kinds import SCENE, TRANSFORMS
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.view_files import write_views
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
+from stylesplat.training.initialize import first_splats
 from stylesplat.training.train_config import PRESETS as TRAIN_PRESETS
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.export import export
@@ -139,21 +139,18 @@ def warm_up_stylization(capture: Path) -> Iterator[None]:
 
 
 def stylize_noise(capture: Path, count: int = 400) -> None:
-    """Paint and render a cloud of random Gaussians, which calls every kernel once."""
-    cameras = load(capture, downscale=5.0).cameras
-    generator = torch.Generator().manual_seed(0)
-    splats = Splats(
-        means=torch.randn(count, 3, generator=generator) / 2,
-        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        scales=torch.full((count, 3), -3.0),
-        opacities=torch.full((count,), 2.0),
-        sh0=torch.randn(count, 1, 3, generator=generator),
-        shN=torch.zeros(count, 8, 3),
-        identities=torch.randn(count, IDENTITY_SIZE, generator=generator),
-        classifier=Classifier(torch.eye(IDENTITY_SIZE)[:2], torch.zeros(2), ids=(0, 1)),
+    """Paint and render some Gaussians as training begins with, which calls every kernel once."""
+    photos = load(capture, downscale=5.0)
+    splats = first_splats(
+        photos,
+        sh_degree=2,
+        max_gaussians=count,
+        generator=torch.Generator().manual_seed(0),
+        ids=(0, 1),
     )
+    splats = replace(splats, opacities=torch.full((count,), 2.0))
     noise = {"noise": SceneObject(torch.ones(count, dtype=torch.bool), {})}
-    scene = Scene(splats, cameras, held_out=cameras.names[:1], objects=noise)
+    scene = Scene(splats, photos.cameras, held_out=photos.cameras.names[:1], objects=noise)
     style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=2, object_size=112))
     stylize(scene, {"noise": style}, device="cpu")
     next(render(scene, "test", what="identities").pictures)

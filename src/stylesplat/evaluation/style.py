@@ -1,33 +1,32 @@
 """How close painted objects are to their styles: NNFM, colours, content."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.changes import measure_changes
 from stylesplat.evaluation.consistency import view_consistency
-from stylesplat.evaluation.statistics import content_ssim, off_palette
+from stylesplat.metrics.images import ssim_map
+from stylesplat.metrics.lab import LUMA, cells, distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.progress import say
 from stylesplat.rendering.render import render
+from stylesplat.rendering.shares import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.optimize import target_features
-from stylesplat.stylization.style_image import resize, style_features
+from stylesplat.stylization.style_image import all_colors, fit_style, style_features
 from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import (
     Box,
     ObjectView,
-    boxes_in,
     find_boxes,
     object_views,
     require_boxes,
@@ -40,6 +39,9 @@ AT_ONCE = 256  # of them, as block 1 has a feature per pixel
 NOWHERE = -2.0  # below any cosine
 LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever `scale` is
 VIEWS = 4  # of the object, and of the scene
+TOLERANCE = 10.0  # of Lab, from which a colour is another one, rather than another shade
+SAME = 1.0  # of Lab, the size of the cubes whose colours count as one
+SURELY_NEAR = 5.0  # of Lab: no colours in a cube of this size are farther apart than 8.7
 
 
 def measure_painted(
@@ -49,8 +51,6 @@ def measure_painted(
     *,
     held_out: Cameras | None = None,
     surveys: Mapping[str, Sequence[Box]] | None = None,
-    cuts: Mapping[str, SceneCrop] | None = None,
-    families: tuple[Int[Tensor, " N"], Int[Tensor, " L"]] | None = None,
 ) -> dict[str, Any]:
     """Measure how painting some objects changed them and the rest of the scene.
 
@@ -60,8 +60,6 @@ def measure_painted(
         styled: The scene after; new Gaussians are at its end.
         held_out: Views to measure on instead.
         surveys: By name, the boxes of objects in the views, if they are known.
-        cuts: By name, the part of a large scene that an object is measured in, as rows of the base.
-        families: The rows of the base that the Gaussians before and after belong to, for `cuts`.
 
     Returns:
         The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
@@ -69,24 +67,15 @@ def measure_painted(
     """
     base, cameras = contexts[0].splats, held_out or contexts[0].cameras
     targets = [target.to(base) for target in targets]
-    objects = {}
+    names, objects = {*cameras.names}, {}
     for context, target in zip(contexts, targets, strict=True):
-        measured = replace(context, cameras=cameras)
-        part, own, after = measured, target, styled
-        if cuts and target.name in cuts:
-            assert families is not None
-            rows, rows_after = (
-                cuts[target.name].rows_in(each.to(base.device)) for each in families
-            )
-            cut = replace(cuts[target.name], rows=rows)
-            part, own, after = cut.context(measured), cut.target(target), styled[rows_after]
         if surveys is None:
-            survey = find_boxes(part.splats, part.all_cameras, own.mask)
+            survey = find_boxes(base, context.all_cameras, target.mask)
         else:
             survey = surveys[target.name]
-        boxes = boxes_in(survey, part.cameras) or survey
+        boxes = [box for box in survey if box.camera.names[0] in names] or survey
         try:
-            objects[target.name] = measure_style(part, own, after, boxes=boxes)
+            objects[target.name] = measure_style(context, target, styled, boxes=boxes)
         except StyleSplatError as error:  # the object is painted all the same
             say(f"{target.name} is not compared with its style: {error}")
             objects[target.name] = {}
@@ -116,7 +105,7 @@ def measure_style(
     blocks, network = target.config.layers, context.network
     boxes = boxes or require_boxes(context, target)
     zoom = LENGTH / typical_length(boxes)
-    views = evenly(object_views(context, target, boxes, zoom), VIEWS)
+    views = object_views(context, target, evenly(boxes, VIEWS), zoom)
     style_feats = target_features(context, target.config, target.styles, LENGTH)
     images = renders(styled, views)
     before, after = (
@@ -130,9 +119,8 @@ def measure_style(
         if before > own:
             numbers["share_of_way"] = min(1.0, max(0.0, (before - after) / (before - own)))
     if target.config.color == "style":
-        style_colors = torch.cat([picture.reshape(-1, 3) for picture in target.styles])
         colors = [image[view.pixels] for image, view in zip(images, views, strict=True)]
-        numbers["off_palette"] = off_palette(torch.cat(colors), style_colors)
+        numbers["off_palette"] = off_palette(torch.cat(colors), all_colors(target.styles))
     return numbers
 
 
@@ -154,6 +142,46 @@ def measure_look(
     similarity = content_ssim(base, styled, few, picked)
     numbers = {} if similarity is None else {"content_ssim": similarity}
     return numbers | view_consistency(base, styled, cameras, picked, boxes=boxes)
+
+
+@torch.no_grad()
+def content_ssim(
+    base: Splats,
+    styled: Splats,
+    cameras: Cameras,
+    picked: Bool[Tensor, " N"],
+) -> float | None:
+    """SSIM of an object's luminance before and after: how much of its content is left.
+
+    Returns:
+        1 if nothing changed. The mean over the object's pixels, then over the views that show
+        it; None if none does.
+    """
+    scores = []
+    for index in range(len(cameras)):
+        before, coverage = colors_and_coverage(base, cameras[index], picked)
+        covered = coverage[..., 0] > COVERED
+        if covered.any():
+            after = render(styled, cameras[index])[0]
+            luminances = [(i.clamp(0, 1) @ i.new_tensor(LUMA))[None] for i in (before, after)]
+            scores.append(ssim_map(*luminances)[0][covered].mean())
+    return float(torch.stack(scores).mean()) if scores else None
+
+
+def off_palette(colors: Float[Tensor, "P 3"], style: Float[Tensor, "Q 3"]) -> float:
+    """The share of colours that are farther than 10 in Lab (CIE 1976) from all of the style.
+
+    All are in 0..1. A large set is sampled evenly; colours of the style that differ by less than
+    about 1 count as one.
+    """
+    lab = lab_from_rgb(thinned(colors))
+    palette = lab_from_rgb(distinct(style, SAME))
+    far = ~torch.isin(cells(lab, SURELY_NEAR), cells(palette, SURELY_NEAR))
+    if not far.any():
+        return 0.0
+    others = lab[far]
+    distances = (others - palette[nearest_colors(others, palette)]).norm(dim=1)
+    return int((distances > TOLERANCE).sum()) / len(lab)
 
 
 def renders(splats: Splats, views: Sequence[ObjectView]) -> list[Float[Tensor, "_ _ 3"]]:
@@ -193,9 +221,6 @@ def own_nnfm(
 
     Returns:
         The mean cosine distance; None if the pictures are too small for two such features.
-
-    Raises:
-        StyleSplatError: If a picture has no whole feature.
     """
     by_block = [_distances_within(pictures, network, block, length) for block in blocks]
     if any(len(distances) == 0 for distances in by_block):
@@ -212,8 +237,8 @@ def _distances_within(
     for number, picture in enumerate(pictures):
         (rows,) = style_features(picture, network, [block], length=length)
         features.append(F.normalize(rows.float(), dim=1))
-        inside = (cells.inside(side) for side in resize(picture, length).shape[:2])
-        y, x = (torch.arange(each.stop - each.start) for each in inside)
+        sides = fit_style(picture, network, [block], length).shape[:2]
+        y, x = (torch.arange(side)[cells.inside(side)] for side in sides)
         grid = torch.cartesian_prod(y, x).float().to(picture.device)
         places.append(F.pad(grid, (1, 0), value=number * 1e6))  # pictures are far apart
     found, at = torch.cat(features), torch.cat(places)

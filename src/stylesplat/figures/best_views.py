@@ -109,7 +109,6 @@ def visibility(mask: Bool[Tensor, "h w"]) -> float:
 
 
 def survey_view(camera: Cameras) -> Cameras:
-    """The same camera at the size at which objects are searched."""
     return camera.at_most(SURVEY_SIZE)
 
 

@@ -32,8 +32,6 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a paragraph and figures side by side."""
-
     title: str
     text: str
     figures: tuple[Figure, ...] = ()

@@ -10,7 +10,14 @@ from torch import Tensor
 
 from stylesplat.scene.cameras import Cameras, focus_point, look_at, median_lens, up_vector
 from stylesplat.scene.content import Content, content_of
-from stylesplat.scene.framing import Sight, centred_K, fitting_distance, focal_at, level_axes
+from stylesplat.scene.framing import (
+    Sight,
+    cameras_of,
+    centred_K,
+    fitting_distance,
+    focal_at,
+    level_axes,
+)
 from stylesplat.scene.splats import Splats
 
 MAX_GAP = math.radians(100)  # a circle passes over stretches without photos up to this wide
@@ -23,6 +30,7 @@ EVEN = 1e-3  # sine of the angle to the vertical below which photos surround the
 UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where it is not known
 WINDOW = (1600, 1200)  # pixels that all content fits into at the start
 FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
+FRAMES = "orbit_{:04d}.png"
 MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
 
@@ -44,12 +52,7 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
     height = local[:, 2].mean() + SWAY * local[:, 2].std(correction=0) * phase.sin()
     path = torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), height], dim=-1)
     K, size = median_lens(cameras)
-    return Cameras(
-        viewmats=look_at(focus + path @ axes, focus, axes[2]).to(cameras.viewmats),
-        Ks=K.expand(count, 3, 3).to(cameras.Ks),
-        sizes=torch.tensor(size).expand(count, 2).clone(),
-        names=_frame_names(count),
-    )
+    return cameras_of(look_at(focus + path @ axes, focus, axes[2]), K, size, names=FRAMES)
 
 
 def zoom_to_content(path: Cameras, content: Content) -> Cameras:
@@ -80,12 +83,8 @@ def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
     sights = [Sight(content.extent.centre, each, up, size) for each in outward]
     distance = fitting_distance(content, sights, focal)
     focal = min(focal_at(content.outline, sight, distance) for sight in sights)
-    return Cameras(
-        viewmats=torch.cat([sight.viewmats(distance) for sight in sights]).to(views.viewmats),
-        Ks=centred_K(focal, size).to(views.Ks).expand(count, 3, 3),
-        sizes=torch.tensor(size).expand(count, 2).clone(),
-        names=_frame_names(count),
-    )
+    viewmats = torch.cat([sight.viewmats(distance) for sight in sights])
+    return cameras_of(viewmats, centred_K(focal, size), size, names=FRAMES)
 
 
 def turned_view(
@@ -103,20 +102,12 @@ def turned_view(
     turns = torch.eye(4).double().repeat(count, 1, 1)
     cross = torch.linalg.cross(torch.eye(3).double(), axis.expand(3, 3))
     turns[:, :3, :3] = torch.matrix_exp(angles[:, None, None] * cross)
-    return Cameras(
-        viewmats=(view.viewmats.double() @ pivot[0] @ turns @ pivot[1]).to(view.viewmats),
-        Ks=view.Ks.expand(count, 3, 3),
-        sizes=view.sizes.expand(count, 2).clone(),
-        names=_frame_names(count),
-    )
+    viewmats = view.viewmats.double() @ pivot[0] @ turns @ pivot[1]
+    return cameras_of(viewmats, view.Ks, view.size, names=FRAMES)
 
 
 def _phases(count: int) -> Float[Tensor, " M"]:
     return 2 * math.pi * torch.arange(count, dtype=torch.float64) / count
-
-
-def _frame_names(count: int) -> tuple[str, ...]:
-    return tuple(f"orbit_{i:04d}.png" for i in range(count))
 
 
 def _axes(cameras: Cameras, focus: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
@@ -125,7 +116,7 @@ def _axes(cameras: Cameras, focus: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
     outward = cameras.positions.double().mean(dim=0) - focus
     side = torch.linalg.cross(up, outward)
     if side.norm() < EVEN * outward.norm():  # surrounded evenly: any direction will do
-        side = torch.linalg.cross(up, torch.eye(3).double()[up.abs().argmin()])
+        side = level_axes(up)[0]
     side = torch.nn.functional.normalize(side, dim=0)
     return torch.stack([torch.linalg.cross(side, up), side, up])
 

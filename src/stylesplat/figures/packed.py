@@ -51,7 +51,6 @@ def palette_of(values: Float[Tensor, "M D"]) -> tuple[Bytes, float, Int[Tensor, 
 
 
 def palette_values(palette: Bytes, strongest: float) -> Float[Tensor, "E D"]:
-    """The values of a palette's bytes."""
     return (palette.float() - MIDDLE) / STEPS * strongest
 
 

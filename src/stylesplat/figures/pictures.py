@@ -111,7 +111,6 @@ def _renderer(
     picked: Bool[Tensor, " N"] | None,
     behind: Background,
 ) -> Callable[[Cameras], ViewPicture]:
-    """The function that renders a picture of one camera."""
     if what == "color":
         return lambda camera: _on_background(*render(splats, camera), behind)
     if what == "object" and picked is not None:

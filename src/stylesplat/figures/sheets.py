@@ -189,7 +189,6 @@ def beside_photo(
 
 @torch.no_grad()
 def one_view(scene: Scene, name: str, *, device: str = "auto") -> UInt8[Tensor, "H W 3"]:
-    """Render one of the views of a scene, up to 2048 pixels a side."""
     camera = scene.cameras[scene.cameras.index(name)].at_most(LONGEST)
     return _render(scene.splats.to(pick_device(device)), camera)
 
@@ -197,7 +196,6 @@ def one_view(scene: Scene, name: str, *, device: str = "auto") -> UInt8[Tensor, 
 def _portrait(
     splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras | None
 ) -> UInt8[Tensor, "H W 3"]:
-    """An object alone; without a camera the empty card."""
     card = torch.tensor(CARD, dtype=torch.uint8).expand(CELL, CELL, 3)
     if camera is None:
         return card

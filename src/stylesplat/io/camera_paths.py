@@ -63,8 +63,6 @@ class _Keys(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class CameraPath:
-    """A path with a camera for each frame."""
-
     cameras: Cameras
     fps: float
 
@@ -147,5 +145,4 @@ def _key_frames(keys: _Keys, views: Cameras, what: str) -> tuple[Tensor, Tensor]
 
 
 def _focal(fov: float) -> float:
-    """The focal length over the height."""
     return 0.5 / math.tan(math.radians(fov) / 2)

@@ -71,7 +71,6 @@ def read_cameras(path: Path) -> Cameras:
 
 
 def _fault(cameras: Cameras) -> str | None:
-    """What the types of single numbers cannot tell."""
     if len(set(cameras.names)) < len(cameras):
         return "two cameras have the same name"
     if int(cameras.sizes.prod(dim=1).max()) > MAX_PIXELS:

@@ -152,7 +152,6 @@ def reason(error: Exception) -> str:
 
 
 def cannot_write(path: Path, error: OSError) -> StyleSplatError:
-    """The error to raise for a place that cannot be written to."""
     if error.errno in DISK_FULL:
         return StyleSplatError(f"Cannot write {path}: disk full. Free some space and try again.")
     remedy = WRITE_REMEDIES.get(error.errno or 0, "Choose another place.")
@@ -160,6 +159,5 @@ def cannot_write(path: Path, error: OSError) -> StyleSplatError:
 
 
 def cannot_read(path: Path | str, error: OSError) -> StyleSplatError:
-    """The error to raise for a file that cannot be read."""
     remedy = READ_REMEDIES.get(error.errno or 0, "Copy it to another place.")
     return StyleSplatError(f"Cannot read {path}: {error.strerror or error}. {remedy}")

@@ -39,7 +39,6 @@ Array = Shaped[np.ndarray, "..."]
 
 
 def write_objects(listed: ListedObjects, path: Path | str) -> None:
-    """Write objects as a .npz file."""
     arrays = {COUNT: np.array(listed.count)}
     if listed.labels is not None:
         arrays[LABELS] = listed.labels.to(torch.int32).numpy()

@@ -154,7 +154,6 @@ def composite(pixels: UInt8[np.ndarray, "H W D"], grey: int) -> UInt8[np.ndarray
 
 
 def write_image(image: ColorPicture, path: Path | str) -> None:
-    """Write a picture in the format that the suffix names."""
     with atomic_path(path) as draft:
         picture = Image.fromarray(image.cpu().numpy())
         picture.save(draft, quality=QUALITY, subsampling=0, compress_level=PNG_LEVEL)

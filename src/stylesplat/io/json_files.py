@@ -73,7 +73,6 @@ def fitting(value: Any, kind: Any, what: str, remedy: str) -> Any:
 
 
 def write_json(content: Mapping[str, Any], path: Path | str) -> None:
-    """Write a JSON file; see `strict_json`."""
     text = strict_json(content, indent=2)
     with atomic_path(path) as draft:
         draft.write_text(text + "\n", encoding="utf-8")

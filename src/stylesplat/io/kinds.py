@@ -1,7 +1,6 @@
 """What lies at a path, and what to do with it where something else was expected."""
 
 import os
-import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
@@ -9,6 +8,7 @@ from typing import Literal
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.files import is_file, is_there
 from stylesplat.io.json_files import read_json
+from stylesplat.scene.arguments import pasted
 
 HEIC = (".heic", ".heif", ".hif")
 PHOTOS = (
@@ -36,7 +36,6 @@ Kind = Literal[
     "folder",
     "empty folder",
 ]
-TRAINABLE = ("capture", "part of a capture", "photos", "video")
 
 
 def kind_of(path: Path) -> Kind:
@@ -78,97 +77,72 @@ def find_capture(scene: Path, capture: str | None, relative: str | None) -> Path
     return moved if moved.is_dir() else before
 
 
-def no_scene(path: Path) -> StyleSplatError:
-    """The error for a path that should be a scene and is none."""
-    kind = kind_of(path)
-    if kind == "nothing":
-        fault = f"There is no scene {path}: nothing has that name"
-        return _error(fault, "Check it, or make a scene with `stylesplat train PHOTOS -o SCENE`")
-    if kind == "part of a scene":
-        return _error(f"{path} is a part of the scene {path.parent}", "Give the whole folder")
-    if kind == "splat" or kind in TRAINABLE:
-        return _error(f"{path} is {_article(kind)}, not a scene", _way_to_scene(path, kind))
-    remedy = "Give the folder that `train` or `import` made"
-    return _other(path, "scene", _is_scene, "it has no scene.json", remedy)
+Noun = Literal["scene", "capture", "splat"]
+NOUNS: dict[Noun, tuple[str, str]] = {  # what it is called, and the remedy where it is not
+    "scene": ("scene: it has no scene.json", "Give the folder that `train` or `import` made"),
+    "capture": (
+        "capture: it has neither sparse/0/cameras.bin (or .txt) nor transforms.json, nor photos",
+        "Check the name, or give the folder of the photos",
+    ),
+    "splat": ("file of splats", f"Give one that ends in {', '.join(SPLATS)}, or convert it"),
+}
 
 
-def no_capture(path: Path) -> StyleSplatError:
-    """The error for a path that should be a capture and is none."""
+def wrong_kind(path: Path, wanted: Noun) -> StyleSplatError:
+    """The error for a path that should be a scene, capture or file of splats and is none."""
     kind = kind_of(path)
-    match kind:
-        case "nothing":
-            fault = f"There is no folder {path}: nothing has that name"
-            return _error(fault, "Check it, or give the folder of the photos")
-        case "scene" | "part of a scene":
-            return _scene_for_capture(path if kind == "scene" else path.parent)
-        case "splat":
-            return _error(f"{path} is a splat, not photos", _way_to_scene(path, kind))
-        case "part of a capture":
+    if kind == "part of a scene" and wanted != "scene":
+        path, kind = path.parent, "scene"
+    (noun, remedy), inner = NOUNS[wanted], _entries(path, lambda entry: kind_of(entry) == wanted)
+    noun, colon, why = noun.partition(":")
+    fault = f"{path} is {_article(kind)}, not a {noun}"
+    match wanted, kind:
+        case _, "nothing":
+            fault, remedy = f"There is no {noun} {path}", "Check the name"
+        case "scene", "part of a scene":
+            fault, remedy = f"{path} is a part of the scene {path.parent}", "Give the whole folder"
+        case "splat", "scene":
+            remedy = f"It has its splats: `{pasted('objects', path)}` lists its objects"
+        case "capture", "scene":
+            remedy = _capture_of_scene(path)
+        case "capture", "photos" | "video":
+            way = pasted("sfm", path, "-o", "CAPTURE")
+            fault += ", as no camera poses are known"
+            remedy = f"Find the cameras first: `{way}`; or give the capture that was made of it"
+        case "capture", "part of a capture":
             fault = f"{path} holds the photos of the capture {path.parent}, whose poses are known"
-            return _error(fault, "Give that folder")
-        case "photos" | "video":
-            fault = f"{path} is {_article(kind)}, not a capture: no camera poses are known"
-            way = f"Find the cameras first: `stylesplat sfm {shlex.quote(str(path))} -o CAPTURE`"
-            return _error(fault, f"{way}; or give the capture that was made of it")
-        case "picture":
-            return _error(f"{path} is one picture, not a capture", "Give the folder of all photos")
-        case "empty folder":
+            remedy = "Give that folder"
+        case "capture", "picture":
+            remedy = "Give the folder of all photos"
+        case "capture", "empty folder":
             fault = f"{path} is an empty folder, but photos are needed: at least 3, better 30"
-            return _error(f"{fault} or more", "Check the name, or put photos that overlap into it")
-    why = "it has neither sparse/0/cameras.bin (or .txt) nor transforms.json, nor photos"
-    remedy = "Check the name, or give the folder of the photos"
-    return _other(path, "capture", is_posed, why, remedy)
-
-
-def no_splat(path: Path) -> StyleSplatError:
-    """The error for a path that should be a file of splats and is none."""
-    kind = kind_of(path)
-    if kind == "nothing":
-        return _error(f"There is no file {path}", "Check the name")
-    if kind in ("scene", "part of a scene"):
-        scene = path if kind == "scene" else path.parent
-        way = f"`stylesplat objects {shlex.quote(str(scene))}` lists its objects"
-        return _error(f"{scene} is a scene already, not a file of splats", f"Go on with it: {way}")
-    if kind in TRAINABLE:
-        fault = f"{path} is {_article(kind)}, not a file of splats"
-        return _error(fault, _way_to_scene(path, kind))
-    inner = _entries(path, lambda entry: kind_of(entry) == "splat")
-    if inner:
-        fault = f"{path} is a folder that holds {some(inner, whole=True)}"
-        return _error(fault, "Give one of these files")
-    suffix = "" if path.is_dir() else f" with the suffix {path.suffix!r}"
-    fault = f"{path} is {_article(kind)}{suffix}, not a file of splats"
-    return _error(fault, f"Give one that ends in {', '.join(SPLATS)}, or convert it")
+        case _, "splat" | "capture" | "part of a capture" | "photos" | "video":
+            remedy = _way_to_scene(path, kind)
+        case _ if inner:
+            fault = f"{path} is not a {noun}, but holds some: {some(inner, whole=True)}"
+            remedy = "Give one of them"
+        case _:
+            fault += colon + why
+    return StyleSplatError(f"{fault}. {remedy}.")
 
 
 def refuse_other_than_photos(path: Path) -> None:
-    """Raise a StyleSplatError for a path that holds nothing to find poses of."""
     if kind_of(path) in ("nothing", "empty folder", "scene", "part of a scene", "splat"):
-        raise no_capture(path)
+        raise wrong_kind(path, "capture")
 
 
-def _scene_for_capture(scene: Path) -> StyleSplatError:
-    content, fault = read_json(scene / SCENE), f"{scene} is a scene, not a capture"
+def _capture_of_scene(scene: Path) -> str:
+    content = read_json(scene / SCENE)
     capture = find_capture(scene, content.get("capture"), content.get("capture_relative"))
     if capture is not None:
-        return _error(f"{fault}, which has the photos", f"It was made from {capture}: give that")
-    name = shlex.quote(str(scene))
+        return f"It was made from {capture}, which has the photos: give that"
     ways = (
-        f"`stylesplat select {name} --name NAME --box3d x0,y0,z0,x1,y1,z1`, or cut them out of its "
-        f"views by `stylesplat mask {name} --box NAME=VIEW:x0,y0,x1,y1`"
+        pasted("select", scene, "--name", "NAME", "--box3d", "x0,y0,z0,x1,y1,z1"),
+        pasted("mask", scene, "--box", "NAME=VIEW:x0,y0,x1,y1"),
     )
-    return _error(f"{fault}, and its photos are unknown", f"Name its objects by {ways}")
-
-
-def _other(
-    path: Path, wanted: str, fits: Callable[[Path], bool], why: str, remedy: str
-) -> StyleSplatError:
-    """The error for a path that is not what is wanted, but perhaps a folder of such things."""
-    inner = _entries(path, fits)
-    if inner:
-        fault = f"{path} is not a {wanted}, but holds some: {some(inner, whole=True)}"
-        return _error(fault, "Give one of them")
-    return _error(f"{path} is {_article(kind_of(path))}, not a {wanted}: {why}", remedy)
+    return (
+        f"Its photos are unknown: name objects by `{ways[0]}`, or in its own views by `{ways[1]}`"
+    )
 
 
 def _kind_of_folder(path: Path) -> Kind:
@@ -215,9 +189,4 @@ def _way_to_scene(path: Path, kind: Kind) -> str:
     source = path.parent if kind == "part of a capture" else path
     name = source.resolve().stem if source.is_file() else source.resolve().name
     verb = "import" if kind == "splat" else "train"
-    command = f"stylesplat {verb} {shlex.quote(str(source))} -o {shlex.quote(f'{name}-scene')}"
-    return f"A scene is made of it by `{command}`"
-
-
-def _error(fault: str, remedy: str) -> StyleSplatError:
-    return StyleSplatError(f"{fault}. {remedy}.")
+    return f"A scene is made of it by `{pasted(verb, source, '-o', f'{name}-scene')}`"

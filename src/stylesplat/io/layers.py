@@ -105,7 +105,6 @@ def read_layers(folder: Path, count: int) -> tuple[Layer, ...]:
 
 
 def file_name(number: int, layer: Layer) -> str:
-    """The name of a layer's file, given its position in the stack."""
     name = re.sub(r"[^A-Za-z0-9_-]", "_", layer.object)[:MAX_NAME_PART]
     return f"{number + 1:02}-{name}.safetensors"
 
@@ -187,7 +186,6 @@ def _tensors(layer: Layer) -> dict[str, Tensor]:
 
 
 def _declared(count: int, kind: Kind) -> dict[str, Declared]:
-    """What the file of a layer on a base of `count` Gaussians holds."""
     index = Declared(("R",), torch.int64, low=0, high=count - 1)
     row = Declared(("R",))
     covered = {"rows": replace(index, unique=True), "shares": replace(row, **UNIT)}

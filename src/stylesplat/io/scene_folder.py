@@ -17,7 +17,7 @@ from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.atomic import atomic_folder, revise_folder
 from stylesplat.io.cameras_file import read_cameras, write_cameras
 from stylesplat.io.json_files import MAX_JSON, FilePath, PhotoName, fitting, read_json, write_json
-from stylesplat.io.kinds import CAMERAS, SCENE, find_capture, no_scene
+from stylesplat.io.kinds import CAMERAS, SCENE, find_capture, wrong_kind
 from stylesplat.io.layers import STACK, read_layers, write_layers
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, splat_fault, write_splat_ply
 from stylesplat.io.tensors import (
@@ -287,5 +287,5 @@ def _write_identities(splats: Splats, path: Path) -> None:
 
 def _scene_folder(path: Path | str) -> Path:
     if not (Path(path) / SCENE).is_file():
-        raise no_scene(Path(path))
+        raise wrong_kind(Path(path), "scene")
     return Path(path)

@@ -107,7 +107,6 @@ def _is_file(output: Path) -> bool:
 
 
 def _refuse_unfit(picture: ViewPicture, output: Path) -> None:
-    """Raise a StyleSplatError for a file that cannot hold such pictures."""
     suffix = output.suffix.lower()
     colors, transparent = picture.ndim == 3, picture.ndim == 3 and picture.shape[-1] == 4
     if transparent and _is_file(output) and suffix not in WITH_ALPHA:

@@ -26,12 +26,17 @@ from stylesplat.progress import task
 from stylesplat.rendering.shares import COVERED
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
-from stylesplat.stylization.colors import build_palette, color_map
+from stylesplat.stylization.colors import build_palette
 from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings
 from stylesplat.stylization.objective import Objective
-from stylesplat.stylization.optimize import optimize_colors, stage_objective, survey_detail
+from stylesplat.stylization.optimize import (
+    optimize_colors,
+    stage_objective,
+    style_pictures,
+    survey_detail,
+)
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_image import coarsen_style
+from stylesplat.stylization.style_image import all_colors
 from stylesplat.stylization.target import PaintContext, load_network, paint_context
 from stylesplat.stylization.views import (
     MARGIN,
@@ -153,14 +158,9 @@ def _objective(
     boxes: Sequence[Box],
     colors: Float[np.ndarray, "T 3"],
 ) -> Objective:
-    config, pictures = style.config, style.read()
-    if config.color != "free":
-        pictures = [coarsen_style(each, config.scale) for each in pictures]
-    if config.color in ("blend", "keep"):  # the hues that the paint has
-        every = torch.cat([each.reshape(-1, 3) for each in pictures])
-        matrix, offset = color_map(every, torch.from_numpy(colors))
-        pictures = [(each @ matrix.T + offset).clamp(0, 1) for each in pictures]
-    every = torch.cat([each.reshape(-1, 3) for each in pictures])
+    config = style.config
+    own = torch.from_numpy(colors) if config.color in ("blend", "keep") else None  # as painted
+    pictures = style_pictures(style.read(), config, own)
     mask = torch.ones(len(context.splats), dtype=torch.bool)
     return stage_objective(
         context,
@@ -168,7 +168,7 @@ def _objective(
         pictures,
         stage,
         survey_detail(context.splats, mask, boxes),
-        None if config.color == "free" else build_palette(every),
+        None if config.color == "free" else build_palette(all_colors(pictures)),
         is_fine_surface=True,
     )
 
@@ -201,7 +201,7 @@ def _texel_views(
         )
         masks = tuple(F.avg_pool2d(own[None], each.stride)[0] > COVERED for each in cells)
         background = grey * ~covered[..., None]
-        return TexelView(camera, masks, covered, None, matrix, used, background)
+        return TexelView(camera, masks, covered, matrix=matrix, texels=used, background=background)
 
     found = per_view(look, places, "preparing the texture's views")
     return [view for view in found if all(each.sum() >= MIN_CELLS for each in view.cells)]

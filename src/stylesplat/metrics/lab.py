@@ -1,5 +1,7 @@
 """CIE Lab, in which equal distances look about equally large."""
 
+from functools import lru_cache
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -24,6 +26,12 @@ def lab_from_rgb(colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
     cubes = torch.where(xyz > (6 / 29) ** 3, xyz ** (1 / 3), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
     x, y, z = cubes.unbind(-1)
     return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], dim=-1)
+
+
+@lru_cache(maxsize=8)
+def luma_weights(device: torch.device, dtype: torch.dtype) -> Float[Tensor, " 3"]:
+    """`LUMA` on a device, to which it is copied once: every copy makes the host wait."""
+    return torch.tensor(LUMA, device=device, dtype=dtype)
 
 
 def thinned(colors: Float[Tensor, "P 3"]) -> Float[Tensor, "_ 3"]:

@@ -37,10 +37,9 @@ class RenderPool:
 
     def in_order(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
         """The results of a function for each item; at most two per thread wait to be read."""
-        return map(function, items) if self._pool is None else self._ahead(function, items)
-
-    def _ahead(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
-        assert self._pool is not None
+        if self._pool is None:
+            yield from map(function, items)
+            return
         enabled = torch.is_grad_enabled()  # which is each thread's own
 
         def work(item: T) -> R:
@@ -56,7 +55,6 @@ class RenderPool:
             yield waiting.popleft().result()
 
     def end(self) -> None:
-        """End the threads and drop what waits."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
@@ -79,6 +77,5 @@ def at_once(
 
 
 def _share(threads: int) -> None:
-    """Set the threads of numba and torch for one thread of the pool."""
     set_num_threads(threads)
     torch.set_num_threads(threads)

@@ -252,5 +252,4 @@ def rasterize(
 
 
 def _stacked(tensors: tuple[Tensor, ...]) -> Tensor:
-    """The tensors along a new first axis; a single one is not copied."""
     return tensors[0][None] if len(tensors) == 1 else torch.stack(tensors)

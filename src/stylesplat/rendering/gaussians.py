@@ -39,8 +39,6 @@ class Gaussians(NamedTuple):
 
 
 class View(NamedTuple):
-    """One camera."""
-
     viewmat: Float[Tensor, "4 4"]
     K: Float[Tensor, "3 3"]
     width: int

@@ -48,12 +48,10 @@ class Contributions:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the image."""
         return self.background.shape[1], self.background.shape[0]
 
     @property
     def nbytes(self) -> int:
-        """Memory that the weights and images take."""
         images = self.background.nbytes + self.coverage.nbytes
         return images + self.gaussians.nbytes + sum(array.nbytes for array in self.blocks)
 

@@ -5,7 +5,6 @@ scene is projected a part at a time, so that memory is that of the Gaussians in 
 loaded on the first call: to select by id none are needed.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +23,6 @@ PART = 1 << 17  # Gaussians whose numbers stay in the processor's cache
 
 
 class InView(NamedTuple):
-    """The Gaussians in view of a camera."""
-
     rows: Int[Tensor, " M"]
     """Rows of the scene, in order."""
     projected: Projected
@@ -33,7 +30,6 @@ class InView(NamedTuple):
     """From 0 to 1."""
 
     def some(self, places: Int[Tensor, " L"]) -> "InView":
-        """Some of them."""
         projected = Projected(*(each[places] for each in self.projected))
         return InView(self.rows[places], projected, self.opacities[places])
 
@@ -58,7 +54,8 @@ def in_view(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None 
     camera = with_matrices_of(splats, camera)
     starts = range(0, max(1, len(splats)), PART)
     parts = [_part_in_view(splats, camera, start, pixels) for start in starts]
-    rows, opacities, *projected = parts.pop() if len(parts) == 1 else _joined(parts)
+    columns = parts[0] if len(parts) == 1 else map(torch.cat, zip(*parts, strict=True))
+    rows, opacities, *projected = columns
     return InView(rows, Projected(*projected), opacities)
 
 
@@ -75,15 +72,6 @@ def _part_in_view(
         rows = rows[touching(low, high, pixels)]
     found = (gaussians.opacities, *projected)
     return start + rows, *(each.index_select(0, rows) for each in found)
-
-
-def _joined(parts: list[tuple[Tensor, ...]]) -> Iterator[Tensor]:
-    """Each column as a whole; parts are freed once they are joined."""
-    columns = [[*each] for each in zip(*parts, strict=True)]
-    parts.clear()
-    for column in columns:
-        yield torch.cat(column)
-        column.clear()
 
 
 def touching(
@@ -128,6 +116,5 @@ def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], I
 
 
 def bounds(projected: Projected) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 2"]]:
-    """The whole pixels that projected Gaussians may reach, from and to."""
     places, radii = projected.means2d, projected.radii
     return (places - radii).floor(), (places + radii).ceil()

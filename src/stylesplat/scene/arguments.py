@@ -35,7 +35,6 @@ def check_box(
 
 
 def check_point(point: tuple[float, float], size: tuple[int, int], name: str) -> None:
-    """Refuse a point outside its photo."""
     if not all(0 <= value < length for value, length in zip(point, size, strict=True)):
         raise StyleSplatError(
             f"Point {point[0]:g},{point[1]:g} is outside {name}, which is {size[0]}x{size[1]} "
@@ -78,19 +77,13 @@ def several(items: Sequence[Any] | None) -> Sequence[Any]:
     return [items] if alone else items
 
 
-MAX_INTENSITY = MAX_FORM = 1.5  # beyond it colours leave their range
+MAX_INTENSITY = 1.5  # beyond it colours leave their range
 
 
-def check_intensity(intensity: float) -> None:
-    """Refuse an intensity outside of 0 to 1.5."""
-    if not 0 <= intensity <= MAX_INTENSITY:
-        raise StyleSplatError(f"Cannot blend with intensity {intensity}: use 0 to {MAX_INTENSITY}.")
-
-
-def check_form(form: float) -> None:
-    """Refuse a form outside of 0 to 1.5."""
-    if not 0 <= form <= MAX_FORM:
-        raise StyleSplatError(f"Cannot show the form {form}: use 0 to {MAX_FORM}.")
+def check_intensity(value: float, what: str = "intensity") -> None:
+    """Refuse an intensity or form outside of 0 to 1.5."""
+    if not 0 <= value <= MAX_INTENSITY:
+        raise StyleSplatError(f"Cannot paint with the {what} {value}: use 0 to {MAX_INTENSITY}.")
 
 
 def pasted(verb: str, *arguments: object) -> str:

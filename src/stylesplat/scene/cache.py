@@ -31,7 +31,6 @@ class Cache(Generic[Key]):
 
     @property
     def used(self) -> int:
-        """The size of all items in bytes."""
         return self._used
 
     def get(self, key: Key, make: Callable[[], Item]) -> Item:
@@ -60,7 +59,6 @@ class Cache(Generic[Key]):
         return item
 
     def forget(self, unwanted: Callable[[Key], bool]) -> None:
-        """Drop the items whose keys are unwanted."""
         with self._lock:
             for key in filter(unwanted, [*self._items]):
                 self._drop(key)

@@ -162,7 +162,6 @@ def at_most(capture: Capture, length: int) -> Capture:
 
 
 def _averaged(pixels: UInt8[Tensor, "H W *D"], size: Size) -> UInt8[Tensor, "h w *D"]:
-    """Resize a picture by averaging."""
     import cv2  # here, as commands without photos do not need it
 
     return torch.from_numpy(cv2.resize(pixels.numpy(), size[::-1], interpolation=cv2.INTER_AREA))

@@ -43,7 +43,6 @@ def family_of(base: Splats, layers: Sequence[Layer]) -> Int[Tensor, " M"]:
 
 
 def family(scene: Scene) -> Int[Tensor, " M"]:
-    """The row of the base that each Gaussian of a scene belongs to."""
     return family_of(scene.unpainted, scene.layers)
 
 
@@ -104,7 +103,6 @@ def with_strengths(
 
 
 def strengths_of(scene: Scene) -> dict[str, float]:
-    """The strength of each layer by name."""
     return {each.name: each.strength for each in scene.layers}
 
 
@@ -146,12 +144,11 @@ def spans(scene: Scene) -> list[tuple[Layer, int, int]]:
     return [*zip(shown, ends, ends[1:], strict=False)]
 
 
-def canvases_last(scene: Scene, names: Collection[str]) -> tuple[Splats, Int[Tensor, " M"]]:
-    """The splats of a scene with the canvases of some objects last, and their families."""
+def canvases_last(scene: Scene, names: Collection[str]) -> Splats:
+    """The splats of a scene with the canvases of some objects last."""
     parts = sorted(spans(scene), key=lambda part: part[0].object in names)
     order = [torch.arange(first, end) for _, first, end in parts]
-    rows = torch.cat([torch.arange(len(scene.unpainted)), *order])
-    return scene.splats[rows], family(scene)[rows]
+    return scene.splats[torch.cat([torch.arange(len(scene.unpainted)), *order])]
 
 
 def splats_without_paint(scene: Scene) -> Splats:
@@ -206,7 +203,6 @@ def _covered(splats: Splats, family: Int[Tensor, " M"], layer: Layer, count: int
 
 
 def _appended(splats: Splats, base: Splats, layer: Layer) -> Splats:
-    """The splats and the canvas of a layer."""
     canvas, parents = layer.canvas, layer.parents
     if not len(canvas):
         return splats

@@ -41,16 +41,13 @@ class Extent:
 
     @property
     def centre(self) -> Float[Tensor, "3"]:
-        """Its centre."""
         return (self.low + self.high) / 2
 
     @property
     def size(self) -> Float[Tensor, "3"]:
-        """Its side lengths."""
         return self.high - self.low
 
     def contains(self, points: Float[Tensor, "M 3"]) -> Bool[Tensor, " M"]:
-        """Which points lie in the box."""
         return ((points >= self.low) & (points <= self.high)).all(dim=1)
 
 

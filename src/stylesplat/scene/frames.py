@@ -30,7 +30,6 @@ class Frame:
         return moved if self.shift is None else moved + self.shift.to(points)
 
     def inverse(self) -> "Frame":
-        """The inverse similarity."""
         shift = None if self.shift is None else -(self.shift @ self.rotation) / self.scale
         return Frame(self.rotation.T, 1 / self.scale, shift)
 

@@ -91,6 +91,23 @@ def centred_K(focal: float, size: tuple[int, int]) -> Float[Tensor, "3 3"]:
     return torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
 
 
+def cameras_of(
+    viewmats: Float[Tensor, "M 4 4"],
+    Ks: Float[Tensor, "*M 3 3"],
+    size: tuple[int, int],
+    *,
+    names: str,
+) -> Cameras:
+    """Cameras of one size, with one lens or one each; their numbers are put into `names`."""
+    count = len(viewmats)
+    return Cameras(
+        viewmats=viewmats.float(),
+        Ks=Ks.float().expand(count, 3, 3),
+        sizes=torch.tensor(size).repeat(count, 1),
+        names=tuple(names.format(row) for row in range(count)),
+    )
+
+
 def _free_distance(content: Content, sight: Sight, radius: float) -> float:
     """The distance from which something else hides the middle of the content."""
     offsets = content.others - sight.focus
@@ -114,7 +131,7 @@ ELEVATIONS = (10.0, 35.0)  # degrees, by turns
 EACH = 4  # one view in four is a close-up
 PARTS = 3  # of the content along its longest axis, one in each close-up
 ZOOM = 2.0  # least magnification of close-ups
-NAMES = tuple(f"view_{row:03d}.png" for row in range(VIEWS))
+NAMES = "view_{:03d}.png"
 
 
 def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
@@ -143,17 +160,13 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
             focal = max(ZOOM * focal, focal_at(part, sight, distance))
         viewmats.append(sight.viewmats(distance)[0])
         focals.append(focal)
-    return Cameras(
-        viewmats=torch.stack(viewmats).float(),
-        Ks=torch.stack([centred_K(focal, size) for focal in focals]),
-        sizes=torch.tensor(size).repeat(VIEWS, 1),
-        names=NAMES,
-    )
+    Ks = torch.stack([centred_K(focal, size) for focal in focals])
+    return cameras_of(torch.stack(viewmats), Ks, size, names=NAMES)
 
 
 def has_no_photos(scene: Scene) -> bool:
     """Whether a scene came without photos, so that its views are those of `ring_cameras`."""
-    return scene.capture is None and scene.cameras.names == NAMES
+    return scene.capture is None and scene.cameras.names == tuple(map(NAMES.format, range(VIEWS)))
 
 
 def _parts_along(points: Float[Tensor, "M 3"]) -> list[Float[Tensor, "_ 3"]]:
@@ -207,12 +220,8 @@ def path_of(
     viewmats: Float[Tensor, "M 4 4"], focals: Float[Tensor, " M"], size: tuple[int, int]
 ) -> Cameras:
     """The frames of a path; `focals` are in units of the pictures' height."""
-    return Cameras(
-        viewmats=viewmats.float(),
-        Ks=torch.stack([centred_K(focal * size[1], size) for focal in focals.tolist()]),
-        sizes=torch.tensor(size).repeat(len(viewmats), 1),
-        names=tuple(f"path_{row:05d}.png" for row in range(len(viewmats))),
-    )
+    Ks = torch.stack([centred_K(focal * size[1], size) for focal in focals.tolist()])
+    return cameras_of(viewmats, Ks, size, names="path_{:05d}.png")
 
 
 def frame_count(seconds: float | int, fps: float | int) -> int:

@@ -25,7 +25,6 @@ def ids_of(labels: OwnLabels | None) -> set[int]:
 
 
 def resize_labels(labels: Shaped[Tensor, "H W"], size: Sequence[int]) -> Shaped[Tensor, "h w"]:
-    """Resize a label map to a height and width by nearest neighbour."""
     if tuple(labels.shape) == tuple(size):
         return labels
     y, x = (

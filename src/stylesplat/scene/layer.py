@@ -95,16 +95,13 @@ class Layer:
 
     @property
     def is_shown(self) -> bool:
-        """Whether the layer changes anything."""
         return self.visible and self.strength > 0
 
     @property
     def painted_form(self) -> float:
-        """The form that the paint has already."""
         return float(self.settings.get("form", 0.0))
 
     def to(self, device: torch.device | str) -> "Layer":
-        """The same layer on another device."""
         moved = {n: t.to(device) for n, t in vars(self).items() if isinstance(t, Tensor)}
         return replace(self, **moved, canvas=self.canvas.to(device))
 
@@ -113,12 +110,11 @@ def recoloring(
     object: str, rows: Int[Tensor, " R"], color_map: Float[Tensor, "3 4"], **columns: Any
 ) -> Layer:
     """The layer that maps the colours of some rows, and of what lies on them; columns as given."""
-    count, nothing = len(rows), torch.zeros(0)
-    one = torch.ones(1).expand(count)
-    bands = torch.zeros(0, 1, 3)
-    canvas = Splats(
-        nothing.view(0, 3), nothing.view(0, 4), nothing.view(0, 3), nothing, bands, bands[:, :0]
-    )
+    count, one = len(rows), torch.ones(1).expand(len(rows))
+    names = "means", "quats", "scales", "opacities", "sh0", "shN"
+    shapes = (3,), (4,), (3,), (), (1, 3), (0, 3)
+    empty: dict[str, Any] = {n: torch.zeros(0, *s) for n, s in zip(names, shapes, strict=True)}
+    canvas = Splats(**empty)
     return Layer(
         object,
         rows,
@@ -127,7 +123,7 @@ def recoloring(
         shN=torch.zeros(1, 0, 3).expand(count, 0, 3),
         opacity_factors=one,
         canvas=canvas,
-        canvas_sh0=bands,
+        canvas_sh0=canvas.sh0,
         parents=rows[:0],
         relief=torch.zeros(1).expand(count),
         kind="recolour",
@@ -136,7 +132,6 @@ def recoloring(
 
 
 def without_identities(splats: Splats) -> Splats:
-    """The splats without their objects."""
     return replace(splats, identities=None, classifier=None, confidence=None)
 
 

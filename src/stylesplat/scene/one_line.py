@@ -6,7 +6,6 @@ from stylesplat.errors import printable
 
 
 def one_line(noun: object, *parts: object) -> str:
-    """The class of a noun and its parts, without None and empty ones."""
     texts = (printable(str(part)) for part in parts if part is not None)
     return f"{type(noun).__name__}({', '.join(filter(None, texts))})"
 

@@ -128,7 +128,6 @@ def check_name(name: str) -> None:
 
 
 def check_name_or_id(name: str) -> None:
-    """Refuse what is neither a label id nor a name that an object can have."""
     if not is_id(name):
         check_name(name)
 

@@ -98,8 +98,6 @@ def _count_heights(elevations: Float[Tensor, " C"]) -> int:
 
 @dataclass(frozen=True)
 class PhotoStatistics:
-    """One number a photo."""
-
     sharpness: Float[Tensor, " C"]
     """Relative to the median of the neighbours: 1 is typical, less is blurred."""
     stops: Float[Tensor, " C"]

@@ -12,8 +12,6 @@ MIN_SIZE, MIN_FEATURES = 100, 100  # smaller settings find nothing
 
 @dataclass(frozen=True)
 class SfmConfig:
-    """How to find the poses of photos."""
-
     matching: str = "auto"
     """Which pairs of photos to match: all, those near in time, or those that look alike."""
     cameras: str = "auto"

@@ -60,10 +60,9 @@ class CaptureReport:
 
 
 def diagnose_count(count: int) -> Finding:
-    verdict = _grade(count, 30, 15)
-    fault = "They are too few for most scenes" if verdict == "poor" else "More make it sharper"
+    fault = "They are too few for most scenes" if count < 15 else "More make it sharper"
     advice = f"{fault}: take 40 to 100."
-    return _finding("photos", verdict, count, counted(count, "photo"), advice)
+    return _graded("photos", count, (30, 15), counted(count, "photo"), advice)
 
 
 def diagnose_poses(posed: int, unposed: Mapping[str, str], left_out: int) -> Finding:
@@ -77,7 +76,7 @@ def diagnose_poses(posed: int, unposed: Mapping[str, str], left_out: int) -> Fin
         "Take more photos between those without a pose and the rest, in small steps, and pose "
         "them again."
     )
-    return _finding("posed", _grade(posed / total, 0.95, 0.8), posed / total, says, advice)
+    return _graded("posed", posed / total, (0.95, 0.8), says, advice)
 
 
 def diagnose_model(figures: ModelFigures) -> list[Finding]:
@@ -88,24 +87,24 @@ def diagnose_model(figures: ModelFigures) -> list[Finding]:
     if weak:
         overlap = f"few points connect {some(weak)} with the others"
     return [
-        _finding(
+        _graded(
             "reprojection error",
-            _grade(error, 1.5, 2.5),
             error,
+            (1.5, 2.5),
             f"the mean reprojection error is {error:.1f} pixels",
             "Poses are vague: --refine-poses helps; leave out photos that are blurred or zoomed.",
         ),
-        _finding(
+        _graded(
             "track length",
-            _grade(length, 3.5, 2.7),
             length,
+            (3.5, 2.7),
             f"a point is seen in {length:.1f} photos on average",
             "Photos overlap little: take them in smaller steps, each with two thirds of the last.",
         ),
-        _finding(
+        _graded(
             "overlap",
-            _grade(len(weak) / len(shared), 0.0, 0.1),
             len(weak),
+            (0, 0.1 * len(shared)),
             overlap,
             "Take photos between these and the rest, or leave them out.",
         ),
@@ -113,7 +112,6 @@ def diagnose_model(figures: ModelFigures) -> list[Finding]:
 
 
 def weakly_connected(shared: dict[str, int]) -> list[str]:
-    """Photos that few points connect with others."""
     typical = sorted(shared.values())[len(shared) // 2]
     least = max(MIN_SHARED, MIN_SHARED_SHARE * typical)
     return [name for name, count in sorted(shared.items()) if count < least]
@@ -124,7 +122,7 @@ def diagnose_points(count: int) -> Finding:
         advice = "Training starts from random ones and ends with less detail."
         return Finding("points", "fair", 0, "there are no points", advice)
     advice = "Surfaces may have too little texture: add things with a pattern, take more photos."
-    return _finding("points", _grade(count, 2000, 500), count, f"{count:,} points", advice)
+    return _graded("points", count, (2000, 500), f"{count:,} points", advice)
 
 
 def diagnose_sides(coverage: Coverage, photos: int) -> Finding:
@@ -133,13 +131,13 @@ def diagnose_sides(coverage: Coverage, photos: int) -> Finding:
     if coverage.outward:
         says = f"the photos look out to {arc} of 360 degrees"
         advice = f"Turn to where {gap} degrees are missing, and take photos from several places."
-        return _finding("sides", _grade(arc, 300, 100), arc, says, advice)
+        return _graded("sides", arc, (300, 100), says, advice)
     if arc >= 360:
         return Finding("sides", "good", 360, f"seen from all sides, every {gap} degrees or closer")
     if arc >= 120:
         says = f"seen from {arc} of 360 degrees, a gap of {gap}"
         advice = "Walk on around it, or leave it so if nobody is to look from there."
-        return _finding("sides", _grade(arc, 320, 120), arc, says, advice)
+        return _graded("sides", arc, (320, 120), says, advice)
     if photos < FEW or arc < 30:
         says = f"{counted(photos, 'photo')} from one side only, {arc} of 360 degrees"
         return Finding("sides", "poor", arc, says, "Walk around the object.")
@@ -150,7 +148,7 @@ def diagnose_sides(coverage: Coverage, photos: int) -> Finding:
 def diagnose_heights(coverage: Coverage) -> Finding:
     says = f"{counted(coverage.heights, 'height')}, {coverage.elevations}"
     advice = "Go around again with the camera higher, looking down, or lower."
-    return _finding("heights", _grade(coverage.heights, 2, 1), coverage.heights, says, advice)
+    return _graded("heights", coverage.heights, (2, 1), says, advice)
 
 
 def diagnose_distances(coverage: Coverage) -> Finding:
@@ -165,11 +163,10 @@ def diagnose_distances(coverage: Coverage) -> Finding:
     if ratio > SAME_DISTANCE:
         says = f"the far photos were taken from {ratio:.1f} times as far as the near ones"
     advice = "Take photos between near and far, in steps, so that they connect."
-    return _finding("distances", _grade(ratio, 3, 6), ratio, says, advice)
+    return _graded("distances", ratio, (3, 6), says, advice)
 
 
 def blurred_rows(photos: PhotoStatistics) -> list[int]:
-    """Photos that are much less sharp than their neighbours."""
     return (photos.sharpness < BLURRED).nonzero()[:, 0].tolist()
 
 
@@ -180,41 +177,46 @@ def diagnose_photos(photos: PhotoStatistics, names: Sequence[str]) -> list[Findi
     lock = "Colour correction in training evens it out; better, lock it in the camera's app."
     slack = 1.0 if photos.by_points else 2.0  # whole photos show more or less of what is bright
     return [
-        _finding(
+        _graded(
             "sharpness",
-            _grade(len(blurred) / len(names), 0.0, 0.1),
             len(blurred),
+            (0, 0.1 * len(names)),
             f"blurred: {some(blurred)}" if blurred else "no photo is much less sharp than others",
             "Leave them out or take them again, with more light or a steadier hand.",
         ),
-        _finding(
+        _graded(
             "exposure",
-            _grade(stops, 0.7 * slack, 2.0 * slack),
             stops,
+            (0.7 * slack, 2.0 * slack),
             f"photos differ by {stops:.1f} steps of exposure{basis}",
             lock,
         ),
-        _finding(
+        _graded(
             "white balance",
-            _grade(warmth, 0.6 * slack, 1.5 * slack),
             warmth,
+            (0.6 * slack, 1.5 * slack),
             f"red against blue differs by {warmth:.1f} steps{basis}",
             lock,
         ),
     ]
 
 
-def _finding(what: str, verdict: Verdict, number: float | int, says: str, advice: str) -> Finding:
-    """A finding whose advice is given only where it is needed."""
-    return Finding(what, verdict, number, says, "" if verdict == "good" else advice)
+def _graded(
+    what: str,
+    number: float | int,
+    bounds: tuple[float | int, float | int],
+    says: str,
+    advice: str,
+) -> Finding:
+    """A finding on a number that is good up to one bound, and fair up to the next.
 
-
-def _grade(value: float | int, good: float | int, fair: float | int) -> Verdict:
-    """A verdict on a figure by its bounds; more is better if good is more than fair."""
+    More is better if the first bound is the larger one. Advice is given only where it is needed.
+    """
+    good, fair = bounds
     sign = 1 if good > fair else -1
-    if sign * value >= sign * good:
-        return "good"
-    return "fair" if sign * value >= sign * fair else "poor"
+    if sign * number >= sign * good:
+        return Finding(what, "good", number, says)
+    return Finding(what, "fair" if sign * number >= sign * fair else "poor", number, says, advice)
 
 
 def _range(values: Float[Tensor, " C"]) -> float:

@@ -23,7 +23,6 @@ WALK = "Walk around what you want to show, so that each photo is taken from anot
 
 
 def check_features(counts: Mapping[str, int], total: int) -> None:
-    """Raise a StyleSplatError if the photos have too little texture."""
     typical = median([*counts.values(), *[0] * (total - len(counts))])
     if typical < FEW_FEATURES:
         raise StyleSplatError(

@@ -93,7 +93,6 @@ def _is_plausible(value: object) -> bool:
 
 
 def color_profile(path: Path) -> bytes | None:
-    """The ICC profile of an RGB picture, if it has one."""
     with open_image(path) as image:
         return image.info.get("icc_profile") if image.mode in ("RGB", "RGBA") else None
 

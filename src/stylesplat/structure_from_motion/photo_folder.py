@@ -111,7 +111,6 @@ def _is_skipped(name: str) -> bool:
 
 
 def _unusable_file(name: str) -> str | None:
-    """Why a photo cannot be used, as its name says."""
     if name.lower().endswith(RAW):
         return "a raw file; give JPEG"
     if not name.lower().endswith(PHOTOS):
@@ -152,8 +151,6 @@ def is_series(names: Sequence[str]) -> bool:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A photo whose pixels were measured."""
-
     name: str
     small: SmallPhoto = field(repr=False)
     sharpness: float
@@ -202,7 +199,6 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
 
 
 def too_few_photos(source: Path, usable: int, left_out: Mapping[str, str]) -> StyleSplatError:
-    """The error for a folder without enough photos."""
     reasons = some((f"{brief(name)} ({text})" for name, text in left_out.items()), whole=True)
     others = f"; {len(left_out)} left out: {reasons}" if reasons else ""
     return StyleSplatError(

@@ -22,8 +22,7 @@ MIN_TRACK = 3  # photos that see a point: the error of points of two is several 
 def write_colmap(model: pycolmap.Reconstruction, photos: Path, folder: Path) -> None:
     """Write the photos as pinhole cameras would have taken them, and the model of these.
 
-    Photos go to `images/`, under their names, cameras and points to `sparse/0/`; of the features
-    only those of points are kept.
+    Photos go to `images/`, under their names, cameras and points to `sparse/0/`.
     """
     images = posed_images(model)
     lenses = {key: Lens.from_colmap(camera) for key, camera in model.cameras.items()}
@@ -57,36 +56,19 @@ def reliable_points(model: pycolmap.Reconstruction) -> set[int]:
 def _pinhole_model(
     model: pycolmap.Reconstruction, images: list[pycolmap.Image], lenses: dict[int, Lens]
 ) -> pycolmap.Reconstruction:
-    pinholes = pycolmap.Reconstruction()
-    for key in sorted({image.camera_id for image in images}):
-        camera = lenses[key].pinhole().camera
-        camera.camera_id = key
-        pinholes.add_camera_with_trivial_rig(camera)
-    reliable = reliable_points(model)
-    rows: dict[tuple[int, int], int] = {}  # a feature's new row in its photo
+    reliable, pinholes = reliable_points(model), pycolmap.Reconstruction(model)
+    for key in {*model.points3D.keys()} - reliable:
+        pinholes.delete_point3D(key)
     for image in images:
-        kept = [
-            row
-            for row, point in enumerate(image.points2D)
-            if point.has_point3D() and point.point3D_id in reliable
-        ]
-        rows |= {(image.image_id, old): new for new, old in enumerate(kept)}
-        lens = lenses[image.camera_id]
-        distorted = np.array([image.points2D[row].xy for row in kept]).reshape(-1, 2)
+        lens, features = lenses[image.camera_id], pinholes.images[image.image_id].points2D
+        distorted = np.array([feature.xy for feature in features]).reshape(-1, 2)
         rays = np.asarray(lens.camera.cam_from_img(distorted))
         rays = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1)  # [P, 3]
-        keypoints = np.asarray(lens.pinhole().camera.img_from_cam(rays))
-        undistorted = pycolmap.Image(
-            image.name, keypoints=keypoints, camera_id=image.camera_id, image_id=image.image_id
-        )
-        pinholes.add_image_with_trivial_frame(undistorted, image.cam_from_world())
-    for key, point in sorted(model.points3D.items()):
-        if key not in reliable:
-            continue
-        elements = [
-            pycolmap.TrackElement(e.image_id, rows[e.image_id, e.point2D_idx])
-            for e in point.track.elements
-        ]
-        new = pinholes.add_point3D(point.xyz, pycolmap.Track(elements), point.color)
-        pinholes.point3D(new).error = point.error
+        places = np.asarray(lens.pinhole().camera.img_from_cam(rays))
+        for feature, place in zip(features, places, strict=True):
+            feature.xy = place
+    for key, lens in lenses.items():
+        camera, pinhole = pinholes.cameras[key], lens.pinhole().camera
+        camera.model, camera.params = pinhole.model, pinhole.params.tolist()
+        camera.width, camera.height = pinhole.width, pinhole.height
     return pinholes

@@ -85,7 +85,6 @@ class Video:
                 yield number, frame
 
     def upright(self, frame: VideoFrame) -> UInt8[np.ndarray, "H W 3"]:
-        """A frame at full size, as a player shows it."""
         pixel_aspect = float(self.stream.sample_aspect_ratio or 1) or 1.0
         width = max(1, round(frame.width * pixel_aspect))
         rgb = frame.reformat(width, frame.height, "rgb24", interpolation=SMOOTH_COLOR).to_ndarray()

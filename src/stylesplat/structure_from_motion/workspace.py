@@ -46,12 +46,10 @@ class Workspace:
 
     @property
     def basis(self) -> Path:
-        """What the database was made from."""
         return self.folder / "database.json"
 
     @cached_property
     def name_of(self) -> dict[str, str]:
-        """The caller's name of a photo by the database's."""
         return dict(zip(self.files, self.names, strict=True))
 
     def run(

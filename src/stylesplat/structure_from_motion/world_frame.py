@@ -1,6 +1,5 @@
 """A world frame for photos whose poses come without one: level, centred, of unit scale."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,17 +28,6 @@ MAX_OFFSET = 3.0  # medians by which a view axis may miss the centre; others loo
 MAX_DEPTH = 3.0  # median depths of the points: axes that meet farther away are near parallel
 MEDIAN_STEPS = 100  # of the geometric median
 
-# Ground plane; lengths are in units of the cameras' median distance from the centre
-MAX_TILT = 15.0  # degrees by which the cameras may be wrong about what is level
-TRIPLES = 20_000  # of points that planes are fitted to; one in a hundred is level in a room
-MAX_PLANES = 500  # that are scored
-THICKNESS = 0.01  # of a plane on each side
-NEAR = 2.0  # points farther from the centre are ignored
-MIN_INLIERS = 0.1  # share of the near points that a plane must hold
-# Share of the points within three times its thickness: a slice of clutter holds a third of them
-MIN_CONTRAST = 0.6
-MIN_WIDTH = 0.15  # standard deviation along its shorter side
-
 
 def move_to_working_frame(model: pycolmap.Reconstruction) -> Frame:
     """Move a reconstruction, which has no frame of its own, and return how; see `working_frame`."""
@@ -63,17 +51,14 @@ def working_frame(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Frame:
     """The frame in which -y is up, the content is in the middle, and distances are about 1.
 
     y points down, as in the cameras' own OpenCV axes and as viewers of splats expect. Up is the
-    direction that cameras which are held level agree on, or close to it the normal of the table or
-    floor that things stand on. The origin is what the cameras look at, z points ahead of them (of
-    the first, where they stand all around), and their median distance is 1. The same scene in
-    another frame gives the same result.
+    direction that cameras which are held level agree on. The origin is what the cameras look at, z
+    points ahead of them (of the first, where they stand all around), and their median distance is
+    1. The same scene in another frame gives the same result.
     """
     centre = find_centre(cameras, points).position
     distance = float((cameras.positions.double() - centre).norm(dim=1).median())
     scale = 1 / distance if distance > TINY else 1.0
-    up = camera_up(cameras)
-    normal = ground_normal(scale * (points.double() - centre), up)
-    rotation = _axes(cameras, up if normal is None else normal)
+    rotation = _axes(cameras, camera_up(cameras))
     return Frame(rotation, scale, -scale * rotation @ centre)
 
 
@@ -170,41 +155,3 @@ def _geometric_median(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Float[T
         pull = weights / (points - median).norm(dim=1).clamp(min=TINY)
         median = (pull[:, None] * points).sum(dim=0) / pull.sum()
     return median
-
-
-def ground_normal(
-    points: Float[Tensor, "M 3"], up: Float[Tensor, "3"], *, seed: int = 0
-) -> Float[Tensor, "3"] | None:
-    """The upward normal of the near level plane that holds most points; None if none is clear.
-
-    The first guess is by RANSAC.
-    """
-    near = points[points.norm(dim=1) < NEAR]
-    near = near[:: max(1, len(near) // MAX_POINTS)]
-    if len(near) < 3:
-        return None
-    generator = torch.Generator().manual_seed(seed)
-    one, two, three = near[torch.randint(len(near), (TRIPLES, 3), generator=generator)].unbind(1)
-    normals = normalize(torch.linalg.cross(two - one, three - one), dim=1)
-    normals = normals * (normals @ up).sign()[:, None]
-    least = math.cos(math.radians(MAX_TILT))
-    level = (normals @ up > least).nonzero()[:MAX_PLANES, 0]
-    if not len(level):
-        return None
-    normals, offsets = normals[level], (one[level] * normals[level]).sum(dim=1)
-    close = (near @ normals.T - offsets).abs() < THICKNESS  # [M, planes]
-    inliers, fits = close[:, close.sum(dim=0).argmax()], 0
-    while True:
-        if inliers.sum() < 3:
-            return None
-        centre = near[inliers].mean(dim=0)
-        variances, axes = torch.linalg.eigh(torch.cov((near[inliers] - centre).T, correction=0))
-        normal = axes[:, 0] * (axes[:, 0] @ up).sign()
-        distances = ((near - centre) @ normal).abs()
-        fits += 1
-        if fits > ROUNDS:
-            break
-        inliers = distances < THICKNESS
-    clear = inliers.sum() >= MIN_CONTRAST * (distances < 3 * THICKNESS).sum()
-    large = variances[1] >= MIN_WIDTH**2 and inliers.double().mean() >= MIN_INLIERS
-    return normal if clear and large and normal @ up > least else None

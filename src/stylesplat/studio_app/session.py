@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.progress import Observer, Silence, Task, observed
+from stylesplat.progress import Observer, Task, observed
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.studio_app.history import History, ObjectMasks, StudioState, hidden_rows
@@ -175,7 +175,7 @@ class Session:
         self.tell(str(error), failure=True)
 
 
-class _SessionObserver(Silence, Observer):
+class _SessionObserver(Observer):
     """Passes messages on, and lets short work in between the parts of long work."""
 
     def __init__(

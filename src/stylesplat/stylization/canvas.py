@@ -5,9 +5,10 @@ take. The canvas hides them. They keep their positions, and undoing gives them b
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -17,12 +18,11 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.progress import track
-from stylesplat.rendering import cpu
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.gaussians import activated, views_of, with_matrices_of
 from stylesplat.rendering.linear import contributions
-from stylesplat.rendering.render import rasterize, render
-from stylesplat.rendering.shares import COVERED, coverage, without_looks
+from stylesplat.rendering.render import colors_of, rasterize
+from stylesplat.rendering.shares import COVERED, colors_and_coverage, coverage, without_looks
+from stylesplat.rendering.visibility import in_view
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.sampling import drawn
@@ -126,13 +126,12 @@ def lay_canvas(
     not fitted yet (`fit_canvas`), and may show beside the object (`confine_canvas`). Returns None
     if the object has no surface, as smoke has none.
     """
-    surface = find_surface(splats, mask, boxes)
-    if len(surface.points) < FEW:
+    *surface, pixel = find_surface(splats, mask, boxes)
+    if len(surface[0]) < FEW:
         return None
-    spacing = SPACING * surface.pixel * LENGTH / length
+    spacing = SPACING * pixel * LENGTH / length
     while True:
-        values = [surface.normals, surface.colors]
-        points, normals, colors = pool_points(POOLED * spacing, surface.points, values)
+        points, normals, colors = pool_points(POOLED * spacing, *surface)
         rows = thin(points, spacing, seed=seed)
         if len(rows) <= max_discs:
             break
@@ -204,51 +203,43 @@ def fill_holes(canvas: Canvas, boxes: Sequence[Box]) -> Canvas:
     return canvas.changed(opacities=opacities)
 
 
-@dataclass(frozen=True)
-class _View:
+class _View(NamedTuple):
     """What one camera saw before the canvas was laid, and what it sees of it."""
 
     camera: Cameras
     image: Float[Tensor, "H W 3"]
     coverage: Float[Tensor, "H W 1"]
-    visible: Bool[Tensor, " N"]
-    """Which Gaussians of the scene with the canvas are drawn."""
+    rows: Int[Tensor, " M"]
+    """The Gaussians of the scene with the canvas that are in view."""
     splats: Splats
     """These, in the colours that they have from there."""
-    is_disc: Bool[Tensor, "M 1 1"]
-    own: Float[Tensor, "M 1 1"]
-    """1 for those of the object, 0 for others."""
-
-    def error(self, leaves: Mapping[str, Tensor], raised: Tensor) -> Float[Tensor, ""]:
-        """Of the image, the object's colours being raised.
-
-        By other amounts in every step, so that its coverage has to be right whatever lies behind.
-        """
-        moved = {name: leaf[self.visible] for name, leaf in leaves.items()}
-        sh0 = torch.where(self.is_disc, moved["sh0"], self.splats.sh0)
-        moved["sh0"] = sh0 + raised / SH_C0 * self.own
-        image, _, _ = rasterize(replace(self.splats, **moved), self.camera)
-        return (image[0] - self.image - raised * self.coverage).square().mean()
 
 
 def fit_canvas(canvas: Canvas, boxes: Sequence[Box], *, seed: int) -> Canvas:
     """Give the discs of a canvas what makes the object look as before.
 
-    The seed is of the order of the views, and of the colours that tell object and background apart.
+    In every step the object's colours are raised by other amounts, so that its coverage has to be
+    right whatever lies behind.
     """
     length = min(FIT_LENGTH, typical_length(boxes))
     cameras = box_cameras(boxes, length, FIT_VIEWS, FIT_MARGIN)
     views = [*at_once(partial(_look, canvas), cameras)]
     leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in RATES}
-    moments = Moments.zeros(leaves)
+    moments, own = Moments.zeros(leaves), canvas.mask.to(canvas.splats.means)
     generator = torch.Generator().manual_seed(seed)
     order = track(drawn(views, STEPS, generator), "fitting the canvas", total=STEPS)
     for step, view in enumerate(order, start=1):
         raised = RAISED * torch.rand(3, generator=generator)
+        is_disc, rows = canvas.is_disc[view.rows], view.rows
         with torch.enable_grad():
-            view.error(leaves, raised).backward()
+            moved = {name: leaf[rows] for name, leaf in leaves.items()}
+            sh0 = torch.where(is_disc[:, None, None], moved["sh0"], view.splats.sh0)
+            moved["sh0"] = sh0 + raised / SH_C0 * own[rows, None, None]
+            image, _, _ = rasterize(replace(view.splats, **moved), view.camera)
+            (image[0] - view.image - raised * view.coverage).square().mean().backward()
         rates = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
-        adam_step(leaves, moments, rates, step, visible=canvas.is_disc & view.visible)
+        visible = torch.zeros_like(canvas.is_disc).index_fill(0, rows[is_disc], True)
+        adam_step(leaves, moments, rates, step, visible=visible)
         for leaf in leaves.values():
             leaf.grad = None
     return canvas.changed(**{name: leaf.detach() for name, leaf in leaves.items()})
@@ -256,13 +247,7 @@ def fit_canvas(canvas: Canvas, boxes: Sequence[Box], *, seed: int) -> Canvas:
 
 @torch.no_grad()
 def _look(canvas: Canvas, camera: Cameras) -> _View:
-    image, _ = render(canvas.before, camera, features=canvas.own.to(canvas.before.means)[:, None])
-    image, coverage = image.split((3, 1), dim=2)
-    views = views_of(with_matrices_of(canvas.splats, camera))
-    visible = (cpu.project_gaussians(activated(canvas.splats), views[0]).radii > 0).all(dim=1)
-    seen = replace(canvas.splats, identities=None, confidence=None)[visible]
-    directions = seen.means - camera.positions.to(seen.means)
-    colors = cpu.spherical_harmonics(seen.sh_degree, directions, seen.sh0, seen.shN)
-    baked = replace(seen, sh0=sh0_from_rgb(colors)[:, None], shN=seen.shN[:, :0])
-    is_disc, own = (each[visible, None, None] for each in (canvas.is_disc, canvas.mask))
-    return _View(camera, image, coverage, visible, baked, is_disc, own.to(image))
+    splats, rows = canvas.splats, in_view(canvas.splats, camera).rows
+    colors = colors_of(splats, rows, camera.positions.to(splats.means))
+    baked = replace(without_looks(splats)[rows], sh0=sh0_from_rgb(colors)[:, None])
+    return _View(camera, *colors_and_coverage(canvas.before, camera, canvas.own), rows, baked)

@@ -166,13 +166,17 @@ def smooth(
 def blur(values: Float[Tensor, "H W"], deviation: float) -> Float[Tensor, "H W"]:
     """A Gaussian blur with zeros around, of no particular sum: two products of matrices."""
     height, width = values.shape
-    return _kernel(height, deviation).to(values) @ values @ _kernel(width, deviation).to(values)
+    rows, columns = (
+        blur_matrix(size, deviation, values.device).to(values) for size in (height, width)
+    )
+    return rows @ values @ columns
 
 
 @lru_cache(maxsize=32)
-def _kernel(size: int, deviation: float) -> Float[Tensor, "S S"]:
+def blur_matrix(size: int, deviation: float, device: torch.device) -> Float[Tensor, "S S"]:
+    """The weight of each place along an axis in the blur of each other."""
     places = torch.arange(size, dtype=torch.float32)
-    return (-((places[:, None] - places) / deviation).square() / 2).exp()
+    return (-((places[:, None] - places) / deviation).square() / 2).exp().to(device)
 
 
 @dataclass(frozen=True)
@@ -187,8 +191,8 @@ class Palette:
     def offset(self, colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
         """From colours in 0..1 to where the palette is near; without gradients."""
         colors = colors.detach()
-        levels = (colors.clamp(0, 1) * (LEVELS - 1)).round()
-        rows = (levels @ levels.new_tensor([LEVELS**2, LEVELS, 1])).long().flatten()
+        red, green, blue = (colors.clamp(0, 1) * (LEVELS - 1)).round().long().unbind(-1)
+        rows = ((red * LEVELS + green) * LEVELS + blue).flatten()
         nearest = self.table.index_select(0, rows).view(colors.shape)
         return (nearest - colors) * self.shares.index_select(0, rows).view(*colors.shape[:-1], 1)
 

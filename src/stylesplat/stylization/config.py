@@ -13,7 +13,7 @@ import msgspec
 from PIL import ImageColor
 
 from stylesplat.errors import StyleSplatError, brief
-from stylesplat.scene.arguments import MAX_FORM, MAX_INTENSITY
+from stylesplat.scene.arguments import MAX_INTENSITY
 
 LAYERS = range(1, 5)  # layer groups that every VGG has
 LIMITS = {  # of settings, the least and the most: what lies beyond is a slip of the keyboard
@@ -21,7 +21,7 @@ LIMITS = {  # of settings, the least and the most: what lies beyond is a slip of
     "scale": (0.001, 10_000),
     "rotate": (-1e4, 10_000),
     "intensity": (0, MAX_INTENSITY),
-    "form": (0, MAX_FORM),
+    "form": (0, MAX_INTENSITY),
     "content": (0, 10_000),
     "object_size": (1, 10_000),
     "lr": (1e-9, 10_000),

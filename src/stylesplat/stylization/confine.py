@@ -18,6 +18,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, fade_hidden, fill_holes
 from stylesplat.stylization.strokes import align_to_strokes
+from stylesplat.stylization.surface import full_coverage
 from stylesplat.stylization.views import Box, per_view
 
 VIEWS = 24  # that are checked: discs lie on the very outline of the object
@@ -85,12 +86,12 @@ def _find_outside(
 ) -> list[Outside]:
     """The pixels of each camera that show nothing of an object, or haze away from its edge."""
     bare = without_looks(splats)
-    own, everyone = bare[mask], mask[mask]
+    own = bare[mask]
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * EDGE + 1, 2 * EDGE + 1))
 
     def look(camera: Cameras) -> Outside:
         covered = coverage(bare, camera, mask)
-        alone = coverage(own, camera, everyone)  # whatever hides it
+        alone = full_coverage(own, camera)  # whatever hides it
         solid = (alone > COVERED).numpy().astype(np.uint8)
         edge = torch.from_numpy(cv2.dilate(solid, disc)).bool()
         return camera, (covered == 0) | ((covered < FAINT) & ~edge)
@@ -128,5 +129,4 @@ def _overflow(
 @torch.no_grad()
 def reached_pixels(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
     """The pixels in which some Gaussians would show if there were no others."""
-    everyone = torch.ones(len(splats), dtype=torch.bool)
-    return coverage(without_looks(splats), camera, everyone) > 0
+    return full_coverage(without_looks(splats), camera) > 0

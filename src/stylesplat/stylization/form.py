@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.metrics.lab import LUMA
+from stylesplat.metrics.lab import luma_weights
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.colors import HIDDEN, STRIDE, blur, smooth
@@ -78,7 +78,7 @@ def survey_form(
 
 def main_hue(colors: Float[Tensor, "P 3"]) -> Float[Tensor, " 3"]:
     """Weights of red, green and blue: the main direction of what luminance leaves of colours."""
-    luma = colors.new_tensor(LUMA)
+    luma = luma_weights(colors.device, colors.dtype)
     hues = colors - (colors @ luma)[:, None]
     main = torch.linalg.eigh(hues.T.cov(correction=0)).eigenvectors[:, -1]
     return main - main.sum() * luma
@@ -95,7 +95,7 @@ def object_detail(
     Hues become lighter or darker, whatever adds to the contrast in luminance around a place.
     """
     near = NEAR * length
-    lumas = detail_bands(image @ image.new_tensor(LUMA), mask, length)
+    lumas = detail_bands(image @ luma_weights(image.device, image.dtype), mask, length)
     hues = detail_bands(CHROMA * (image @ hue.to(image)), mask, length)
     details = []
     for luma, chroma in zip(lumas, hues, strict=True):
@@ -130,7 +130,7 @@ def form_distance(
     """
     total, near = image.new_zeros(()), NEAR * length
     faint = _faint_energy(near)
-    bands = detail_bands(image @ image.new_tensor(LUMA), mask, length)
+    bands = detail_bands(image @ luma_weights(image.device, image.dtype), mask, length)
     for band, detail, weight, share in zip(
         bands, form.details, form.weights, form.shares, strict=True
     ):

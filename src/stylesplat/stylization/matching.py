@@ -19,6 +19,11 @@ from stylesplat.rendering.kernels.jit import inner, kernel
 DIMENSIONS = 64  # of the compressed space; its matches cost less than 0.1 % of the loss
 CANDIDATES = 4  # that are compared exactly
 SIMILARITIES_AT_ONCE = 2**22  # bounds the features x style features matrix
+KINDS = 32  # of style features, in balanced searches
+ROUNDS = 12  # that find them
+REMEMBERED = 0.8  # of the usage before: a view shows only a part of the object
+BALANCE = 0.5  # what a search adds to the cosines of a kind that had no match, by its share
+MOST = 0.5  # of what is added: with .3 lines stay away from what is dark
 
 
 def nnfm_loss(
@@ -49,7 +54,13 @@ def cosine_distance(feats: Float[Tensor, "P D"], others: Float[Tensor, "P D"]) -
 
 @dataclass(frozen=True)
 class StyleIndex:
-    """Style features, prepared for the search of nearest neighbours by cosine."""
+    """Style features, prepared for the search of nearest neighbours by cosine.
+
+    Searches may be balanced: kinds of features that were matched more often than the style has
+    them are favoured less in the next search, and the other way round. Else a flat area matches
+    the few flat features of a style of lines. This is dual ascent of semi-discrete optimal
+    transport (Genevay et al. 2016), its potentials bounded.
+    """
 
     directions: Float[Tensor, "Q D"]
     """The features, of length 1."""
@@ -57,46 +68,101 @@ class StyleIndex:
     """The principal directions of the features, which keep most of their cosines."""
     compressed: Float[Tensor, "B R"]
     """The features in that basis; R is Q rounded up to whole vectors, the rest are 0."""
+    kinds: Int[Tensor, " Q"]
+    """The kind of each feature."""
+    shares: Float[Tensor, " K"]
+    """How many of the style's features each kind has, of 1."""
+    usage: Float[Tensor, " K"]
+    """How many of the last matches it had: each search changes it."""
+    favour: Float[Tensor, " K"]
+    """What is added to its cosines: each search changes it."""
 
     @torch.no_grad()
     def nearest(self, feats: Float[Tensor, "P D"]) -> Int[Tensor, " P"]:
         """The row of the (almost always) most similar style feature of each feature."""
-        if self.directions.device.type != "cpu":
-            return most_similar(feats, self.directions)
-        queries = feats.float() @ self.basis
-        rows = max(1, SIMILARITIES_AT_ONCE // self.compressed.shape[1])
+        if self.directions.device.type == "cpu":
+            found = self._search(feats)
+        else:
+            found = most_similar(feats, self.directions, self.favour[self.kinds])
+        if len(self.shares) > 1 and len(found) > 0:
+            each = self.usage.new_full((len(found),), 1 / len(found))
+            used = torch.zeros_like(self.usage).index_add_(0, self.kinds[found], each)
+            self.usage.lerp_(used, 1 - REMEMBERED)
+            self.favour.add_(self.shares - self.usage, alpha=BALANCE).clamp_(-MOST, MOST)
+        return found
+
+    def _search(self, feats: Float[Tensor, "P D"]) -> Int[Tensor, " P"]:
+        favour, lengths = self.favour[self.kinds], feats.float().norm(dim=1, keepdim=True)
+        columns = self.compressed.shape[1]
+        table = torch.cat([self.compressed, F.pad(favour, (0, columns - len(favour)))[None]])
+        queries = torch.cat([feats.float() @ self.basis, lengths], dim=1)
+        rows = max(1, SIMILARITIES_AT_ONCE // columns)
         found = []
         for chunk, query in zip(feats.split(rows), queries.split(rows), strict=True):
             candidates = torch.zeros(len(chunk), CANDIDATES, dtype=torch.long)
-            similarities = (query @ self.compressed).flatten().numpy()
-            columns = self.compressed.shape[1]
+            similarities = (query @ table).flatten().numpy()
             largest_columns(similarities, columns, len(self.directions), candidates.numpy())
             few = self.directions.index_select(0, candidates.flatten())
             few = few.view(*candidates.shape, feats.shape[1])
-            exact = torch.einsum("pd,pkd->pk", chunk, few)
+            exact = torch.einsum("pd,pkd->pk", chunk, few) + query[:, -1:] * favour[candidates]
             found.append(candidates.gather(1, exact.argmax(dim=1, keepdim=True))[:, 0])
         return torch.cat(found)
 
 
 @torch.no_grad()
-def build_index(style_feats: Float[Tensor, "Q D"], dtype: torch.dtype) -> StyleIndex:
+def build_index(
+    style_feats: Float[Tensor, "Q D"], dtype: torch.dtype, *, balanced: bool = False
+) -> StyleIndex:
     """Prepare style features for searches with features of this precision."""
     directions = F.normalize(style_feats.float(), dim=1)
     _, vectors = torch.linalg.eigh(directions.T @ directions)
     basis = vectors[:, -DIMENSIONS:].contiguous()  # eigenvalues ascend
     padding = -len(directions) % vec.LANES
     compressed = F.pad((directions @ basis).T, (0, padding)).contiguous()
-    return StyleIndex(directions.to(dtype), basis, compressed)
+    kinds = _kinds(directions @ basis, KINDS if balanced else 1)
+    shares = torch.bincount(kinds) / len(kinds)
+    return StyleIndex(
+        directions.to(dtype),
+        basis,
+        compressed,
+        kinds,
+        shares,
+        usage=shares.clone(),
+        favour=torch.zeros_like(shares),
+    )
+
+
+def _kinds(points: Float[Tensor, "Q B"], count: int) -> Int[Tensor, " Q"]:
+    """The cluster of each point (k-means, Lloyd 1982); the first centres are at equal distances."""
+    centres = points[torch.linspace(0, len(points) - 1, count).long()]
+    kinds = torch.zeros(len(points), dtype=torch.long, device=points.device)
+    for _ in range(ROUNDS):
+        kinds = (points @ centres.T - centres.square().sum(dim=1) / 2).argmax(dim=1)
+        sizes = torch.bincount(kinds, minlength=count)[:, None]
+        sums = torch.zeros_like(centres).index_add_(0, kinds, points)
+        centres = torch.where(sizes > 0, sums / sizes.clamp(min=1), centres)
+    return kinds
 
 
 @torch.no_grad()
 def most_similar(
-    feats: Float[Tensor, "P D"], directions: Float[Tensor, "Q D"]
+    feats: Float[Tensor, "P D"],
+    directions: Float[Tensor, "Q D"],
+    favour: Float[Tensor, " Q"] | None = None,
 ) -> Int[Tensor, " P"]:
-    """The row of the most similar of some directions (of length 1), searched exhaustively."""
+    """The row of the most similar of some directions (of length 1), searched exhaustively.
+
+    What favours a row is added to its cosines.
+    """
     rows = max(1, SIMILARITIES_AT_ONCE // len(directions))
     columns = directions.T.to(feats.dtype)
-    return torch.cat([(chunk @ columns).argmax(dim=1) for chunk in feats.split(rows)])
+    found = []
+    for chunk in feats.split(rows):
+        similar = chunk @ columns
+        if favour is not None:
+            similar = similar + chunk.float().norm(dim=1, keepdim=True) * favour
+        found.append(similar.argmax(dim=1))
+    return torch.cat(found)
 
 
 @no_type_check

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -41,6 +41,8 @@ class ViewTarget:
 
     view: ObjectView
     """Cut to the object."""
+    cells: Sequence[tuple[Int[Tensor, " _"], ...]]
+    """The rows and columns of the features that are the object's, for each layer group."""
     form: Form | None = None
     """The unpainted object's form; None leaves it free."""
     content: Sequence[Float[Tensor, "_ _"]] | None = None
@@ -77,15 +79,16 @@ class Objective:
         """
 
         def look(view: ObjectView) -> ViewTarget:
+            cells = [each.nonzero(as_tuple=True) for each in view.cells]
             form = content = None
             if self.config.form > 0 or self.config.content > 0:
                 image = rasterize(original, view.camera)[0][0]
                 if self.config.form > 0:
                     form = measure_form(image, view.pixels, self.length, self.form)
                 if self.config.content > 0:
-                    content = self._features(view, image)
+                    content = self._features(image, cells)
             shapes = None if painted is None else _large_shapes(view, view.render(painted))
-            return ViewTarget(view, form, content, shapes)
+            return ViewTarget(view, cells, form, content, shapes)
 
         return [*per_view(look, views, "measuring the form", original.device)]
 
@@ -93,7 +96,7 @@ class Objective:
         """The losses of splats in one view."""
         view = target.view
         image = view.render(splats)
-        feats = self._features(view, image)
+        feats = self._features(image, target.cells)
         matched = [
             cosine_distance(own, style.directions.index_select(0, style.nearest(own.detach())))
             for own, style in zip(feats, self.styles, strict=True)
@@ -117,9 +120,9 @@ class Objective:
             total = total + HOLD * change * SIDE**2 / view.pixels.sum()
         return Losses(style, total)
 
-    def _features(self, view: ObjectView, image: Tensor) -> list[Tensor]:
+    def _features(self, image: Tensor, cells: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
         blocks = self.network(image, self.config.layers)
-        return [block[cells] for block, cells in zip(blocks, view.cells, strict=True)]
+        return [block[own] for block, own in zip(blocks, cells, strict=True)]
 
 
 def content_weight(content: float) -> float:

@@ -35,11 +35,11 @@ from stylesplat.stylization.form import SURVEY_LENGTH, FormSurvey, form_relief, 
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective, ViewTarget
 from stylesplat.stylization.style_image import (
-    check_size,
+    all_colors,
     coarsen_style,
-    has_features,
     style_features,
     style_parts,
+    without_strokes,
 )
 from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import (
@@ -56,7 +56,7 @@ from stylesplat.stylization.views import (
 from stylesplat.training.adam import Moments, adam_step
 
 OWN = 0.5  # share of a Gaussian that is the object's: one with less is not painted
-KEPT_HUES: dict[ColorMode, float] = {"style": 0.0, "blend": 0.5, "keep": 1.0, "free": 0.0}
+KEPT_HUES: dict[ColorMode, float] = {"blend": 0.5, "keep": 1.0}
 STYLE_FEATURES = 4096  # at random, of those of a fine stage, which has many
 COLOR_VIEWS = 8  # whose pixels give an object's colours
 COLOR_LENGTH = 240.0  # longer side of the object in them at most, in pixels
@@ -77,8 +77,8 @@ class PaintState:
     """Steps taken."""
     steps: int
     """Steps to take in all."""
-    nnfm: float
-    """The loss in the view of the last step, before it."""
+    nnfm: Float[Tensor, ""]
+    """The loss in the view of the last step, before it; reading it waits for the device."""
     splats: Splats
     """The scene with the paint so far, at full intensity."""
     base: Splats
@@ -112,17 +112,10 @@ class _Object:
         target = replace(self.target, mask=canvas.mask)
         return replace(self, context=context, target=target, canvas=canvas)
 
-
-@dataclass(frozen=True)
-class _Goal:
-    """What an object is to look like."""
-
-    pictures: Sequence[Float[Tensor, "_ _ 3"]]
-    """The style images, in the hues that the object is to have."""
-    colors: Float[Tensor, "P 3"]
-    """All of their colours."""
-    palette: Palette | None = None
-    """The colours to stay near to; None leaves them free."""
+    def views(self, length: float) -> tuple[list[ObjectView], float]:
+        """A few views of the whole object, which is as long in them."""
+        few, zoom = evenly(self.boxes, COLOR_VIEWS), length / typical_length(self.boxes)
+        return object_views(self.context, self.target, few, zoom, max_memory=math.inf), length
 
 
 def paint_steps(
@@ -141,14 +134,13 @@ def paint_steps(
         goes on.
 
     Raises:
-        StyleSplatError: If the object is not seen, nothing is its own, or a style image is too
-            small.
+        StyleSplatError: If the object is not seen, or nothing is its own.
     """
-    target, survey, boxes, stages = _survey(context, target)
+    target, survey, boxes = _survey(context, target)
     canvas = Canvas.without_discs(context.splats, target.mask)
     form = survey_detail(context.splats, target.mask, boxes)
     object = _Object(context, target, canvas, survey, boxes, form)
-    previews = list[Stage]()
+    stages, previews = target.config.stages(typical_length(boxes)), list[Stage]()
     if preview and target.config.max_discs(1) > 0:
         previews.append(replace(stages[0], steps=min(PREVIEW_STEPS, stages[0].steps)))
     done = sum(stage.steps for stage in previews)
@@ -158,51 +150,29 @@ def paint_steps(
 
 
 def check_visible(context: PaintContext, target: PaintTarget) -> None:
-    """Check that an object can be painted, in less time than painting it takes.
-
-    Raises:
-        StyleSplatError: As `paint_steps` does.
-    """
-    target, _, boxes, (first, *_) = _survey(context, target)
-    object_views(context, target, boxes, first.length / typical_length(boxes))
+    """Raise the errors of `paint_steps`, in less time than painting takes."""
+    target, _, boxes = _survey(context, target)
+    length = typical_length(boxes)
+    object_views(context, target, boxes, target.config.stages(length)[0].length / length)
 
 
 def _survey(
     context: PaintContext, target: PaintTarget
-) -> tuple[PaintTarget, list[Box], Sequence[Box], list[Stage]]:
-    """The target without what lies mostly beside it, where it is seen, and the stages.
-
-    The boxes are those of the views to optimise on, and those that are used: the paper uses few.
-    """
-    config = target.config
-    if not config.published:
-        own = own_shares(context.splats, target.mask, context.cameras) > OWN
-        if not own.any():
-            require_boxes(context, target)  # else that is why
-            raise StyleSplatError(
-                f"Cannot stylise {target.name}: most of what each of its Gaussians paints lies "
-                "where they cover less than half. Pick more of the object."
-            )
-        target = replace(target, mask=own)
-    survey = boxes = require_boxes(context, target)
-    if config.published:
-        boxes = evenly(survey, math.ceil(PUBLISHED_VIEWS * len(survey)))
-    return target, survey, boxes, _stages(context, target, typical_length(boxes))
-
-
-def _stages(context: PaintContext, target: PaintTarget, photo_length: float) -> list[Stage]:
-    """The stages; all steps at the last size if a style image is too small before.
-
-    One that is too small for that, too, is a StyleSplatError.
-    """
-    config = target.config
-    *_, last = stages = config.stages(photo_length)
-    network = context.network, config.layers
-    for picture in target.styles:
-        check_size(picture, *network, length=config.scale * last.length)
-        if not all(has_features(picture, *network, length=config.scale * s.length) for s in stages):
-            return [replace(last, steps=config.all_steps)]
-    return stages
+) -> tuple[PaintTarget, list[Box], Sequence[Box]]:
+    """The target without what lies mostly beside it, where it is seen, and the boxes to use."""
+    if target.config.published:
+        survey = require_boxes(context, target)
+        return target, survey, evenly(survey, math.ceil(PUBLISHED_VIEWS * len(survey)))
+    own = own_shares(context.splats, target.mask, context.cameras) > OWN
+    if not own.any():
+        require_boxes(context, target)  # else that is why
+        raise StyleSplatError(
+            f"Cannot stylise {target.name}: most of what each of its Gaussians paints lies "
+            "where they cover less than half. Pick more of the object."
+        )
+    target = replace(target, mask=own)
+    survey = require_boxes(context, target)
+    return target, survey, survey
 
 
 def survey_detail(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]) -> FormSurvey:
@@ -225,46 +195,49 @@ def _paint(
         object = _lay(object, stages[-1].length)
     fixed_at = next((n for n, each in enumerate(stages) if each.fine), len(stages) - 1)
     generator = torch.Generator().manual_seed(config.seed)
-    goal, paint, relief = None, object.canvas.splats, torch.zeros(0, 2)
+    paint, relief = object.canvas.splats, torch.zeros(0, 2)
+    pictures, palette = list[Tensor](), None
     whole = list[ObjectView](), 0.0  # views of the whole object, and its length in them
     for number, stage in enumerate(stages):
         is_last = number == len(stages) - 1 and not is_preview
         if number == fixed_at and object.canvas.is_disc.any():
-            object, paint = _confine(object, paint, turned=goal is not None)
+            object, paint = _confine(object, paint, turned=number > 0)
         mask = object.target.mask
         views = stage_views(object.context, object.target, object.boxes, stage, generator)
         if stage.window is None and len(views) >= COLOR_VIEWS:
             whole = evenly(views, COLOR_VIEWS), stage.length
         elif number <= fixed_at:  # later stages have the same Gaussians
-            whole = _color_views(object, min(stage.length, COLOR_LENGTH))
+            whole = object.views(min(stage.length, COLOR_LENGTH))
         if number in (0, fixed_at):
             before, splats = object.canvas.before, object.canvas.splats
             relief = form_relief(before, splats, mask, *whole, object.form)
-        if goal is None:
-            goal, paint = _begin(object, *whole, relief)
+        if number == 0:
+            pictures, palette, paint = _begin(object, *whole, relief)
         elif number == fixed_at:  # coarse stages lose what is finer than their pixels
             weight = SHARPENED * config.form * config.pattern_removed
             paint = add_luminance(paint, weight * relief[:, 0])
         objective = stage_objective(
             object.context,
             config,
-            goal.pictures,
+            pictures,
             stage,
             object.form,
-            goal.palette,
+            palette,
             is_fine_surface=bool(object.canvas.is_disc.any()),
         )
         targets = objective.targets(views, object.canvas.before, paint if stage.fine else None)
         taken = optimize_colors(paint, mask, targets, objective, stage.steps)
         for step, (paint, nnfm) in enumerate(taken, start=1):
-            if step == stage.steps and goal.palette is not None:
+            if step == stage.steps and palette is not None:
+                goal = pictures
                 if not (stage.fine or is_last):
                     paint = blur_colors(paint, mask, whole[0])
-                paint = transfer_colors(paint, mask, goal.colors, whole[0])
+                    goal = without_strokes(pictures, config.scale)
+                paint = transfer_colors(paint, mask, all_colors(goal), whole[0])
                 if is_last:
                     is_disc = object.canvas.is_disc
                     beneath = mask & ~is_disc & is_disc.any()
-                    paint = project_to_palette(paint, mask, whole[0], goal.palette, beneath)
+                    paint = project_to_palette(paint, mask, whole[0], palette, beneath)
             done += 1
             yield PaintState(
                 step=done,
@@ -304,44 +277,41 @@ def _confine(object: _Object, paint: Splats, *, turned: bool) -> tuple[_Object, 
     return object.on(canvas), replace(canvas.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
 
 
-def _color_views(object: _Object, length: float) -> tuple[list[ObjectView], float]:
-    """A few views of the whole object, which is as long in them, for its colours."""
-    few, zoom = evenly(object.boxes, COLOR_VIEWS), length / typical_length(object.boxes)
-    return object_views(object.context, object.target, few, zoom, max_memory=math.inf), length
-
-
 def _begin(
     object: _Object, views: Sequence[ObjectView], length: float, relief: Float[Tensor, "N 2"]
-) -> tuple[_Goal, Splats]:
-    """What the object is to look like, and the colours to start from.
+) -> tuple[list[Tensor], Palette | None, Splats]:
+    """The style images, the palette to stay near to if colours are not free, and the first paint.
 
-    The views show all of it, so many pixels long.
+    The views show all of the object, so many pixels long.
     """
     config, splats, mask = object.target.config, object.canvas.splats, object.target.mask
-    pictures = _pictures(object, views)
-    goal = _Goal(pictures, torch.cat([picture.reshape(-1, 3) for picture in pictures]))
+    share, palette = KEPT_HUES.get(config.color, 0.0), None
+    own = object_colors(splats, views) if share > 0 else None
+    pictures = style_pictures(object.target.styles, config, own, share)
     if config.published:
-        return goal, splats
+        return pictures, palette, splats
     splats = remove_pattern(splats, mask, views, length, config.pattern_removed)
     form = config.form * config.pattern_removed  # what was removed of it with the pattern
     splats = add_luminance(splats, form * relief.sum(dim=1))
     if config.color != "free":
-        goal = replace(goal, palette=build_palette(goal.colors))
-        varied = vary_colors(splats, mask, seed=config.seed)
-        splats = transfer_colors(varied, mask, goal.colors, views)
-    return goal, replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
+        palette = build_palette(all_colors(pictures))
+        colors = all_colors(without_strokes(pictures, config.scale))
+        splats = transfer_colors(vary_colors(splats, mask, seed=config.seed), mask, colors, views)
+    return pictures, palette, replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
 
 
-def _pictures(object: _Object, views: Sequence[ObjectView]) -> list[Tensor]:
-    """The style images, in the object's hues as far as these are to be kept."""
-    config, styles = object.target.config, list(object.target.styles)
+def style_pictures(
+    styles: Sequence[Tensor],
+    config: StyleConfig,
+    own: Float[Tensor, "P 3"] | None,
+    share: float = 1.0,
+) -> list[Tensor]:
+    """Style images for strokes of this size, with a share of the object's own hues if known."""
     if config.color != "free":
         styles = [coarsen_style(style, config.scale) for style in styles]
-    share = KEPT_HUES[config.color]
-    if share == 0:
-        return styles
-    own = object_colors(object.canvas.splats, views)
-    matrix, offset = color_map(torch.cat([s.reshape(-1, 3) for s in styles]), own)
+    if own is None:
+        return [*styles]
+    matrix, offset = color_map(all_colors(styles), own)
     return [s.lerp((s @ matrix.T + offset).clamp(0, 1), share) for s in styles]
 
 
@@ -361,11 +331,14 @@ def stage_objective(
         generator = torch.Generator().manual_seed(config.seed)
         rows = (torch.randperm(len(group), generator=generator) for group in features)
         pairs = zip(features, rows, strict=True)
-        features = [group[some[:STYLE_FEATURES].to(group.device)] for group, some in pairs]
+        features = [group[some[:STYLE_FEATURES]] for group, some in pairs]
     rate = stage.rate * (CANVAS_RATE if is_fine_surface else 1.0)
     return Objective(
         network=context.network.to(context.splats.device, context.precision),
-        styles=[build_index(group, context.precision) for group in features],
+        styles=[
+            build_index(group, context.precision, balanced=not config.published)
+            for group in features
+        ],
         config=replace(config, lr=rate * config.lr),
         length=stage.length,
         form=form,
@@ -379,7 +352,7 @@ def optimize_colors(
     targets: Sequence[ViewTarget],
     objective: Objective,
     steps: int,
-) -> Iterator[tuple[Splats, float]]:
+) -> Iterator[tuple[Splats, Float[Tensor, ""]]]:
     """Move the colours of some Gaussians until the object's features match the style's.
 
     Each step draws one of the targets. The objective's settings are the rates and the seed. Yields
@@ -414,7 +387,7 @@ def optimize_colors(
                 leaves["sh0"].copy_(before.lerp(leaves["sh0"], trust).clamp(*limits))
             for leaf in leaves.values():
                 leaf.grad = None
-        yield paint.with_rows(rows, leaves).detach(), losses.style.item()
+        yield paint.with_rows(rows, leaves).detach(), losses.style.detach()
 
 
 def target_features(

@@ -16,7 +16,7 @@ from stylesplat.scene.compose import compose, family_of
 from stylesplat.scene.layer import Layer, without_identities
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig, plain_settings
-from stylesplat.stylization.crop_scene import SceneCrop, crop_scene
+from stylesplat.stylization.crop_scene import crop_scene
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.optimize import PaintState, paint_steps
@@ -101,19 +101,15 @@ def paint_objects(context: PaintContext, targets: Sequence[PaintTarget]) -> Pain
 
 def paint_layer(
     context: PaintContext, target: PaintTarget, family: Int[Tensor, " M"]
-) -> tuple[Layer, SceneCrop | None, list[Box]]:
+) -> tuple[Layer, list[Box]]:
     """Paint an object on what lies beneath its layer.
 
     The family is the row of the base that each of the Gaussians beneath belongs to.
 
     Returns:
-        The layer; of a large scene the part that it was painted in; and the boxes of the object in
-        all views, held-out ones included.
+        The layer, and the boxes of the object in all views, held-out ones included.
     """
-    crop = crop_scene(context, target.mask)
-    part, own = context, target
-    if crop is not None:
-        part, own = crop.context(context), crop.target(target)
+    part, own, rows = crop_scene(context, target)
     state = None
     with task(target.name, target.config.all_steps) as bar:
         for state in paint_steps(part, own):
@@ -121,11 +117,11 @@ def paint_layer(
             if state.step % REPORT_EVERY == 0:
                 bar.note(f"NNFM {state.nnfm:.3f}")
     assert state is not None  # there is at least one step
-    layer = layer_of(state, own, family if crop is None else family[crop.rows])
+    layer = layer_of(state, own, family[rows])
     held_out = part.all_cameras[len(part.cameras) :]
     boxes = [*state.boxes, *find_boxes(part.splats, held_out, own.mask)]
     tidy_heap()  # copies of the whole scene follow
-    return layer, crop, boxes
+    return layer, boxes
 
 
 def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) -> Layer:

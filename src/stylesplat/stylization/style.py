@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, some
+from stylesplat.errors import StyleSplatError, check_choice, some
 from stylesplat.io.files import read_bytes
 from stylesplat.scene.layer import Source
 from stylesplat.scene.one_line import one_line
@@ -66,8 +66,7 @@ class Style:
         """
         if not pictures:
             raise StyleSplatError("A style has at least one picture. Pass a file: Style('a.jpg').")
-        if preset not in PRESETS:
-            raise StyleSplatError(f"There is no preset {preset!r}. Use {' or '.join(PRESETS)}.")
+        check_choice(preset, "preset", PRESETS)
         object.__setattr__(self, "pictures", pictures)
         object.__setattr__(self, "preset", preset)
         object.__setattr__(self, "config", with_settings(config or PRESETS[preset], settings))
@@ -75,7 +74,8 @@ class Style:
     def __repr__(self) -> str:
         default, config = asdict(StyleConfig()), asdict(self.config)
         changed = (f"{name}={config[name]!r}" for name in config if config[name] != default[name])
-        return one_line(self, some(map(_title, self.pictures)), *changed)
+        titles = (p if isinstance(p, Path | str) else "a picture" for p in self.pictures)
+        return one_line(self, some(Path(title).name for title in titles), *changed)
 
     def read(self) -> tuple[Float[Tensor, "_ _ 3"], ...]:
         """The pictures, cropped and turned; raises as `read_style` does."""
@@ -94,10 +94,9 @@ class Style:
 
 @dataclass(frozen=True)
 class StyledObject:
-    """One object of a recipe."""
+    """One object of a recipe, by a name that `select` gave, or a label id."""
 
     name: str
-    """A name that `select` gave, or a label id."""
     style: Style
     features: Network | None = None
     """The network whose features are matched; None leaves it to the verb or the style's preset."""
@@ -110,17 +109,12 @@ class StyledObject:
     precision: Precision | None = None
     """Of the features; None takes what is fastest on the machine."""
 
-    def __repr__(self) -> str:
-        intensity = None if self.intensity is None else f"intensity={self.intensity:g}"
-        return one_line(self, self.name, repr(self.style), self.features, intensity)
-
 
 @dataclass(frozen=True)
 class RecoloredObject:
     """A recolouring of a recipe."""
 
     name: str
-    """A name, or a label id."""
     config: RecolorConfig
     strength: float = 1.0
     place: int = 0
@@ -134,12 +128,7 @@ class Recipe:
     objects: tuple[StyledObject, ...] = ()
     """The lowest layer first, each once."""
     recolors: tuple[RecoloredObject, ...] = ()
-    """Recolourings, the lowest first."""
-
-    def __repr__(self) -> str:
-        pictures = (some(map(_title, each.style.pictures)) for each in self.objects)
-        names = (each.name for each in self.objects)
-        return one_line(self, *(f"{n}: {p}" for n, p in zip(names, pictures, strict=True)))
+    """The lowest first."""
 
 
 def as_recipe(styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe) -> Recipe:
@@ -159,10 +148,6 @@ def digest(path: Path) -> str:
     if is_material(path):
         return material_digest(path)
     return sha256(read_bytes(path)).hexdigest()
-
-
-def _title(picture: Picture) -> str:
-    return "a picture" if isinstance(picture, Tensor) else Path(picture).name
 
 
 def source_of(picture: Picture) -> Source:

@@ -23,6 +23,7 @@ SHOCKS = 4.0  # steps of the filter that coarsens a style image, for every unit 
 MAX_COARSENED = 8.0  # scale: beyond it strokes are as large as pictures
 RIDGE = 0.06  # curvature across a stroke, of 1: less is no stroke
 LARGEST = 1300.0  # pixels of a resized style image's longer side: of a larger one parts are used
+BROAD = 0.05  # of the object's length: what is less is a stroke
 PARTS = 9  # that together are as large
 MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory only
 
@@ -170,38 +171,23 @@ def style_features(
     """For each block the features, one per row, of a style image of this longer side in pixels.
 
     Features that see past the border are left out, so its padding is in no style.
-
-    Raises:
-        StyleSplatError: If the style image is smaller than what one feature depends on.
     """
-    check_size(style, network, blocks, length=length)
-    resized = resize(style, length)
+    resized = fit_style(style, network, blocks, length)
     height, width = resized.shape[:2]
     pairs = zip(map(network.cells, blocks), network(resized, blocks), strict=True)
     return tuple(f[c.inside(height), c.inside(width)].flatten(0, 1) for c, f in pairs)
 
 
-def check_size(
-    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
-) -> None:
-    """Raise a StyleSplatError if the style image has no whole feature; see `style_features`."""
-    if not has_features(style, network, blocks, length=length):
-        height, width = style.shape[:2]
-        fitted = "x".join(map(str, _fitted_size(width, height, length)))
-        raise StyleSplatError(
-            f"Cannot take the style from this picture of {width}x{height} pixels: for this object "
-            f"it becomes {fitted}, and its features span {_least_side(network, blocks)}. Choose a "
-            "larger picture, or raise the style scale."
-        )
+def fit_style(
+    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], length: float
+) -> Float[Tensor, "_ _ 3"]:
+    """The style image with this longer side, or as large as it takes to hold a whole feature."""
+    least = max(c.size + c.stride - 1 for c in map(network.cells, blocks))  # wherever its cell lies
+    return resize(style, max(length, least * max(style.shape[:2]) / min(style.shape[:2])))
 
 
-def has_features(
-    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
-) -> bool:
-    """Whether the style image, and that of this length, have a whole feature."""
-    height, width = style.shape[:2]
-    sides = height, width, *_fitted_size(width, height, length)
-    return min(sides) >= _least_side(network, blocks)
+def all_colors(pictures: Sequence[Float[Tensor, "_ _ 3"]]) -> Float[Tensor, "P 3"]:
+    return torch.cat([picture.reshape(-1, 3) for picture in pictures])
 
 
 def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3"]:
@@ -211,11 +197,6 @@ def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3
     planes = image.permute(2, 0, 1)[None]
     resized = F.interpolate(planes, size[::-1], mode="bicubic", antialias=True)
     return resized[0].permute(1, 2, 0).clamp(0, 1)
-
-
-def _least_side(network: FeatureNetwork, blocks: Sequence[int]) -> int:
-    """Pixels that hold a whole feature wherever its cell lies."""
-    return max(c.size + c.stride - 1 for c in map(network.cells, blocks))
 
 
 def _fitted_size(width: int, height: int, length: float) -> tuple[int, int]:
@@ -245,6 +226,14 @@ def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor
         grown = np.where(ridge < 0, cv2.dilate(image, square), cv2.erode(image, square))
         image = cv2.addWeighted(image, 0.5, np.where(abs(ridge) > 1, grown, smooth), 0.5, 0)
     return torch.from_numpy(image).to(picture)
+
+
+def without_strokes(pictures: Sequence[Tensor], scale: float) -> list[Tensor]:
+    """Style images so small that only large shapes are left: strokes melt into their mean.
+
+    Shapes of an object that take these colours leave the rest of a style's contrast to strokes.
+    """
+    return [resize(each, min(scale / BROAD, float(max(each.shape[:2])))) for each in pictures]
 
 
 def style_parts(

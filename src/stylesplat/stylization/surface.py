@@ -1,7 +1,6 @@
 """An object's surface as its views show it, sampled evenly."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -28,29 +27,22 @@ PLANE = 16  # points that a plane is fitted to
 ROUNDS = 20  # of `thin`: after a few hardly any point is undecided
 
 
-@dataclass(frozen=True)
-class SurfacePoints:
-    """Points of a surface, one for each pixel that shows it."""
-
-    points: Float[Tensor, "P 3"]
-    normals: Float[Tensor, "P 3"]
-    """Unit vectors towards the camera that saw the point."""
-    colors: Float[Tensor, "P 3"]
-    """In 0..1."""
-    pixel: float
-    """The typical size of a pixel there, in a view in which the object is `LENGTH` long."""
-
-
 @torch.no_grad()
-def find_surface(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]) -> SurfacePoints:
-    """Find an object's surface from rendered depths."""
+def find_surface(
+    splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]
+) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"], Float[Tensor, "P 3"], float]:
+    """Find an object's surface from rendered depths.
+
+    Returns:
+        The points, one for each pixel that shows it; their normals towards the camera that saw
+        them; their colours; the typical size of a pixel if the object is `LENGTH` pixels long.
+    """
     cameras = box_cameras(boxes, LENGTH, VIEWS)
     far = BEHIND * extent(splats.means[mask])
     alone = without_looks(splats[mask])
-    everyone = torch.ones(len(alone), dtype=torch.bool, device=splats.device)
 
     def look(camera: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        return *_points_of_view(splats, mask, camera, far), coverage(alone, camera, everyone)
+        return *_points_of_view(splats, mask, camera, far), full_coverage(alone, camera)
 
     found = per_view(look, cameras, "looking for the surface", splats.device)
     *parts, silhouettes = zip(*found, strict=True)
@@ -59,7 +51,12 @@ def find_surface(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box])
     for camera, silhouette in zip(cameras, silhouettes, strict=True):
         inside, there = _look_up(points, camera, silhouette)
         kept &= ~inside.masked_scatter(inside, there < COVERED)
-    return SurfacePoints(points[kept], normals[kept], colors[kept], float(sizes.median()))
+    return points[kept], normals[kept], colors[kept], float(sizes.median())
+
+
+def full_coverage(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
+    """The opaque share of all Gaussians in each pixel of one camera."""
+    return coverage(splats, camera, torch.ones_like(splats.opacities, dtype=torch.bool))
 
 
 def _points_of_view(
@@ -113,19 +110,16 @@ def normals_towards(
 
 
 def pool_points(
-    size: float, points: Float[Tensor, "P 3"], values: Sequence[Tensor]
-) -> list[Tensor]:
-    """The means of the points, and of their values [P, _], in each cube of a grid."""
+    size: float, points: Float[Tensor, "P 3"], *others: Float[Tensor, "P 3"]
+) -> list[Float[Tensor, "C 3"]]:
+    """The means of the points, and of their other values, in each cube of a grid."""
     cells = (points / size).floor().long()
     cells -= cells.amin(dim=0)
     across, along, _ = (cells.amax(dim=0) + 1).tolist()
     keys = cells @ torch.tensor([1, across, across * along])
     _, index, counts = keys.unique(return_inverse=True, return_counts=True)
-    means = []
-    for value in (points, *values):
-        sums = value.new_zeros(len(counts), value.shape[1]).index_add_(0, index, value)
-        means.append(sums / counts[:, None])
-    return means
+    none = points.new_zeros(len(counts), 3)
+    return [none.index_add(0, index, v) / counts[:, None] for v in (points, *others)]
 
 
 def project_to_planes(

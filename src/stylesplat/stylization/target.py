@@ -30,7 +30,6 @@ class PaintTarget:
     """One object and the style that it is to have."""
 
     name: str
-    """What messages and metrics call it."""
     mask: Bool[Tensor, " N"]
     styles: tuple[Float[Tensor, "_ _ 3"], ...]
     """The style images, colours in 0..1; each feature takes the best match of all."""
@@ -51,7 +50,7 @@ class PaintContext:
     cameras: Cameras
     """Views to optimise on."""
     all_cameras: Cameras
-    """These and the held-out ones: nothing but the object may change in them."""
+    """These and the held-out ones."""
     network: FeatureNetwork
     """In float32."""
     precision: torch.dtype
@@ -76,13 +75,8 @@ def paint_context(
 ) -> PaintContext:
     """Prepare what painting needs besides its targets.
 
-    Args:
-        splats: The scene.
-        cameras: Views to optimise on.
-        network: The network whose features are matched.
-        held_out: More views in which nothing but the object may change.
-        max_memory: GiB that linear views may take; other views are rasterised in every step.
-        precision: Of the features; by default what is fastest on this machine.
+    Nothing but the object may change in held-out views, too. The memory is that of linear views, in
+    GiB; other views are rasterised in every step. The precision is by default the fastest.
     """
     if not max_memory >= 0:
         raise StyleSplatError(f"Cannot keep views in {max_memory} GiB. Pass 0 or more.")
@@ -99,13 +93,11 @@ def paint_context(
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PaintTask(StyledObject):
-    """An object of a recipe with all that painting it takes."""
+    """An object of a recipe with its style images and its rows of the base."""
 
     features: Network = DEFAULT_NETWORK
     images: tuple[Float[Tensor, "_ _ 3"], ...]
-    """The style images, cropped and turned."""
     mask: Bool[Tensor, " N"]
-    """The object's rows of the base."""
 
     def target(self, family: Int[Tensor, " M"]) -> PaintTarget:
         """The target among Gaussians that belong to these rows of the base."""
@@ -129,12 +121,7 @@ class PaintTask(StyledObject):
 def paint_tasks(
     recipe: Recipe, scene: Scene, features: Network | None, weights: Path | str | None
 ) -> list[PaintTask]:
-    """The objects of a recipe, the lowest layer first: those that are painted, then new ones.
-
-    Raises:
-        StyleSplatError: If the scene lacks an object, one is too small, a picture is unfit, or the
-            weights are meant for several networks.
-    """
+    """The objects of a recipe, the lowest layer first: those that are painted, then new ones."""
     masks = find_objects(scene, [each.name for each in recipe.objects])
     count, tasks = len(scene.unpainted), list[PaintTask]()
     for each in recipe.objects:
@@ -182,11 +169,7 @@ def check_targets(targets: Sequence[PaintTarget | PaintTask]) -> None:
 def load_network(
     styles: Sequence[Style], features: str, weights: Source | None, *, download: bool = True
 ) -> FeatureNetwork:
-    """Load a network as deep as some styles need it.
-
-    Raises:
-        StyleSplatError: As `load_weights` does, or if the file has another digest than recorded.
-    """
+    """Load a network as deep as some styles need it; from a file of the digest recorded."""
     path = weights.path if weights else None
     if weights and path and weights.sha256 and path.is_file() and digest(path) != weights.sha256:
         raise StyleSplatError(

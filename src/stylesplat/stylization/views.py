@@ -7,7 +7,7 @@ from statistics import median
 from typing import TypeVar
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -18,6 +18,7 @@ from stylesplat.rendering.linear import Contributions, contributions
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, contributed, coverage
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.layer import without_identities
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import SH_C0, Splats
@@ -67,11 +68,15 @@ class ObjectView:
     """Which pixels are the object's."""
     linear: Contributions | None = None
     """The image as a function of the object's colours; None rasterises it every time."""
+    near: Int[Tensor, " M"] | None = None
+    """The Gaussians that reach the image, which alone are rasterised; None rasterises all."""
 
     def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
         """Render splats that differ from the scene at most in the object's colours."""
         if self.linear is not None:
             return self.linear.render(splats)
+        if (near := self.near) is not None:
+            splats = without_identities(splats).map(lambda tensor: tensor.index_select(0, near))
         return rasterize(splats, self.camera)[0][0]
 
     def backproject(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 1 3"]:
@@ -138,12 +143,6 @@ def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> li
     return [box for box in found if box is not None]
 
 
-def boxes_in(boxes: Sequence[Box], cameras: Cameras) -> list[Box]:
-    """The boxes that lie in some cameras, by the cameras' names."""
-    names = {*cameras.names}
-    return [box for box in boxes if box.camera.names[0] in names]
-
-
 def typical_length(boxes: Sequence[Box]) -> float:
     """The median of the object's longer sides, in pixels."""
     return median(box.length for box in boxes)
@@ -170,8 +169,8 @@ def object_views(
 ) -> list[ObjectView]:
     """Views cropped to boxes of the object, at a multiple of the cameras' size.
 
-    Boxes that hardly show it are skipped. Linear views may take so many bytes of memory; others are
-    rasterised in every step.
+    Boxes that hardly show it are skipped. Linear views, which are the CPU's, may take so many bytes
+    of memory; others are rasterised in every step, on a GPU with the Gaussians that reach them.
 
     Raises:
         StyleSplatError: If it is hardly visible in any.
@@ -182,14 +181,19 @@ def object_views(
     # what features depend on around a box
     before, after = max(c.before for c in cells), max(c.size - c.before for c in cells)
     margins = min(MARGIN, before), min(MARGIN, after)
-    is_linear = max_memory > 0 and splats.device.type == "cpu"
+    on_cpu = splats.device.type == "cpu"
+    is_linear = max_memory > 0 and on_cpu
 
-    def prepare(box: Box) -> tuple[Cameras, Tensor, Contributions | None]:
+    def prepare(box: Box) -> tuple[Cameras, Tensor, Contributions | None, Tensor | None]:
         camera, inside = crop_to_box(box, zoom, margins)
+        if not on_cpu:
+            camera = camera.to(splats.device)  # not in every step
+            return camera, inside, None, _reaching(splats, camera)
         kept = is_linear and not full
-        return camera, inside, contributions(splats, camera, mask) if kept else None
+        return camera, inside, contributions(splats, camera, mask) if kept else None, None
 
-    for camera, inside, linear in per_view(prepare, boxes, "preparing the views", splats.device):
+    prepared = per_view(prepare, boxes, "preparing the views", splats.device)
+    for camera, inside, linear, near in prepared:
         linear = None if full else linear
         covered = linear.coverage if linear else coverage(splats, camera, mask)
         own = covered * inside.to(covered.device)
@@ -198,7 +202,7 @@ def object_views(
             used += linear.nbytes if linear else 0
             if used > max_memory:
                 full, linear = True, None
-            views.append(ObjectView(camera, masks, covered > COVERED, linear))
+            views.append(ObjectView(camera, masks, covered > COVERED, linear, near))
     if not views:
         raise StyleSplatError(
             f"Cannot stylise {target.name}: it is hardly visible in the {len(boxes)} views that "
@@ -211,6 +215,13 @@ def object_views(
             "rasterised in every step, which takes longer. Pass a larger max_memory to keep more."
         )
     return views
+
+
+@torch.no_grad()
+def _reaching(splats: Splats, camera: Cameras) -> Int[Tensor, " M"]:
+    """The Gaussians that reach an image."""
+    radii = rasterize(splats, camera, sh_degree=0)[2]["radii"][0]
+    return (radii > 0).all(dim=-1).nonzero()[:, 0]
 
 
 def stage_views(

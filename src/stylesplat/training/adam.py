@@ -93,7 +93,12 @@ def adam_steps(moments: Moments, updates: Sequence[AdamUpdate], *, photos: int =
             turns.append(AdamTurn(param.grad, visible, rates[name] * photos**0.5, corrections))
         if turns:
             adam = adam_cuda if stepped.is_cuda else adam_cpu
-            adam(stepped.detach(), moments.first[name], moments.second[name], turns, kept)
+            changed = stepped.detach(), moments.first[name], moments.second[name]
+            adam(changed, turns, kept)
+
+
+Changed = tuple[Tensor, Tensor, Tensor]
+"""A tensor, and the means of its gradients and of their squares."""
 
 
 class AdamTurn(NamedTuple):
@@ -105,13 +110,7 @@ class AdamTurn(NamedTuple):
     corrections: tuple[float, float]
 
 
-def adam_cuda(
-    param: Tensor,
-    first: Tensor,
-    second: Tensor,
-    turns: Sequence[AdamTurn],
-    kept: tuple[float, float],
-) -> None:
+def adam_cuda(changed: Changed, turns: Sequence[AdamTurn], kept: tuple[float, float]) -> None:
     """Step a tensor in place, by the kernel of gsplat's `SelectiveAdam`; see `adam_cpu`.
 
     The kernel divides by sqrt(second) + eps without the corrections, so rate and eps contain them:
@@ -121,11 +120,11 @@ def adam_cuda(
 
     for turn in turns:
         root = turn.corrections[1] ** 0.5
+        param, *moments = changed
         adam(
             param,
             turn.grad.contiguous(),
-            first,
-            second,
+            *moments,
             valid=turn.visible,
             lr=turn.rate * root / turn.corrections[0],
             b1=kept[0],
@@ -134,18 +133,11 @@ def adam_cuda(
         )
 
 
-def adam_cpu(
-    param: Tensor,
-    first: Tensor,
-    second: Tensor,
-    turns: Sequence[AdamTurn],
-    kept: tuple[float, float],
-) -> None:
+def adam_cpu(changed: Changed, turns: Sequence[AdamTurn], kept: tuple[float, float]) -> None:
     """Step a tensor in place, all turns in one pass through memory, whose speed is the limit.
 
     `kept` are the shares of the moments that stay.
     """
-    changed = (param, first, second)
     packed = [tensor.contiguous() for tensor in changed]  # a copy of those that are not contiguous
     arrays = tuple(_rows(tensor) for tensor in packed)
     grads = tuple(_rows(turn.grad) for turn in turns)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.arguments import check_form, check_intensity
+from stylesplat.scene.arguments import check_intensity
 from stylesplat.scene.compose import (
     named_layers,
     require_painted,
@@ -52,7 +52,7 @@ def adjust(
     if intensity is not None:
         check_intensity(intensity)
     if form is not None:
-        check_form(form)
+        check_intensity(form, "form")
     names = names or [*strengths_of(scene)]
     if form is not None and all(name.endswith(RECOLOR) for name in names):
         raise StyleSplatError(f"{names[0]} has no paint, and form shows in paint only.")

@@ -10,7 +10,7 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import SUFFIX, write_page
 from stylesplat.io.atomic import atomic_folder, changing, refuse_file
-from stylesplat.io.gaussian_lists import SIDECAR, STATE, write_objects
+from stylesplat.io.gaussian_lists import LISTS, SIDECAR, STATE, write_objects
 from stylesplat.io.splats.splat_files import row_order, write_splats
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.scene.framing import has_no_photos
@@ -19,6 +19,13 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import listed_objects
 from stylesplat.selection.scene_parts import cut_out, every_part, rows_of_part
+
+KINDS = {SUFFIX: "a page", LISTS: "a list of objects"}
+IDLE = {  # options without an effect
+    "a page": ("selected", "sidecar", "spz_version"),
+    "a list of objects": ("without", "selected", "sidecar", "sh_degree", "spz_version"),
+    "a mesh": ("selected", "sidecar", "sh_degree", "spz_version"),
+}
 
 
 @check_arguments
@@ -44,7 +51,7 @@ def export(
             `.sog`, seven times or more; in `.splat`, one colour per Gaussian; in `.glb` or
             `.gltf`, glTF with Khronos' KHR_gaussian_splatting, as float32; or in `.html`, a page
             that any browser opens without a network, and that compares a styled scene with what
-            it was before.
+            it was before. A `.npz` gets the rows and shares of the objects instead.
         objects: Names or label ids of the objects to write; by default everything. Positions are
             those in the scene, so that parts fit together again.
         without: Names or label ids of objects to leave out.
@@ -60,7 +67,7 @@ def export(
         spz_version: Version of a `.spz`: 4 by default; 3 or 2 for programs that read no newer one.
 
     Returns:
-        How many Gaussians were written; of a mesh, how many faces.
+        How many Gaussians were written; of a mesh, how many faces; into a `.npz`, how many objects.
 
     Raises:
         StyleSplatError: If the format is unknown or cannot hold the splats, the file exists and
@@ -68,19 +75,22 @@ def export(
             left to write.
     """
     path = Path(path)
-    beside = path.with_name(path.name + SIDECAR)
-    page = path.suffix.lower() == SUFFIX
-    if page and spz_version is not None:
-        raise StyleSplatError(f"{path} is no SPZ, so it has no version of SPZ. Leave it out.")
-    if page and (selected or sidecar):
-        raise StyleSplatError("A page has no rows to list or to mark. Export a .ply.")
+    kind = "a mesh" if mesh else KINDS.get(path.suffix.lower())
+    given = {"without": without, "selected": selected, "sidecar": sidecar}
+    given |= {"sh_degree": sh_degree is not None, "spz_version": spz_version is not None}
+    for name in IDLE.get(kind or "", ()):
+        if given[name]:
+            option = name.replace("_", "-")
+            raise StyleSplatError(f"--{option} means nothing for {kind}, {path}. Leave it out.")
+    if kind == "a list of objects":
+        refuse_file(path, overwrite=overwrite)
+        listed = listed_objects(_scene(what), objects)
+        with changing(path):
+            write_objects(listed, path)
+        return len(listed.objects)
     if mesh is not None:
-        if selected or sidecar or sh_degree is not None:
-            raise StyleSplatError(
-                "A mesh has no Gaussians to mark, list or colour. Leave the selected objects, the "
-                "sidecar and the degree of colour out."
-            )
         return _export_mesh(what, path, objects, without, mesh, overwrite=overwrite)
+    beside = path.with_name(path.name + SIDECAR)
     if sidecar:
         refuse_file(beside, overwrite=overwrite)
     listed = listed_objects(_scene(what)) if sidecar else None
@@ -95,7 +105,7 @@ def export(
         besides = {name: column[rows] for name, column in besides.items()}
     splats = part if isinstance(part, Splats) else part.splats
     with changing(path):
-        if page:
+        if kind == "a page":
             write_page(part, path, overwrite=overwrite, sh_degree=sh_degree)
         else:
             options = {"sh_degree": sh_degree, "spz_version": spz_version, "besides": besides}
@@ -132,20 +142,6 @@ def _export_mesh(
     with changing(path):
         write_mesh(mesh, path)
     return len(mesh.faces)
-
-
-def export_objects(
-    scene: Scene, path: Path | str, *, objects: Sequence[str] = (), overwrite: bool = False
-) -> int:
-    """Write the rows and shares of objects (by default all) to a `.npz` file.
-
-    Returns the number of objects.
-    """
-    refuse_file(path, overwrite=overwrite)
-    listed = listed_objects(_scene(scene), objects)
-    with changing(path):
-        write_objects(listed, path)
-    return len(listed.objects)
 
 
 def export_each(

@@ -25,7 +25,6 @@ from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Network
-from stylesplat.stylization.crop_scene import SceneCrop
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.optimize import check_visible
 from stylesplat.stylization.paint import paint_layer
@@ -128,18 +127,16 @@ def stylize(
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
     seconds, precision = dict[str, float](), ""
-    crops, surveys = dict[str, SceneCrop](), dict[str, Sequence[Box]]()
+    surveys = dict[str, Sequence[Box]]()
     for number, task in enumerate(tasks):
         scene = _recolored(scene, recipe, number)
         began = time.perf_counter()
         under, place = beneath(scene, task.name)
         context, rows = context_of(under.splats, task), family(under).to(torch_device)
         target = task.target(rows.cpu()).to(context.splats)
-        layer, crop, surveys[task.name] = paint_layer(context, target, rows)
+        layer, surveys[task.name] = paint_layer(context, target, rows)
         precision = context.precision_name
         scene = with_layer(scene, place, task.record(layer, precision))
-        if crop is not None:
-            crops[task.name] = crop.of_base(rows)
         seconds[task.name] = time.perf_counter() - began
     scene = _recolored(scene, recipe, len(tasks))
     strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
@@ -157,7 +154,7 @@ def stylize(
         on_painted(scene)
     if not (measured and tasks):  # a recipe may hold recolourings alone
         return scene
-    found = _measure(context_of, tasks, scene, crops, surveys)
+    found = _measure(context_of, tasks, scene, surveys)
     return replace(scene, metrics=metrics | found)
 
 
@@ -190,24 +187,15 @@ def _measure(
     context_of: ContextOf,
     tasks: Sequence[PaintTask],
     scene: Scene,
-    crops: Mapping[str, SceneCrop],
     surveys: Mapping[str, Sequence[Box]],
 ) -> dict[str, Any]:
     """Compare the painted objects with the scene before, as flat metrics."""
     names = [task.name for task in tasks]
     before = without_layers(scene, names)
-    rows = family(before)
     contexts = [context_of(before.splats, task) for task in tasks]
-    splats, after = canvases_last(scene, names)
+    targets = [task.target(family(before)) for task in tasks]
+    styled = canvases_last(scene, names).to(contexts[0].splats.device)
     _, held_out = scene.working_views()
     return flat_metrics(
-        measure_painted(
-            contexts,
-            [task.target(rows) for task in tasks],
-            splats.to(contexts[0].splats.device),
-            held_out=held_out,
-            surveys=surveys,
-            cuts=crops,
-            families=(rows, after),
-        )
+        measure_painted(contexts, targets, styled, held_out=held_out, surveys=surveys)
     )

@@ -22,20 +22,6 @@ def lens(model: str) -> Lens:
     return Lens(model, WIDTH, HEIGHT, tuple(LENSES[model]))
 
 
-def centroid(image: np.ndarray) -> np.ndarray:
-    """Of the brightness, in pixels with centres at +0.5."""
-    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]] + 0.5
-    weights = image.astype(float) / image.sum()
-    return np.array([(weights * columns).sum(), (weights * rows).sum()])
-
-
-def spot(center: np.ndarray) -> np.ndarray:
-    """A soft white spot: wide enough that sampling it does not move its centroid."""
-    rows, columns = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    squared = (columns - center[0]) ** 2 + (rows - center[1]) ** 2
-    return (255 * np.exp(-squared / (2 * 2.0**2))).round().astype(np.uint8)
-
-
 @distorted
 def test_same_as_colmap(model: str):
     taken = lens(model)

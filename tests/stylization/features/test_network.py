@@ -11,7 +11,6 @@ from stylesplat.stylization.features.network import (
     DEPTHS,
     Convolution,
     FeatureNetwork,
-    Vgg,
     fastest_dtype,
 )
 from stylesplat.stylization.features.weights import PACKAGED, load_weights
@@ -43,7 +42,9 @@ def compact() -> FeatureNetwork:
 
 
 @pytest.fixture(params=["compact", "vgg"])
-def either(request: pytest.FixtureRequest, compact: FeatureNetwork, network: Vgg) -> FeatureNetwork:
+def either(
+    request: pytest.FixtureRequest, compact: FeatureNetwork, network: FeatureNetwork
+) -> FeatureNetwork:
     """The network of the package, and a VGG of few weights."""
     return compact if request.param == "compact" else network
 
@@ -59,7 +60,7 @@ def test_layers_are_those_of_torchvision(name: str, block: int):
     frozen = (Convolution(m.weight.detach(), m.bias.detach()) for m in convs if m.bias is not None)
     depths = [*DEPTHS[name][: block - 1], min(DEPTHS[name][block - 1], 3)]
     blocks = tuple(tuple(next(frozen) for _ in range(depth)) for depth in depths)
-    network = Vgg(blocks, torch.tensor([0.4, 0.5, 0.6]), torch.tensor([0.2, 0.3, 0.4]))
+    network = FeatureNetwork(blocks, torch.tensor([0.4, 0.5, 0.6]), torch.tensor([0.2, 0.3, 0.4]))
     image = picture(17, 26)
 
     x, outputs = ((image - network.mean) / network.std).permute(2, 0, 1)[None], []

@@ -18,7 +18,7 @@ from stylesplat.io.captures.photos import OPAQUE, Photo, fit_photo
 from stylesplat.io.captures.posed_files import PosedFiles, drop_missing
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.captures.transforms import read_transforms
-from stylesplat.io.kinds import PHOTOS, TRANSFORMS, find_sparse, no_capture
+from stylesplat.io.kinds import PHOTOS, TRANSFORMS, find_sparse, wrong_kind
 from stylesplat.io.label_maps import DrawnLabels, fit_labels, match_label_maps, read_names
 from stylesplat.progress import say, track
 from stylesplat.scene.cache import Cache, Lazy
@@ -94,7 +94,7 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     elif (folder / TRANSFORMS).is_file():
         posed = read_transforms(folder)
     else:
-        raise no_capture(folder)
+        raise wrong_kind(folder, "capture")
     _check_poses(posed, folder)
     others = photos_besides(folder, posed.names)
     if others:

@@ -146,7 +146,6 @@ def _is_complete(path: Path, kind: str) -> bool:
 
 
 def _end_of_record(kind: str, content: mmap, at: int) -> int:
-    """Where a record ends that begins at `at`."""
     from stylesplat.io.captures.colmap_library import pycolmap
 
     count = COUNT  # of the list at the end of a record

@@ -67,7 +67,6 @@ class Lens:
 
     @property
     def K(self) -> Float[Tensor, "3 3"]:
-        """Intrinsics, which describe a pinhole completely."""
         return torch.from_numpy(self.camera.calibration_matrix()).float()
 
     @property

@@ -74,7 +74,6 @@ def drop_missing(posed: PosedFiles, folder: Path) -> PosedFiles:
 
 
 def check_path(text: str) -> None:
-    """Raise a StyleSplatError for a path that no photo can have."""
     encoded = text.encode(errors="surrogatepass")
     too_long = len(encoded) > MAX_NAME or max(map(len, encoded.split(b"/"))) > MAX_PART
     if too_long or UNUSABLE.search(text):

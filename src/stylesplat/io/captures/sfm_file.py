@@ -18,8 +18,6 @@ Count = Annotated[int, Meta(ge=0, le=MAX_PHOTOS)]
 
 
 class SfmRecord(msgspec.Struct, kw_only=True):
-    """The content of `sfm.json`."""
-
     format: Annotated[int, Meta(ge=1, le=FORMAT)] = FORMAT
     source: FilePath
     """The folder of photos, or the video."""

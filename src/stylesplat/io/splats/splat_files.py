@@ -10,7 +10,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.atomic import refuse_file
 from stylesplat.io.files import is_there, read_bytes
-from stylesplat.io.kinds import SOG_META, no_splat
+from stylesplat.io.kinds import SOG_META, wrong_kind
 from stylesplat.io.ply import MAX_HEADER
 from stylesplat.io.splats.compressed_ply import (
     is_compressed,
@@ -63,7 +63,7 @@ def read_splats(path: Path | str) -> Splats:
     path = Path(path)
     reader = read_sog if path.name == SOG_META else READERS.get(path.suffix.lower())
     if reader is None or path.is_dir() or not is_there(path):
-        raise no_splat(path)
+        raise wrong_kind(path, "splat")
     splats = reader(path)
     if not len(splats):
         raise StyleSplatError(f"There are no Gaussians in {path}. Choose another file.")

@@ -59,7 +59,6 @@ def announce_compilation() -> None:
 
 @cache
 def no_cache() -> None:
-    """Say once that kernels cannot be cached."""
     say(NO_CACHE)
 
 

@@ -114,7 +114,6 @@ def read_tile(state, image, corner, size):
 
 @inner
 def write_tile(state, image, corner, size):
-    """The reverse of `read_tile`."""
     width, height = size
     for block in range(BLOCKS):
         left, top = block_corner(corner, block)

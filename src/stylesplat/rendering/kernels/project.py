@@ -86,7 +86,6 @@ def read_gaussian(means, quats, scales, first, count, buffer):
 
 @inner
 def write_column(array, column, lanes, value):
-    """Write a column of up to 16 rows."""
     first, count, mask, buffer = lanes
     vec.store(buffer, 0, vec.select(mask, value, 0))
     for lane in range(count):
@@ -153,7 +152,6 @@ def unit_quaternion(quat):
 
 @inner
 def camera_space(mean, viewmat):
-    """A world point in camera coordinates."""
     return (
         dot(viewmat[0], mean) + viewmat[0, 3],
         dot(viewmat[1], mean) + viewmat[1, 3],
@@ -222,7 +220,6 @@ def read_extents(opacities, first, count, buffer):
 
 @inner
 def between(low, value, high):
-    """Lanes in which a value lies strictly between two others."""
     return vec.both(vec.greater(value, low), vec.greater(high, value))
 
 

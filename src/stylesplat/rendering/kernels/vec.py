@@ -44,15 +44,11 @@ class RowPlace(NamedTuple):
 
 
 class VecType(types.Type):
-    """Type of 16 float32 lanes."""
-
     def __init__(self) -> None:
         super().__init__(name="Vec")
 
 
 class MaskType(types.Type):
-    """Type of 16 booleans."""
-
     def __init__(self) -> None:
         super().__init__(name="Mask")
 
@@ -78,37 +74,31 @@ def intrinsic(function: Callable[..., Any]) -> Any:
 
 
 def emit_broadcast(builder, scalar):
-    """All lanes set to a scalar."""
     first = builder.insert_element(ir.Constant(VEC, ir.Undefined), scalar, ir.Constant(I32, 0))
     zeros = ir.Constant(ir.VectorType(I32, LANES), [0] * LANES)
     return builder.shuffle_vector(first, ir.Constant(VEC, ir.Undefined), zeros)
 
 
 def emit_address(context, builder, array_type, array, index):
-    """Pointer to an element of a flat array."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [index])
 
 
 def emit_load(builder, address):
-    """Sixteen floats from memory of any alignment."""
     return builder.load(builder.bitcast(address, VEC.as_pointer()), align=4)
 
 
 def emit_store(builder, value, address):
-    """Sixteen floats to memory of any alignment."""
     builder.store(value, builder.bitcast(address, VEC.as_pointer()), align=4)
 
 
 def emit_call(builder, name, result, args):
-    """Call of an LLVM intrinsic."""
     signature = ir.FunctionType(result, [a.type for a in args])
     function = cgutils.get_or_insert_function(builder.module, signature, name)
     return builder.call(function, args)
 
 
 def emit_fma(builder, a, b, c):
-    """a b + c, rounded once."""
     return emit_call(builder, "llvm.fma.v16f32", VEC, [a, b, c])
 
 

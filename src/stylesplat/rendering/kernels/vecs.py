@@ -31,8 +31,6 @@ def channels(count: int) -> tuple[int, ...]:
 
 
 class VecsType(types.Type):
-    """Type of `count` vectors."""
-
     def __init__(self, count: int) -> None:
         self.count = count
         super().__init__(name=f"Vecs[{count}]")
@@ -83,8 +81,6 @@ def load_vecs(typingctx, array, index, like):
 
 @intrinsic
 def store_vecs(typingctx, array, index, vecs):
-    """Write `Vecs` to consecutive memory."""
-
     def codegen(context, builder, signature, args):
         first = emit_address(context, builder, signature.args[0], *args[:2])
         for i, value in enumerate(_unpack(builder, args[2], vecs.count)):

@@ -5,11 +5,9 @@ features are VGG19's in their principal directions: cosines and distances are th
 third of the numbers. `scripts/distill_features.py` trained it; `compact.md` says how good it is.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -72,11 +70,14 @@ COMPACT_CELLS = (Cells(stride=1, size=7, before=3), Cells(2, 14, 6), Cells(4, 40
 
 
 @dataclass(frozen=True)
-class FeatureNetwork(ABC):
-    """Turns images into features, block by block, each at half the resolution of the last."""
+class FeatureNetwork:
+    """VGG or the compact network: turns images into features, block by block.
 
-    unpooled: ClassVar[int] = 1
-    """How many blocks have no 2x2 maximum pooling before them."""
+    Features are the ReLU outputs of a block's first three layers, concatenated; every block has
+    half the resolution of the last. The compact network has heads, and sees 2x2 pixels as one from
+    the start, which the head of block 1 takes apart again.
+    """
+
     blocks: tuple[tuple[Convolution, ...], ...]
     """Block 1 first; the last may be cut short."""
     mean: Float[Tensor, " 3"]
@@ -84,7 +85,7 @@ class FeatureNetwork(ABC):
     std: Float[Tensor, " 3"]
     """Difference of colour that the first layer sees as one."""
     heads: tuple[Convolution, ...] = ()
-    """Linear functions of the layers of each block; without them features are these layers."""
+    """Linear functions of the outputs of each block, to VGG19's features."""
 
     def __call__(
         self, image: Float[Tensor, "H W 3"], blocks: Sequence[int] = (3,)
@@ -106,17 +107,23 @@ class FeatureNetwork(ABC):
 
     def features(self, x: Float[Tensor, "B _ H W"], blocks: Sequence[int]) -> list[Tensor]:
         """The features [B,D,_,_] of images whose colours are normalised already."""
+        if self.heads:
+            x = F.pad(x, (0, x.shape[3] % FOLD, 0, x.shape[2] % FOLD))
+            x = F.pixel_unshuffle(x, FOLD).contiguous(memory_format=torch.channels_last)
         outputs = {}
         for number, block in enumerate(self.blocks[: max(blocks)], start=1):
-            if number > self.unpooled:
+            if number > (2 if self.heads else 1):  # folded pixels are pooled already
                 x = F.max_pool2d(x, 2)
             layers = []
             for conv in block:
                 x = F.relu_(conv(x))
                 layers.append(x)
             if number in blocks:
-                joined = torch.cat(layers[:LAYERS_PER_BLOCK], dim=1)
-                outputs[number] = self.heads[number - 1](joined) if self.heads else joined
+                outputs[number] = torch.cat(layers[:LAYERS_PER_BLOCK], dim=1)
+                if self.heads:
+                    outputs[number] = self.heads[number - 1](outputs[number])
+        if self.heads and 1 in outputs:
+            outputs[1] = F.pixel_shuffle(outputs[1], FOLD)
         return [outputs[number] for number in blocks]
 
     def cells(self, block: int) -> Cells:
@@ -126,7 +133,15 @@ class FeatureNetwork(ABC):
                 f"Features of block {block} were asked for, the network has blocks 1 to "
                 f"{self.depth}. Choose among those, or load deeper weights."
             )
-        return self._cells(block)
+        if self.heads:
+            return COMPACT_CELLS[block - 1]
+        size, before = 1, 0
+        for number, convs in enumerate(self.blocks[:block], start=1):
+            stride = 2 ** (number - 1)
+            size += stride // 2  # the pooling before this block
+            depth = len(convs) if number < block else len(convs[:LAYERS_PER_BLOCK])
+            size, before = size + 2 * stride * depth, before + stride * depth
+        return Cells(stride=2 ** (block - 1), size=size, before=before)
 
     @property
     def depth(self) -> int:
@@ -149,38 +164,6 @@ class FeatureNetwork(ABC):
             std=self.std.to(device),
             heads=tuple(head.to(device, dtype) for head in self.heads),
         )
-
-    @abstractmethod
-    def _cells(self, block: int) -> Cells: ...
-
-
-class Vgg(FeatureNetwork):
-    """Features are the ReLU outputs of a block's first three layers, concatenated."""
-
-    def _cells(self, block: int) -> Cells:
-        size, before = 1, 0
-        for number, convs in enumerate(self.blocks[:block], start=1):
-            stride = 2 ** (number - 1)
-            size += stride // 2  # the pooling before this block
-            depth = len(convs) if number < block else len(convs[:LAYERS_PER_BLOCK])
-            size, before = size + 2 * stride * depth, before + stride * depth
-        return Cells(stride=2 ** (block - 1), size=size, before=before)
-
-
-class Compact(FeatureNetwork):
-    """It sees 2x2 pixels as one from the start, which the head of block 1 takes apart again."""
-
-    unpooled: ClassVar[int] = 2
-
-    def features(self, x: Float[Tensor, "B _ H W"], blocks: Sequence[int]) -> list[Tensor]:
-        """As VGG19's, in their principal directions."""
-        x = F.pad(x, (0, x.shape[3] % FOLD, 0, x.shape[2] % FOLD))
-        x = F.pixel_unshuffle(x, FOLD).contiguous(memory_format=torch.channels_last)
-        pairs = zip(blocks, super().features(x, blocks), strict=True)
-        return [F.pixel_shuffle(feats, FOLD) if n == 1 else feats for n, feats in pairs]
-
-    def _cells(self, block: int) -> Cells:
-        return COMPACT_CELLS[block - 1]
 
 
 @cache

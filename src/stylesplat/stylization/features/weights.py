@@ -1,7 +1,8 @@
 """Where a feature network comes from: the package, a file, a cache or a download."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 
 import torch
@@ -20,15 +21,13 @@ from stylesplat.stylization.features.network import (
     DEPTHS,
     FOLD,
     LAYERS_PER_BLOCK,
-    Compact,
     Convolution,
     FeatureNetwork,
-    Vgg,
 )
 
 HUB_URL = "https://huggingface.co/timm/{network}.tv_in1k/resolve/main/model.safetensors"
 TORCHVISION_FILES = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
-TORCHVISION_MEAN, TORCHVISION_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CAFFE_MEAN = (123.68, 116.779, 103.939)  # red, green, blue in 0..255; nothing is divided
 PACKAGED = Path(__file__).with_name("compact.safetensors")
 CONVOLUTION = re.compile(r"(features\.\d+|conv\d_\d|block\d\.(conv\d|head))\.(weight|bias)")
@@ -71,57 +70,50 @@ def load_weights(
     for other, marks in MARKS.items():
         if other != network and any(mark in tensors for mark in marks):
             raise StyleSplatError(f"{path} holds {other}, not {network}. Use --features {other}.")
-    blocks = _blocks(tensors, _vgg_names(network, depth), 3, path)
     is_original = any(name.startswith("conv") for name in tensors)
+    names = _original_names(network, depth) if is_original else _torchvision_names(network, depth)
+    blocks = _blocks(tensors, names, 3, path)
     if not (is_original or "255" in metadata.get("input", "")):
-        return Vgg(blocks, torch.tensor(TORCHVISION_MEAN), torch.tensor(TORCHVISION_STD))
+        return FeatureNetwork(blocks, torch.tensor(MEAN), torch.tensor(STD))
     if "BGR" in metadata.get("input", "BGR"):
         (first, *block), *rest = blocks
         blocks = ((Convolution(first.weight.flip(1), first.bias), *block), *rest)
-    return Vgg(blocks, torch.tensor(CAFFE_MEAN) / 255, torch.full((3,), 1 / 255))
+    return FeatureNetwork(blocks, torch.tensor(CAFFE_MEAN) / 255, torch.full((3,), 1 / 255))
 
 
-def compact_from(tensors: Mapping[str, Tensor], source: Path | str) -> Compact:
-    """Assemble the network from tensors named `block1.conv1.weight`, `block1.head.bias` and so on.
-
-    Args:
-        tensors: With float16 or float32 numbers.
-        source: Where they come from, for messages.
+def compact_from(tensors: Mapping[str, Tensor], source: Path | str) -> FeatureNetwork:
+    """Assemble the compact network from tensors named `block1.conv1.weight`, and so on.
 
     Raises:
         StyleSplatError: If one is missing or does not fit the one before.
     """
     names = [
-        [[f"block{block}.conv{layer + 1}"] for layer in range(count)]
+        [f"block{block}.conv{layer + 1}" for layer in range(count)]
         for block, count in enumerate(DEPTHS["compact"], start=1)
     ]
     blocks, heads = _blocks(tensors, names, 3 * FOLD**2, source), []
     for number, convs in enumerate(blocks, start=1):
         width = sum(len(conv.bias) for conv in convs)
-        heads.append(_convolution(tensors, [f"block{number}.head"], (width, 1, 1), source))
+        heads.append(_convolution(tensors, f"block{number}.head", (width, 1, 1), source))
     mean, std = torch.full((3,), COMPACT_GREY), torch.full((3,), COMPACT_CONTRAST)
-    return Compact(blocks, mean, std, tuple(heads))
+    return FeatureNetwork(blocks, mean, std, tuple(heads))
 
 
 def _cached(network: Network, depth: int, download: bool) -> Path:
     """A file of VGG in torch's cache, after a download if need be."""
     folder = Path(torch.hub.get_dir()) / "checkpoints"
-    whole = folder / TORCHVISION_FILES[network]
     path = folder / f"{network}_to_block{depth}.safetensors"
-    if not (whole.is_file() or path.is_file() or download):
+    for known in (folder / TORCHVISION_FILES[network], path):
+        if known.is_file():
+            return known
+    if not download:
         raise StyleSplatError(
             f"There is no file of {network}'s weights in {folder}. Style an object with "
             f"`--features {network}` to have it downloaded."
         )
-    if not (whole.is_file() or path.is_file()):
-        _download(network, depth, path)
-    return whole if whole.is_file() else path
-
-
-def _download(network: Network, depth: int, path: Path) -> None:
     url = HUB_URL.format(network=network)
     say(f"Downloading {network}'s convolutions from {url} to {path}.")
-    layers = [names[0] for block in _vgg_names(network, depth) for names in block]
+    layers = chain.from_iterable(_torchvision_names(network, depth))
     names = [f"{layer}.{part}" for layer in layers for part in ("weight", "bias")]
     try:
         tensors = fetch_tensors(url, names, title=network)
@@ -131,6 +123,7 @@ def _download(network: Network, depth: int, path: Path) -> None:
         ) from error
     with atomic_path(path) as temporary:
         save_file(tensors, temporary, metadata={"architecture": network.upper()})
+    return path
 
 
 def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
@@ -157,49 +150,42 @@ def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     return tensors, metadata
 
 
-def _vgg_names(network: Network, depth: int) -> list[list[list[str]]]:
-    """Torchvision's and the original name of each layer of VGG that is needed, by blocks."""
+def _torchvision_names(network: Network, depth: int) -> list[list[str]]:
+    """The names of the layers of VGG that are needed, by blocks."""
     blocks, before = [], 0
-    for block, count in enumerate(DEPTHS[network][:depth], start=1):
-        numbers = range(count if block < depth else min(count, LAYERS_PER_BLOCK))
-        blocks.append([[f"features.{before + 2 * n}", f"conv{block}_{n + 1}"] for n in numbers])
+    for layers, count in zip(_original_names(network, depth), DEPTHS[network], strict=False):
+        blocks.append([f"features.{before + 2 * n}" for n in range(len(layers))])
         before += 2 * count + 1  # with ReLUs and a pooling
     return blocks
 
 
+def _original_names(network: Network, depth: int) -> list[list[str]]:
+    counts = [*DEPTHS[network][: depth - 1], min(DEPTHS[network][depth - 1], LAYERS_PER_BLOCK)]
+    return [[f"conv{b}_{n + 1}" for n in range(count)] for b, count in enumerate(counts, start=1)]
+
+
 def _blocks(
-    tensors: Mapping[str, Tensor],
-    names: Sequence[Sequence[Sequence[str]]],
-    inputs: int,
-    source: Path | str,
+    tensors: Mapping[str, Tensor], names: list[list[str]], inputs: int, source: Path | str
 ) -> tuple[tuple[Convolution, ...], ...]:
-    """The blocks of a network of so many inputs, given the possible names of each layer."""
     blocks = []
     for layers in names:
         convs = []
-        for each in layers:
-            convs.append(_convolution(tensors, each, (inputs, 3, 3), source))
+        for name in layers:
+            convs.append(_convolution(tensors, name, (inputs, 3, 3), source))
             inputs = len(convs[-1].bias)
         blocks.append(tuple(convs))
     return tuple(blocks)
 
 
 def _convolution(
-    tensors: Mapping[str, Tensor],
-    names: Sequence[str],
-    shape: tuple[int, int, int],
-    source: Path | str,
+    tensors: Mapping[str, Tensor], name: str, shape: tuple[int, int, int], source: Path | str
 ) -> Convolution:
-    """The convolution under one of some names, of any number of filters of this shape."""
-    for name in names:
-        weight, bias = tensors.get(f"{name}.weight"), tensors.get(f"{name}.bias")
-        if weight is None or bias is None:
-            continue
-        if weight.shape == (len(bias), *shape) and bias.ndim == 1:
-            weight = weight.float().contiguous(memory_format=torch.channels_last)
-            return Convolution(weight, bias.float())
-    raise StyleSplatError(
-        f"{source} holds another network, or not all of it: {' or '.join(names)} is missing or "
-        f"its filters do not have the shape {[*shape]}. Choose the network of the file with "
-        "--features, or leave out --weights."
-    )
+    """The convolution of a name, of any number of filters of this shape."""
+    weight, bias = tensors.get(f"{name}.weight"), tensors.get(f"{name}.bias")
+    if weight is None or bias is None or weight.shape != (*bias.shape, *shape):
+        raise StyleSplatError(
+            f"{source} holds another network, or not all of it: {name} is missing or its filters "
+            f"do not have the shape {[*shape]}. Choose the network of the file with --features, "
+            "or leave out --weights."
+        )
+    return Convolution(weight.float().contiguous(memory_format=torch.channels_last), bias.float())

@@ -1,0 +1,80 @@
+"""What a step of painting asks of a GPU; on any machine, see `fake_cuda.py`."""
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+
+from balls import CAMERAS, SPLATS, ball
+from fake_cuda import cuda  # noqa: F401  (a fixture)
+from stylesplat.rendering.render import rasterize
+from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.optimize import paint_steps
+from stylesplat.stylization.target import PaintTarget, paint_context
+from stylesplat.stylization.views import find_boxes, object_views
+
+TO_HOST = {Tensor.item, Tensor.tolist, Tensor.__bool__, Tensor.__int__, Tensor.__float__}
+TO_HOST |= {Tensor.nonzero, Tensor.unique, Tensor.__format__}
+FROM_HOST = {torch.tensor, torch.as_tensor, Tensor.new_tensor}
+INDEXING = {Tensor.__getitem__, Tensor.__setitem__}
+
+
+class HostTrips(TorchFunctionMode):
+    """Notes the calls for which the host waits for a GPU."""
+
+    def __init__(self) -> None:
+        self.found: list[str] = []
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        own = args[0] if args and isinstance(args[0], Tensor) else None
+        was_there = own is not None and own.is_cuda
+        result = func(*args, **(kwargs or {}))
+        is_there = isinstance(result, Tensor) and result.is_cuda
+        by_mask = func in INDEXING and isinstance(args[1], Tensor) and args[1].dtype == torch.bool
+        left = was_there and (func in TO_HOST or by_mask)
+        came = is_there and func in FROM_HOST
+        if left or came or (func in (Tensor.to, Tensor.cpu) and is_there != was_there):
+            self.found.append(getattr(func, "__name__", str(func)))
+        return result
+
+
+@pytest.mark.usefixtures("quick_painting")
+@pytest.mark.parametrize(
+    "settings",
+    [{"steps": 12, "content": 0.5}, {"steps": 4, "published": True}],
+    ids=["canvas", "published"],
+)
+def test_steps_never_wait_for_the_device(
+    cuda: str,  # noqa: F811
+    network: FeatureNetwork,
+    stripes: Tensor,
+    settings: dict[str, Any],
+):
+    config = StyleConfig(layers=(2,), scale=1.5, object_size=24, **settings)
+    target = PaintTarget("ball", ball(0).to(cuda), (stripes.to(cuda),), config)
+    context = paint_context(SPLATS.to(cuda), CAMERAS[:2], network.to(cuda))
+    inner, last = set[int](), 0
+    for stage in config.stages(24.0):  # its first step also prepares it, its last completes it
+        inner |= {*range(last + 2, last + stage.steps)}
+        last += stage.steps
+    trips = {}
+    with HostTrips() as mode:
+        for state in paint_steps(context, target):
+            trips[state.step], mode.found = mode.found, []
+    assert len(inner) >= 2
+    assert trips[1], "preparing asks the device"
+    assert not any(trips[step] for step in inner), {step: trips[step] for step in inner}
+
+
+def test_views_on_a_device_rasterize_what_reaches_them(cuda: str, network: FeatureNetwork):  # noqa: F811
+    splats, mask = SPLATS.to(cuda), ball(0).to(cuda)
+    target = PaintTarget("ball", mask, (), StyleConfig(layers=(2,)))
+    context = paint_context(splats, CAMERAS, network.to(cuda))
+    boxes = find_boxes(splats, CAMERAS[:2], mask)
+    for view in object_views(context, target, boxes, 1.0):
+        assert view.near is not None and len(view.near) < len(splats)
+        whole = rasterize(splats, view.camera)[0][0]
+        torch.testing.assert_close(view.render(splats).cpu(), whole.cpu())
