@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 import tyro
 from paper_figures import figure1, figure2, figure3, figure5, figure6, figure7, official, segmenting
 from paper_figures.book import Book, work_through
-from paper_figures.foreword import Run, foreword
+from paper_figures.foreword import Run, appendix, foreword
 from paper_figures.story import Figure, markdown_page
 from paper_figures.subject import EFFORTS, open_subject
 
@@ -98,10 +98,10 @@ def _write(options: Options, figures: Sequence[Figure], runs: Sequence[Run]) -> 
         (run.subject.name, [(f, blocks) for f in figures if (blocks := f.told(run.results))])
         for run in runs
     ]
-    intro = foreword(runs)
+    intro, end = foreword(runs), appendix(runs)
     for folder in filter(None, (options.output, options.docs)):
         shutil.rmtree(folder / "paper", ignore_errors=True)
-        text = markdown_page(TITLE, intro, chapters, folder / "paper")
+        text = markdown_page(TITLE, intro, chapters, folder / "paper", end)
         with atomic_path(folder / "paper.md") as temporary:
             temporary.write_text(text, encoding="utf-8")
 

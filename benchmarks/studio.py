@@ -1,9 +1,12 @@
-"""How soon the studio answers, in headless Chromium with software WebGL.
+"""How soon the studio answers, in headless Chromium with software WebGL; how much memory it takes.
 
-    .venv/bin/python benchmarks/studio.py SCENE STYLES OBJECT OBJECT
+    .venv/bin/python benchmarks/studio.py
 
-The scene is copied first. Times are medians of several turns, from the click to the picture that
-the page shows; a painting is stopped after its first strokes, and undone.
+Without arguments it takes the fox with 100,000 Gaussians, which is trained once, and as a large
+scene 3,000,000 copies of these, shifted. Scenes are copied first. Times are medians of several
+turns, from the click to the picture that the page shows; a painting is stopped after its first
+strokes, and undone. Processor seconds are those of the studio's process: other programs lengthen
+them less than times. Half an hour on two quiet cores; `--parts` does some of it.
 """
 
 import json
@@ -16,20 +19,27 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from statistics import median
-from typing import Annotated
+from typing import Literal
 
 import tyro
-from bench import machine, table
+from bench import OUT, STYLES, machine, resized, table, trained_scene
+
+import stylesplat as ss
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from browser import Tab, studio_tab, until
+from browser import Tab, as_url, launched, studio_tab, until
 
 SIZE = 1344, 800  # pixels of the window
 SECONDS = 3.0  # of a drag
+LARGE = 3_000_000  # Gaussians
+VIEWER = {100_000: 9, 1_000_000: 3}  # frames that are drawn, by the number of Gaussians
+PAINTINGS, STEPS = 20, 10  # whose memory is measured
+GIB = 2**30
 # Every picture: when it was shown, and whether the camera moved then
 WATCH = """window.pictures = []; new MutationObserver(() => window.pictures.push(
     [performance.now(), studio.root.dataset.after.endsWith("moving")]
@@ -39,8 +49,8 @@ Times = Iterator[tuple[str, float]]
 
 
 @contextmanager
-def studio(scene: Path, styles: Path) -> Iterator[str]:
-    """A studio in a process of its own; yields its address."""
+def studio(scene: Path, styles: Path) -> Iterator[tuple[str, int]]:
+    """A studio in a process of its own; yields its address and the process's number."""
     command = [sys.executable, "-m", "stylesplat", "studio", str(scene), "--styles", str(styles)]
     with subprocess.Popen([*command, "--port", "0"], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -48,10 +58,22 @@ def studio(scene: Path, styles: Path) -> Iterator[str]:
         while found is None:
             found = re.search(r"http://\S+", process.stderr.readline())
         try:
-            yield found[0]
+            yield found[0], process.pid
         finally:
             process.terminate()
             process.communicate()
+
+
+def processor_seconds(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+
+
+def memory(pid: int | str, field: str) -> float:
+    """In GiB."""
+    found = re.search(rf"{field}:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+    assert found is not None
+    return 1024 * int(found[1]) / GIB
 
 
 def seconds_to(tab: Tab, goal: str, act: str) -> float:
@@ -149,18 +171,13 @@ def strengths(tab: Tab) -> Times:
         time.sleep(1.0)
 
 
-def main(
-    scene: Annotated[Path, tyro.conf.Positional],
-    styles: Annotated[Path, tyro.conf.Positional],
-    objects: Annotated[tuple[str, str], tyro.conf.Positional],
-    turns: int = 5,
-) -> None:
-    print(machine(), f"OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', '')}", flush=True)
+def small(scene: Path, styles: Path, objects: tuple[str, str], turns: int) -> list[list[str]]:
+    """What an artist does."""
     times = dict[str, list[float]]()
     with tempfile.TemporaryDirectory() as folder:
         copy = shutil.copytree(scene, Path(folder) / "scene")
         with (
-            studio(copy, styles) as url,
+            studio(copy, styles) as (url, _),
             studio_tab(size=SIZE, downloads=Path(folder)) as tab,
         ):
             for name, seconds in pictures(tab, url, turns):
@@ -174,8 +191,104 @@ def main(
             )
             for name, seconds in chain(*parts):
                 times.setdefault(name, []).append(seconds)
-    rows = [[name, f"{median(each):.2f}", f"{max(each):.2f}"] for name, each in times.items()]
-    print(table(("what", "median s", "longest"), rows))
+    return [[name, f"{median(each):.2f} s", f"{max(each):.2f}"] for name, each in times.items()]
+
+
+def large(scene: Path, styles: Path) -> Iterator[list[str]]:
+    """From the command to the first picture of a large scene, and to its objects."""
+    with tempfile.TemporaryDirectory() as folder:
+        small_scene = ss.open(scene)
+        splats = resized(small_scene.splats, LARGE)
+        ss.save(replace(small_scene, splats=splats, objects={}, path=None), Path(folder) / "scene")
+        del small_scene, splats
+        with studio_tab(size=SIZE, downloads=Path(folder)) as tab:
+            start = time.perf_counter()
+            with studio(Path(folder) / "scene", styles) as (url, pid):
+                tab.page.open(url)
+                goals = {
+                    "first picture": "window.studio?.shown.after >= 0",
+                    "all objects": "studio.overlay.map?.names.length > 0",
+                }
+                for name, goal in goals.items():
+                    until(lambda goal=goal: tab.page.evaluate(goal), name, 900.0)
+                    seconds, own = time.perf_counter() - start, processor_seconds(pid)
+                    what = f"{LARGE:,} Gaussians, command to {name}"
+                    yield [what, f"{seconds:.1f} s", f"{own:.1f} of the processor"]
+                yield [f"{LARGE:,} Gaussians, memory", f"{memory(pid, 'VmHWM'):.2f} GiB", "peak"]
+
+
+def viewer(scene: Path) -> Iterator[list[str]]:
+    """Frames of the viewer, of exported pages as well, at 960x540 by software."""
+    opened = ss.open(scene)
+    for count, frames in VIEWER.items():
+        with tempfile.TemporaryDirectory() as folder, launched(960, 540) as page:
+            file = Path(folder) / "page.html"
+            ss.export(replace(opened, splats=resized(opened.splats, count), objects={}), file)
+            page.open(as_url(file))
+            until(lambda: page.evaluate("Boolean(window.viewer)"), "the viewer", 900.0)
+            times = page.evaluate(f"""(() => {{
+                const canvas = document.querySelector("canvas"), gl = canvas.getContext("webgl2");
+                return [...Array({frames}).keys()].map(() => {{
+                    viewer.camera.turn(0.1, 0);
+                    const began = performance.now();
+                    viewer.draw(viewer.camera.view([canvas.width, canvas.height]));
+                    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+                    return (performance.now() - began) / 1000;
+                }});
+            }})()""")
+            seconds = median(times)
+            yield [f"viewer, {count:,} Gaussians", f"{1 / seconds:.1f} /s", f"{max(times):.2f} s"]
+
+
+def painted(scene: Path, styles: Path, objects: tuple[str, str]) -> Iterator[list[str]]:
+    """The memory of many paintings in default quality, which are all kept as variants."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = shutil.copytree(scene, Path(folder) / "scene")
+        opened = ss.studio(copy, styles=styles, port=0, block=False)
+        actions, session = opened.server.actions, opened.session
+        session.worker.settle(600)
+        yield ["memory, scene open", f"{memory('self', 'VmRSS'):.2f} GiB", ""]
+        pictures = [*actions.gallery.pictures.values()]
+        for number in range(PAINTINGS):
+            picture, name = pictures[number % len(pictures)], objects[number % 2]
+            style = ss.Style(picture.path, steps=STEPS)
+            session.ask(lambda s=style, n=name, t=picture.title: actions.queue.paint([n], s, t))
+            assert session.worker.settle(900)
+        assert len(actions.variants) == PAINTINGS
+        peak = f"peak {memory('self', 'VmHWM'):.2f}"
+        yield [f"memory, {PAINTINGS} paintings", f"{memory('self', 'VmRSS'):.2f} GiB", peak]
+        opened.close()
+
+
+def main(
+    scene: Path | None = None,
+    styles: Path = STYLES,
+    objects: tuple[str, str] = ("1", "2"),
+    turns: int = 5,
+    parts: tuple[Literal["memory", "small", "large", "viewer"], ...] = (
+        "memory",
+        "small",
+        "large",
+        "viewer",
+    ),
+) -> None:
+    """`memory` comes first: it is that of this process."""
+    known = OUT / "test_objects" / "fox"  # of looks.py
+    if scene is None:
+        scene = known if known.exists() else trained_scene("fox", downscale=2, gaussians=100_000)
+    print(machine(), f"OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', '')}", flush=True)
+    does = {
+        "memory": lambda: painted(scene, styles, objects),
+        "small": lambda: small(scene, styles, objects, turns),
+        "large": lambda: large(scene, styles),
+        "viewer": lambda: viewer(scene),
+    }
+    rows = list[list[str]]()
+    for part in parts:
+        for row in does[part]():
+            print(*row, sep=", ", flush=True)
+            rows.append(row)
+    print(table(("what", "median", "longest"), rows))
 
 
 if __name__ == "__main__":

@@ -41,6 +41,8 @@ CORE = (  # the functions over tensors that docs/python.md names
     "metrics.images.psnr",
     "metrics.images.ssim",
 )
+GALLERY = ROOT / "gallery-output"  # of scripts/gallery.py
+LARGEST = 4 * 2**20  # bytes of a page of the gallery that goes to the site
 LINK = re.compile(r"(!?)\[((?:[^][]|\[[^]]*\])*)\]\(([^)\s]+)\)")
 EXPORT = re.compile(r"^from \.(\S+) import (\w+) as (\w+)$", re.MULTILINE)
 
@@ -50,7 +52,15 @@ def on_files(files: Files, config: Any) -> Files:
     pages = {page: (ROOT / path).read_text("utf-8") for path, page in OUTSIDE.items()}
     for page, text in {**pages, "cli.md": command_line(), "api.md": functions()}.items():
         files.append(File.generated(config, page, content=text))
+    for name, path in gallery_pages().items():
+        files.append(File.generated(config, name, abs_src_path=str(path)))
     return files
+
+
+def gallery_pages() -> dict[str, Path]:
+    """The pages of painted scenes that are there and small, by their place on the site."""
+    found = sorted(GALLERY.glob("*.html"))
+    return {f"gallery/{path.name}": path for path in found if path.stat().st_size <= LARGEST}
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
@@ -64,6 +74,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         path, hash_, anchor = target.partition("#")
         if not path or ":" in path:
             return match[0]
+        page = f"{path.removesuffix('.jpg')}.html"
+        if picture and page in gallery_pages():
+            return f"{match[0]}\n\n[Turn it in the browser]({page})"
         path = normpath(join(folder, path))
         site = OUTSIDE.get(path, path.removeprefix("docs/"))
         if site != path:

@@ -6,7 +6,7 @@ from typing import Any
 
 from paper_figures import figure1, figure2, figure3, figure5, figure6, figure7, official, segmenting
 from paper_figures.book import Results
-from paper_figures.story import Block, Heading, Points, Table, Text, digits, percent
+from paper_figures.story import Table, digits, percent
 
 CONFINED = 0.01  # of the pixels beyond 2 px at most, for a style that keeps to its object
 CLEAR = 0.01  # of SSIM: what is a difference
@@ -35,31 +35,25 @@ class Claim:
     """What a scene says of it; None where it was not measured."""
 
 
-def verdicts(results: Mapping[str, Results]) -> list[Block]:
-    """All claims by scene, and which do not hold.
+def verdicts(results: Mapping[str, Results]) -> tuple[Table, Table]:
+    """Which claims hold in which scene, and the numbers that say so.
 
     Args:
         results: By the scenes' names.
     """
-    rows, against = [], []
+    words, numbers = [], []
     for claim in CLAIMS:
-        found = {scene: claim.judge(results[scene]) for scene in results}
-        if any(found.values()):
-            rows.append([claim.text, *map(_cell, found.values())])
-        no = [f"{name} ({f.numbers})" for name, f in found.items() if f and not f.holds]
-        against += [f"{claim.text} Not so in {', '.join(no)}."] if no else []
-    return [
-        Heading("What the paper says"),
-        Table(("the paper", *results), rows),
-        Heading("What our runs contradict"),
-        Points(against) if against else Text("Nothing."),
-    ]
+        found = [claim.judge(each) for each in results.values()]
+        if any(found):
+            words.append([claim.text, *(_word(each) for each in found)])
+            numbers.append([claim.text, *("" if each is None else each.numbers for each in found)])
+    return Table(("the paper", *results), words), Table(("the paper", *results), numbers)
 
 
-def _cell(finding: Finding | None) -> str:
+def _word(finding: Finding | None) -> str:
     if finding is None:
         return ""
-    return f"{'holds' if finding.holds else 'does not'}: {finding.numbers}"
+    return "holds" if finding.holds else "**does not**"
 
 
 def _leaks(results: Results) -> Finding | None:

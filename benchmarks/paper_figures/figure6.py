@@ -8,7 +8,7 @@ from statistics import mean
 from typing import Any
 
 import torch
-from strokes import stroke_length
+from stroke_length import stroke_length
 
 from paper_figures import figure5
 from paper_figures.book import Cell, Outcome, Results

@@ -1,4 +1,4 @@
-"""What stands before the figures: what was run, and what came of what the paper says."""
+"""What stands before the figures and after them: each claim, what was run, and the numbers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,9 +9,14 @@ import torch
 from paper_figures import figure6
 from paper_figures.book import Book, Cell, Results
 from paper_figures.claims import verdicts
-from paper_figures.story import Block, Table, Text
+from paper_figures.story import Block, Heading, Table, Text
 from paper_figures.subject import EFFORTS, Subject
 
+ABOUT = (
+    "Which claims of the StyleSplat paper (Jain et al. 2024) hold in our own scenes, by numbers "
+    "that it does not give, and its figures made again. The appendices at the end have the "
+    "numbers of each claim, and say how all of it was made."
+)
 DEFINED = (
     "A pixel has changed if a channel differs by more than 0.05; strength is the mean distance of "
     "the object's colours in Lab; a stroke is as long as the distance at which the added detail "
@@ -49,7 +54,13 @@ class Run:
 
 
 def foreword(runs: Sequence[Run]) -> list[Block]:
-    """What was run, and on what; then each claim and whether it holds."""
+    """Each claim and whether it holds."""
+    words, _ = verdicts(_by_scene(runs))
+    return [Text(ABOUT), Heading("What the paper says"), words]
+
+
+def appendix(runs: Sequence[Run]) -> list[Block]:
+    """What was run, and on what; then the numbers of each claim."""
     where = runs[0].book.settings["machine"]
     bare = [run.subject.name for run in runs if run.subject.exact is None]
     lines = [
@@ -69,13 +80,20 @@ def foreword(runs: Sequence[Run]) -> list[Block]:
     )
     heads += ("processor minutes",)
     scenes = ("scene", "photos", "Gaussians", "training steps", "objects")
+    _, numbers = verdicts(_by_scene(runs))
     return [
+        Heading("Appendix: how this was made"),
         *map(Text, lines),
         Table(scenes, [*map(_trained, runs)]),
         Table(heads, [*map(_made, runs)]),
         *map(Text, (_steps(runs), DEFINED, NOT_RUN)),
-        *verdicts({run.subject.name: run.results for run in runs}),
+        Heading("Appendix: the numbers of each claim"),
+        numbers,
     ]
+
+
+def _by_scene(runs: Sequence[Run]) -> dict[str, Results]:
+    return {run.subject.name: run.results for run in runs}
 
 
 def _trained(run: Run) -> list[str]:

@@ -87,7 +87,13 @@ Chapters = Sequence[tuple[str, Sequence[tuple[Figure, Sequence[Block]]]]]
 """By scene, its figures."""
 
 
-def markdown_page(title: str, intro: Sequence[Block], chapters: Chapters, pictures: Path) -> str:
+def markdown_page(
+    title: str,
+    intro: Sequence[Block],
+    chapters: Chapters,
+    pictures: Path,
+    appendix: Sequence[Block] = (),
+) -> str:
     """A page, and small pictures in a folder beside it, none of them photos of others."""
     pictures.mkdir(parents=True, exist_ok=True)
     parts = [f"# {title}", *(_markdown(block, pictures, "intro") for block in intro)]
@@ -97,6 +103,7 @@ def markdown_page(title: str, intro: Sequence[Block], chapters: Chapters, pictur
             for number, block in enumerate(blocks):
                 shown = block if scene == OURS else _rendered(block)
                 parts.append(_markdown(shown, pictures, f"{scene}-{figure.name}-{number}"))
+    parts += (_markdown(block, pictures, "appendix") for block in appendix)
     return "\n\n".join(parts) + "\n"
 
 

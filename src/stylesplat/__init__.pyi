@@ -18,6 +18,7 @@ from .verbs.compare import compare as compare
 from .verbs.evaluate import evaluate as evaluate
 from .verbs.export import export as export
 from .verbs.import_ import import_ as import_
+from .verbs.labels import labels as labels
 from .verbs.load import load as load
 from .verbs.mask import mask as mask
 from .verbs.objects import delete as delete

@@ -33,8 +33,12 @@ class Worker:
             patient: Whether all other jobs come first, but not the long work.
         """
         with self._changed:
-            waiting = [each for each in self._jobs if not kind or each[:2] != (patient, kind)]
-            self._jobs = sorted([*waiting, (patient, kind, job)], key=itemgetter(0))
+            known, new = [each[:2] for each in self._jobs], (patient, kind, job)
+            if kind and patient and new[:2] in known:
+                self._jobs[known.index(new[:2])] = new  # it keeps its place
+            else:
+                waiting = [each for each in self._jobs if not kind or each[:2] != new[:2]]
+                self._jobs = sorted([*waiting, new], key=itemgetter(0))
             self._changed.notify_all()
 
     def go_on_with(self, steps: Iterator[object] | None) -> None:

@@ -54,6 +54,15 @@ def test_good_and_bad_jobs(scene: Path, tmp_path: Path, capsys):
     assert repr(again) == "BatchResult(4 jobs, 2 done, 1 failed, 1 skipped)"
 
 
+def test_recolouring_with_numbers_and_materials(scene: Path, tmp_path: Path):
+    materials = "[material:bronze, material:tin]"
+    jobs = write(scene, f"  - recolor: {{object: '3', hue: 90, match: {materials}}}\n")
+    found = ss.batch(jobs, tmp_path / "out")
+    (done,), (failed,) = found.of("done"), found.of("failed")
+    assert (found.folder / done.job / "layers.json").is_file()
+    assert "no material 'tin'" in failed.reason
+
+
 def test_a_folder_of_others_is_left_alone(scene: Path, tmp_path: Path, capsys):
     jobs, out = write(scene, "  - render: {}\n"), tmp_path / "x"
     for call, fault in (

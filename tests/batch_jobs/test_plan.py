@@ -37,6 +37,13 @@ def make_photos(folder: Path) -> None:
     (folder / "photos" / "transforms.json").write_text("{}")
 
 
+def test_both_spellings(tmp_path: Path):
+    found = planned(tmp_path, CHAIN.replace("stylize", "stylise"))
+    assert found.keys() == planned(tmp_path, CHAIN).keys()
+    with pytest.raises(StyleSplatError, match="one verb, got stylize and stylise"):
+        planned(tmp_path, jobs("{stylize: {style: {a: wave.jpg}}, stylise: {}}"))
+
+
 def test_lists_multiply(tmp_path: Path):
     found = planned(tmp_path, CHAIN)
     assert len(found) == 2 * 2 * 2 * 2
@@ -145,7 +152,7 @@ def test_masking_a_capture_works_on_a_copy(tmp_path: Path):
     ("text", "fault"),
     [
         ("scenes: [garden]\njob: []\n", "line 2: there is no key 'job'. Did you mean 'jobs'?"),
-        (jobs("stylise2: {}"), "line 3: there is no key 'stylise2'. Did you mean 'stylize'?"),
+        (jobs("stylise2: {}"), "line 3: there is no key 'stylise2'. Did you mean 'stylise'?"),
         (
             "scenes: [garden]\njobs:\n  - stylize:\n      style: {a: wave.jpg}\n      scal: 1\n",
             "line 5: Unrecognized options: --scal=1. Did you mean --scale?",

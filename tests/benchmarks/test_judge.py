@@ -1,7 +1,10 @@
 """The figures of `benchmarks/looks.py` and `strokes.py` where they are known."""
 
 from dataclasses import replace
+from itertools import pairwise
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from judge import (
@@ -12,6 +15,7 @@ from judge import (
     spill_and_missed,
 )
 from paintings import line_print
+from stroke_length import detail_length
 from strokes import apparent_size
 from target_2d import target_2d
 
@@ -96,3 +100,20 @@ def test_strokes_seem_as_large_as_the_picture_that_they_are_cut_from():
     for size in (1, 2, 4):
         image = resize(picture, size * 150.0)[-120:, -120:]
         assert apparent_size(network, [(image, mask)], picture, 150.0)[0] == size
+
+
+def blobs(size: float) -> torch.Tensor:
+    """Grey noise blurred to a size in pixels."""
+    noise = np.random.default_rng(0).standard_normal((SIZE, SIZE)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), size)
+    grey = torch.from_numpy(0.5 + 0.15 * smooth / smooth.std())
+    return grey[..., None].expand(SIZE, SIZE, 3)
+
+
+def test_the_length_of_strokes_doubles_when_they_do_and_is_that_of_nothing_else():
+    before = 0.4 + 0.2 * BEFORE
+    lengths = [detail_length(before, blobs(size), SHARE > 0, 80) for size in (1, 2, 4)]
+    ratios = [b / a for a, b in pairwise(lengths)]
+    assert ratios == pytest.approx([2, 2], rel=0.25)  # as far as its file says it holds
+    recoloured = before.flip(-1) * 0.5 + 0.3 + 0.3 * (blobs(4) - 0.5)
+    assert detail_length(before, recoloured, SHARE > 0, 80) > 4, "of the strokes, not the pattern"

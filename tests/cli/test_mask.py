@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from balls import BALLS, BARE, CAMERAS, SPLATS, agreement, around
+from balls import BALLS, BARE, CAMERAS, SPLATS, agreement, around, box_around
 from capture_files import write_ball_capture
 from processes import QUICK, complaint, result, run
 from stylesplat.cli.mask import PREVIEW
@@ -172,3 +172,35 @@ def test_a_scene_without_photos(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "would replace. Pass --overwrite" in refused
     assert "means nothing" in complaint(capsys, "mask", folder, "--box", box, "--scene", folder)
     assert "--overwrite" in complaint(capsys, "mask", folder, "--box", box, "-o", tmp_path)
+
+
+def test_labels_of_corrected_maps(capture: Path, scene: Path, capsys: pytest.CaptureFixture[str]):
+    found = result(capsys, "labels", scene, "--masks", capture / "object_mask", "--device", "cpu")
+    assert found["ids"] == [3, 7, 300] and Path(found["preview"]).is_file()
+    assert "no folder or .json file" in complaint(capsys, "labels", scene, "--masks", "lost")
+
+
+def test_label_maps_are_corrected_in_all_photos(
+    photos: Path, scene: Path, capsys: pytest.CaptureFixture[str]
+):
+    rest = ("--scene", scene, "--device", "cpu")
+    run("mask", photos, "--box", BOX, "--keep", "vase=0001.jpg:26,2,46,5", *rest)
+    folder, green = photos / "object_mask", render_labels(SPLATS, CAMERAS[2]) == 7
+    before = [read_label_map(path) for path in sorted(folder.glob("*.png"))]
+    assert (before[1][2:5, 26:46] == 1).all(), "a box is kept as it is drawn"
+    capsys.readouterr()
+    box = ",".join(map(str, box_around(green, 0)))
+    found = result(capsys, "mask", photos, f"--keep=0002.jpg:{box}", *rest)
+    assert found["names"] == {"1": "vase"}
+    kept = [read_label_map(path) for path in sorted(folder.glob("*.png"))]
+    there = [render_labels(SPLATS, camera) == 7 for camera in CAMERAS]
+    shares = [float((a == 1)[b].float().mean()) for a, b in zip(kept, there, strict=True)]
+    assert sum(shares) / len(shares) > 0.6, "green shows in all photos, and is the vase's now"
+    assert run("mask", photos, f"--drop=vase=0002.jpg:{box}", *rest) == 0
+    dropped = [read_label_map(path) for path in sorted(folder.glob("*.png"))]
+    assert not dropped[2][green].any()
+    for now, first in zip(dropped, before, strict=True):
+        assert (now != first).float().mean() < 0.15, "the rest is as it was"
+    assert "there are: vase" in complaint(capsys, "mask", photos, "--drop", f"pot=0002.jpg:{box}")
+    (photos / "object_mask").rename(photos / "elsewhere")
+    assert "what to mask" in complaint(capsys, "mask", photos, "--drop", f"0002.jpg:{box}")

@@ -1,6 +1,7 @@
 """The verb `train`: a scene, and runs that are interrupted."""
 
 import json
+import re
 import signal
 from pathlib import Path
 
@@ -49,6 +50,27 @@ def test_train_writes_a_scene(capture: Path, tmp_path: Path, capsys):
     assert scene.info["settings"]["segment"] == "lift" and scene.held_out == ("0000.jpg",)
     assert torch.allclose(scene.cameras.viewmats, CAMERAS.viewmats, atol=1e-6)
     assert [*tmp_path.iterdir()] == [out], "nothing is left beside it"
+
+
+@pytest.mark.parametrize(
+    ("psnr", "steps", "verdict"),
+    [(31.0, 40, "good"), (22.3, 40, "fair.*train longer"), (18.0, 9000, "poor.*stylesplat check")],
+)
+def test_the_result_is_judged(psnr: float, steps: int, verdict: str):
+    found = {"psnr": psnr, "steps": steps, "gaussians": 5}
+    lines = Train(Path("photos"), Path("scene")).words(found)
+    assert f"{psnr} dB" in next(lines) and re.search(verdict, next(lines))
+
+
+def test_runs_limited_by_time_tell_of_a_busy_machine(
+    capture: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("os.getloadavg", lambda: (1000.0, 0.0, 0.0), raising=False)
+    command = ("train", capture, "--device", "cpu", "-o")
+    assert run(*command, tmp_path / "timed", "--max-seconds", 1, "--max-gaussians", 300) == 0
+    assert "busy (load 1000" in capsys.readouterr().err
+    assert run(*command, tmp_path / "counted", "--steps", 4) == 0
+    assert "busy" not in capsys.readouterr().err
 
 
 def test_what_photos_have_of_their_own(capture: Path, tmp_path: Path, capsys):

@@ -18,6 +18,7 @@ from jaxtyping import TypeCheckError
 import stylesplat as ss
 from balls import CAMERAS
 from capture_files import save_noise, write_ball_capture, write_capture
+from ksplat_files import write_ksplat
 from processes import VERBS, write_jobs
 from scenes import COUNT, full_scene, random_splats
 from stylesplat.batch_jobs.job_file import plan_batch
@@ -42,6 +43,7 @@ def write_splats(folder: Path) -> None:
     folder.mkdir(parents=True)
     for suffix in ("ply", "compressed.ply", "spz", "splat", "sog", "glb", "gltf"):
         ss.export(random_splats(COUNT), folder / f"a.{suffix}")
+    write_ksplat(folder / "a.ksplat", [random_splats(COUNT)], 1, 1)
 
 
 def read_splats(folder: Path, suffix: str) -> None:
@@ -136,7 +138,7 @@ def write_pictures(folder: Path) -> None:
 FORMATS = {
     **{
         suffix: Format(write_splats, (f"a.{suffix}",), partial(read_splats, suffix=suffix))
-        for suffix in ("ply", "compressed.ply", "spz", "splat", "sog", "glb", "gltf")
+        for suffix in ("ply", "compressed.ply", "spz", "splat", "ksplat", "sog", "glb", "gltf")
     },
     "scene": Format(
         lambda folder: ss.save(full_scene(), folder / "scene"),

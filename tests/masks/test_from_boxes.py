@@ -130,10 +130,11 @@ def stroke(view: str, *points: tuple[float, float]) -> dict[str, Any]:
         ({"method": "grabcut", "source": "a"}, "`source` means nothing with .* `grabcut`"),
         ({"method": "sam2", "boxes": {"vase": VASE}}, "`boxes` means nothing with .* `sam2`"),
         ({"boxes": {"vase": VASE}, "model": "a"}, "`model` means nothing with"),
-        (stroke("0002.jpg", (5.0, 5.0)), r"no box around it there.*--box vase=0002\.jpg"),
+        ({"drop": {"cup": CUP}, "boxes": {"vase": VASE}}, "No object is called 'cup'.*vase"),
+        ({"keep": {"cup": CUP}}, "what to mask"),
         (stroke(VASE[0], (5.0, 5.0), (999.0, 5.0)), "point 999,5 is outside"),
     ],
-    ids=range(19),
+    ids=range(20),
 )
 def test_what_cannot_be_masked_is_refused_before_any_work(
     balls: Capture, monkeypatch: pytest.MonkeyPatch, given: dict, expected: str

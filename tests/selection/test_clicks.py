@@ -6,9 +6,10 @@ from torch.nn import functional as F
 from balls import CAMERAS, enlarged
 from scenes import cloud, randn
 from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.shares import coverage
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.clicks import PickSize
+from stylesplat.selection.clicks import PickSize, pick_masked
 from stylesplat.verbs.select import select
 
 # A table, two balls that touch, and one apart
@@ -59,3 +60,30 @@ def test_clicks_on_the_table_and_on_nothing_are_refused():
         picked(0, but=0)
     with pytest.raises(StyleSplatError, match="go with --point"):
         select(BARE, "it", all=True, not_point=at(CENTRES[0]))
+
+
+def masked(scene: Scene, of: torch.Tensor) -> Bool[torch.Tensor, " N"]:
+    """What is picked where the upper half of an object is masked, and nothing beside it belongs."""
+    shown = coverage(scene.splats, VIEWS[0], of) > 0.5
+    low, high = (edge.tolist() for edge in shown.nonzero().aminmax(dim=0))
+    outside = torch.ones_like(shown)
+    outside[low[0] : high[0] + 1, low[1] : high[1] + 1] = False
+    shown[(low[0] + high[0]) // 2 :] = False
+    return pick_masked(scene.splats, VIEWS, [(0, shown, outside)])
+
+
+def test_a_masked_object_is_completed_and_ends_where_it_leans():
+    assert agreement(masked(BARE, OF == 0), 0) > 0.7
+    assert agreement(masked(BARE, OF == 2), 2) > 0.7
+
+
+def test_a_masked_object_reaches_down_to_what_it_stands_on():
+    angles, heights = torch.linspace(0, 2 * torch.pi, 40), torch.linspace(0.03, 0.8, 30)
+    sides = torch.cartesian_prod(angles, heights)
+    can = torch.stack([0.4 * sides[:, 0].cos(), 0.4 * sides[:, 0].sin(), sides[:, 1]], dim=1)
+    means = torch.cat([F.pad(TABLE, (0, 1)), can])
+    of = torch.arange(len(means)) >= len(TABLE)
+    found = masked(Scene(cloud(means, 0.03, opacity=3.0), VIEWS), of)
+    low = of & (means[:, 2] < 0.15) & (means[:, 2] > 0.06)
+    assert found[low].float().mean() > 0.8 and found[of].float().mean() > 0.8
+    assert found[~of].float().mean() < 0.02, "the table is not taken"

@@ -21,7 +21,8 @@ def test_a_folder_hangs_its_pictures_and_tells_what_is_none(tmp_path: Path, said
     gallery = Gallery(tmp_path)
     (wave,) = gallery.pictures.values()
     assert (wave.title, wave.size) == ("wave", (64, 48))
-    assert Image.open(io.BytesIO(wave.thumbnail)).size == (64, 48)
+    found = gallery.files.get(wave.url.split("/")[2])
+    assert found is not None and Image.open(io.BytesIO(found[1])).size == (64, 48)
     assert len(said) == 1 and "bad.png" in said[0]
 
 

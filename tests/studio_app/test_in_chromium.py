@@ -75,6 +75,7 @@ def test_the_whole_way(opened: StudioServer, tab: Tab, tmp_path: Path):
     tab.press_button("Undo: Strength of 3: 0%")
     until(lambda: session.state.note == "Painted 3 like stripes", "undo")
     assert_shows(tab, painted)
+    recolors(opened, tab, painted)
     saves_and_exports(opened, tab, tmp_path / "downloads" / "balls.ply")
     tab.open(opened.url)
     assert_shows(tab, painted)  # the same in another tab
@@ -161,9 +162,22 @@ def compares(tab: Tab, before: np.ndarray, painted: np.ndarray) -> None:
         assert tab.page.evaluate(visible) == ("visible" if down else "hidden")
 
 
+def recolors(opened: StudioServer, tab: Tab, painted: np.ndarray) -> None:
+    """A slider changes the colours of the object alone; undo names it."""
+    session = opened.session
+    tab.page.evaluate("document.querySelector('details').open = true")
+    tab.slide("Hue", 90)
+    until(lambda: session.state.note == "Recoloured 3: hue 90", "other colours")
+    assert_changed(changed(tab, painted) - painted, opened)
+    tab.assert_accessible()
+    tab.press_button("Undo: Recoloured 3: hue 90")
+    until(lambda: session.state.note == "Painted 3 like stripes", "undo")
+    assert_shows(tab, painted)
+
+
 def assert_changed(change: np.ndarray, opened: StudioServer) -> None:
     """The ball is another, and nothing else is."""
-    (look,) = opened.server.actions.pictures.looks
+    (look,) = opened.server.actions.pictures.looks.values()
     scene, camera = opened.session.state.scene, camera_of(look)
     seen = coverage(scene.splats, camera, opened.session.masks.of(scene, "3")) > 0.02
     near = torch.nn.functional.max_pool2d(seen[None].float(), 2 * FAR + 1, 1, FAR)[0].numpy() > 0
@@ -177,7 +191,7 @@ def saves_and_exports(opened: StudioServer, tab: Tab, file: Path) -> None:
     saved = open(opened.session.folder)
     assert saved.painted_objects == ("3",)
     tab.press_button("Export")
-    until(lambda: "stripes.png" in tab.text(), "the command")
+    until(lambda: "recipe.json" in tab.text(), "the command")
     tab.assert_accessible()
     tab.press_button("Download the scene")
     until(file.exists, "a download")

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -13,9 +12,6 @@ from stylesplat.studio_app.messages import How
 from stylesplat.studio_app.picking import (
     forget_picked,
     hide_objects,
-    isolate_picked,
-    object_in,
-    pick_at,
     pick_ball,
     pick_box,
     pick_drawn,
@@ -34,59 +30,30 @@ STATE = StudioState(Scene(SPLATS, CAMERAS))
 PLAIN = StudioState(Scene(replace(SPLATS, identities=None, classifier=None), CAMERAS))
 
 
-def pixel(name: str) -> tuple[float, float]:
+def place(name: str) -> tuple[float, float]:
+    """In shares of the picture."""
     x, y = project(torch.tensor([BALLS[name]]), CAMERA)[0][0].tolist()
-    return x, y
-
-
-@pytest.mark.parametrize("name", BALLS)
-def test_a_click_picks_the_object_that_shows_there(name: str):
-    state = pick_at(STATE, ObjectMasks(), CAMERA, pixel(name))
-    assert state.picked == (name,) and state.scene is STATE.scene
-
-
-def test_clicks_add_take_away_and_beside_everything_pick_nothing():
-    masks = ObjectMasks()
-    one = pick_at(STATE, masks, CAMERA, pixel("3"))
-    both = pick_at(one, masks, CAMERA, pixel("7"), "add")
-    assert both.picked == ("3", "7")
-    assert pick_at(both, masks, CAMERA, pixel("3"), "away").picked == ("7",)
-    assert pick_at(both, masks, CAMERA, (1.0, 1.0)).picked == ()
-    assert pick_at(both, masks, CAMERA, (1.0, 1.0), "add") is both
-
-
-def test_a_rectangle_picks_what_shows_most_in_it_but_not_what_is_hidden():
-    (x0, y0), (x1, y1) = pixel("3"), pixel("7")
-    low, high = (x0 - 30, y0 - 30), ((x0 + x1) / 2 - 10, y1 + 30)
-    assert object_in(STATE, ObjectMasks(), CAMERA, low, high) == "3"
-    without = hide_objects(STATE, ["3"], True)
-    assert object_in(without, ObjectMasks(), CAMERA, low, high) != "3"
-
-
-def test_of_names_that_show_alike_a_click_picks_the_smallest():
-    both = unite_picked(pick_names(STATE, ["3", "7"]))
-    assert both.picked == ("object 1",)
-    assert pick_at(both, ObjectMasks(), CAMERA, pixel("3")).picked == ("3",)
+    return x / CAMERA.size[0], y / CAMERA.size[1]
 
 
 def test_a_ball_picks_without_labels_and_strokes_correct_it():
     masks = ObjectMasks()
-    first = pick_ball(PLAIN, CAMERA, pixel("3"), 0.25)
+    first = pick_ball(PLAIN, CAMERA, place("3"), 0.25)
     assert first.picked == ("object 1",)
     count = int(masks.of(first.scene, "object 1").sum())
     assert 0 < count < len(SPLATS)
-    more = pick_ball(first, CAMERA, pixel("7"), 0.25, "add")
+    more = pick_ball(first, CAMERA, place("7"), 0.25, "add")
     assert more.picked == ("object 1",) and int(masks.of(more.scene, "object 1").sum()) > count
-    less = pick_ball(more, CAMERA, pixel("7"), 0.25, "away")
+    less = pick_ball(more, CAMERA, place("7"), 0.25, "away")
     assert torch.equal(masks.of(less.scene, "object 1"), masks.of(first.scene, "object 1"))
     assert object_names(less.scene) == ["object 1"], "what was taken away has no name any more"
 
 
 def test_what_is_drawn_picks_what_shows_inside_and_corrects_a_pick():
-    masks, (x, y), (width, height) = ObjectMasks(), pixel("3"), CAMERA.size
+    masks, (x, y), (width, height) = ObjectMasks(), place("3"), CAMERA.size
 
     def drawn(state: StudioState, left: float, right: float, how: How = "new") -> StudioState:
-        points = [((x + left) / width, (y - 24) / height), ((x + right) / width, (y + 24) / height)]
+        points = [(x + left / width, y - 24 / height), (x + right / width, y + 24 / height)]
         return pick_drawn(state, CAMERA, region_of("rectangle", points, CAMERA.size, 0.0), how)
 
     ball = masks.of(STATE.scene, "3")
@@ -137,23 +104,14 @@ def test_shapes_sizes_differences_and_names():
     ]
 
 
-def test_objects_are_hidden_or_shown_alone():
+def test_objects_are_hidden():
     masks, state = ObjectMasks(), pick_names(STATE, ["3"])
-    red = masks.of(STATE.scene, "3")
     assert hidden_rows(state, masks) is None
-    alone, without = (
-        hidden_rows(isolate_picked(state, True), masks),
-        hide_objects(state, ["3"], True),
-    )
-    assert alone is not None and torch.equal(alone, ~red)
+    without = hide_objects(state, ["3"], True)
     hidden = hidden_rows(without, masks)
-    assert hidden is not None and torch.equal(hidden, red) and not without.picked
+    assert hidden is not None and torch.equal(hidden, masks.of(STATE.scene, "3"))
+    assert not without.picked
     assert hidden_rows(hide_objects(without, ["3"], False), masks) is None
-
-
-def test_a_second_click_keeps_the_pick():
-    state = pick_at(STATE, ObjectMasks(), CAMERA, pixel("3"))
-    assert pick_at(state, ObjectMasks(), CAMERA, pixel("3")) is state
 
 
 @pytest.mark.parametrize(
@@ -162,25 +120,6 @@ def test_a_second_click_keeps_the_pick():
 def test_without_a_pick_it_says_what_to_do(change):
     with pytest.raises(StyleSplatError, match=r"[Pp]ick"):
         change(STATE)
-
-
-def test_commands_name_the_same_gaussians(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    import shlex
-
-    from processes import run
-    from stylesplat.io.scene_folder import open, save
-    from stylesplat.studio_app.commands import command_lines
-
-    save(PLAIN.scene, tmp_path / "balls")
-    state = StudioState(open(tmp_path / "balls"))
-    state = pick_ball(state, CAMERA, pixel("3"), 0.3)
-    state = pick_ball(state, CAMERA, pixel("300"), 0.3, "add")
-    state = pick_ball(state, CAMERA, pixel("3"), 0.2, "away")
-    for line in command_lines(state, tmp_path / "balls", tmp_path / "out") or ():
-        assert run(*shlex.split(line)[1:]) == 0, line
-    found = open(tmp_path / "balls").objects
-    assert found.keys() == {"object 1"}
-    assert torch.equal(found["object 1"].picked, state.scene.objects["object 1"].picked)
 
 
 def test_words_download_no_model_while_all_browsers_wait(monkeypatch: pytest.MonkeyPatch):

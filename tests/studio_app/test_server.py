@@ -18,7 +18,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.scene.scene import Scene
 from stylesplat.signals import Terminated
 from stylesplat.studio_app.gallery import MOST_BYTES
-from stylesplat.studio_app.studio import Viewer, view
+from stylesplat.studio_app.studio import StudioServer, view
 
 WEBSOCKET = {
     "Upgrade": "websocket",
@@ -29,13 +29,15 @@ WEBSOCKET = {
 
 
 @pytest.fixture
-def viewer() -> Iterator[Viewer]:
+def viewer() -> Iterator[StudioServer]:
     found = view(Scene(SPLATS, CAMERAS), port=0, block=False)
     yield found
-    found.stop()
+    found.close()
 
 
-def answer(viewer: Viewer, path: str, method: str = "GET", **headers: str) -> tuple[int, Message]:
+def answer(
+    viewer: StudioServer, path: str, method: str = "GET", **headers: str
+) -> tuple[int, Message]:
     """The status and the headers of a response; an empty `Host` sends none."""
     port = viewer.server.port
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
@@ -51,7 +53,7 @@ def answer(viewer: Viewer, path: str, method: str = "GET", **headers: str) -> tu
         connection.close()
 
 
-def test_without_the_token_nobody_gets_a_page_or_a_scene(viewer: Viewer):
+def test_without_the_token_nobody_gets_a_page_or_a_scene(viewer: StudioServer):
     port, token = viewer.server.port, viewer.server.token
     assert viewer.url == f"http://127.0.0.1:{port}/?token={token}" and len(token) >= 32
     for path in ("/", "/?token=", "/?token=wrong", f"/?token={token[:-1]}", "/page/main.js"):
@@ -69,7 +71,7 @@ def test_without_the_token_nobody_gets_a_page_or_a_scene(viewer: Viewer):
     assert answer(viewer, "/", Cookie=f"{other}x; {own}")[0] == 200
 
 
-def test_other_sites_are_refused_even_with_the_token(viewer: Viewer):
+def test_other_sites_are_refused_even_with_the_token(viewer: StudioServer):
     path = f"/socket?token={viewer.server.token}"
     for host in (f"127.0.0.1:{viewer.server.port}", "localhost:9000"):  # the near end of a tunnel
         own = {"Host": host, "Origin": f"http://{host}", **WEBSOCKET}
@@ -82,15 +84,15 @@ def test_other_sites_are_refused_even_with_the_token(viewer: Viewer):
 
 
 @pytest.mark.parametrize("path", ["/page/../server.py", "/page/%2e%2e/server.py", "/page/none.js"])
-def test_nothing_but_the_page_is_served(viewer: Viewer, path: str):
+def test_nothing_but_the_page_is_served(viewer: StudioServer, path: str):
     assert answer(viewer, f"{path}?token={viewer.server.token}")[0] == 404
 
 
 @pytest.mark.parametrize(
-    "message", ["{", "[]", '{"do": "look"}', '{"do": "fly"}', '{"do": "undo"}']
+    "message", ["{", "[]", '{"do": "look"}', '{"do": "fly"}', '{"do": "step"}']
 )
 def test_a_viewer_changes_nothing_and_survives_what_it_does_not_understand(
-    viewer: Viewer, message: str
+    viewer: StudioServer, message: str
 ):
     url = f"ws://127.0.0.1:{viewer.server.port}/socket?token={viewer.server.token}"
     with connect(url) as client:
@@ -113,10 +115,10 @@ def header_of(message: str | bytes) -> dict[str, Any]:
     return msgspec.json.decode(message[4 : 4 + length])
 
 
-def test_a_viewer_takes_no_pictures_and_uploads_are_bounded(viewer: Viewer):
+def test_a_viewer_takes_no_pictures_and_uploads_are_bounded(viewer: StudioServer):
     path = f"/style?name=a.png&token={viewer.server.token}"
     assert answer(viewer, path, "POST", **{"Content-Length": "0"})[0] == 403
-    viewer.server.readonly = False
+    viewer.server.actions.readonly = False
     connection = http.client.HTTPConnection("127.0.0.1", viewer.server.port, timeout=30)
     connection.request("POST", path, body=bytes(MOST_BYTES + 1))
     response = connection.getresponse()
@@ -126,17 +128,17 @@ def test_a_viewer_takes_no_pictures_and_uploads_are_bounded(viewer: Viewer):
 
 
 @pytest.mark.parametrize(("host", "port"), [("127.0.0.1", 70_000), ("203.0.113.7", 0)])
-def test_where_nothing_can_be_served_it_is_told_at_once(viewer: Viewer, host: str, port: int):
+def test_where_nothing_can_be_served_it_is_told_at_once(viewer: StudioServer, host: str, port: int):
     with pytest.raises(StyleSplatError, match=rf"Cannot serve at {host}:{port}: .*Choose another"):
         viewer.server.start(host, port)
 
 
-def test_a_port_that_is_taken_leads_to_the_next(viewer: Viewer):
+def test_a_port_that_is_taken_leads_to_the_next(viewer: StudioServer):
     other = view(SPLATS, port=viewer.server.port, block=False)
     try:
         assert other.server.port > viewer.server.port
     finally:
-        other.stop()
+        other.close()
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, Terminated])
@@ -146,13 +148,13 @@ def test_it_serves_until_it_is_interrupted(error: type[BaseException], monkeypat
     def interrupt(seconds: float) -> None:
         raise error
 
-    start = Viewer.__init__
+    start = StudioServer.__init__
 
-    def started(self: Viewer, server: Any) -> None:
-        start(self, server)
+    def started(self: StudioServer, server: Any, store: Any = None) -> None:
+        start(self, server, store)
         ports.append(server.port)
 
-    monkeypatch.setattr(Viewer, "__init__", started)
+    monkeypatch.setattr(StudioServer, "__init__", started)
     monkeypatch.setattr("stylesplat.studio_app.studio.time.sleep", interrupt)
     if error is Terminated:
         with pytest.raises(Terminated):

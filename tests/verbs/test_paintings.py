@@ -8,8 +8,9 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from balls import PAINTED_FAST as FAST
 from balls import (
+    BALLS,
+    CAMERAS,
     RED,
     SPLATS,
     TRAINED,
@@ -19,14 +20,17 @@ from balls import (
     contents,
     painted,
 )
+from balls import PAINTED_FAST as FAST
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.json_files import read_json
+from stylesplat.rendering.shares import coverage
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.objects import rename
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 
@@ -166,3 +170,34 @@ def test_a_name_that_was_selected_anew_changes_nothing_that_was_painted(
     assert torch.equal(undone.objects["red"].picked, anew.objects["red"].picked[:count])
     numbers, wanted = (evaluate(scene, device="cpu") for scene in (anew, once))
     assert numbers == wanted and wanted["nnfm_after"].keys() == {"red"}
+
+
+def test_what_is_protected_gets_no_paint(
+    trained: Path, pictures: tuple[Path, Path], tmp_path: Path
+):
+    x, y, z = BALLS[3][0]
+    whole = scene_folder.open(trained)
+    scene = select(whole, "cap", of="red", box3d=(x - 1, y - 1, z + 0.12, x + 1, y + 1, z + 1))
+    cap = scene.objects["cap"].picked
+    scene_folder.save(scene, tmp_path / "trained")
+    style = {"red": Style(pictures[0], config=FAST)}
+    free = stylize(whole, style, device="cpu", measured=False)
+    styled = stylize(scene, style, protect="cap", device="cpu", measured=False)
+    for name, tensor in scene.splats.tensors().items():
+        assert torch.equal(styled.splats.tensors()[name][: len(cap)][cap], tensor[cap]), name
+    shown = []
+    for painted_scene in (free, styled):
+        discs = torch.arange(len(painted_scene.splats)) >= len(cap)
+        own = torch.zeros_like(discs).index_fill(0, cap.nonzero()[:, 0], True)
+        views = [camera.downscale(0.25) for camera in CAMERAS]
+        over = [coverage(painted_scene.splats, each, discs) for each in views]
+        there = [coverage(scene.splats, each, own[: len(cap)]) > 0.5 for each in views]
+        shown.append(sum(float(a[b].sum()) for a, b in zip(over, there, strict=True)))
+    assert shown[1] < 0.2 * shown[0], shown
+    assert_made_again(styled, tmp_path / "trained", tmp_path)
+    with pytest.raises(StyleSplatError, match=r"all of it is protected \(both\)"):
+        stylize(scene, style, protect=["both"], device="cpu")
+    renamed = rename(styled, "cap", "lid")
+    scene_folder.save(renamed, tmp_path / "renamed")
+    (entry,) = read_recipe(tmp_path / "renamed" / "recipe.json").objects
+    assert entry.style.config.protect == ("lid",)

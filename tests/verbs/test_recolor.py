@@ -20,6 +20,7 @@ from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import map_bands, rgb_from_sh0, sh0_from_rgb, sh_basis
 from stylesplat.stylization.config import LIMITS, RECOLOR_LIMITS
+from stylesplat.stylization.materials import MATERIALS
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
@@ -161,6 +162,14 @@ def test_scenes_keep_recolourings_and_recipes_replay_them(tmp_path: Path, quick_
     assert [each.name for each in alone.layers] == ["background/recolor", "red/recolor"]
 
 
+@pytest.mark.parametrize("name", MATERIALS)
+def test_the_colours_of_a_material_can_be_matched(name: str):
+    material = f"material:{name}"
+    found = colors(recolor(TRAINED, "red", match=material), RED).mean(dim=0)
+    expected = Style(material).read()[0].reshape(-1, 3).mean(dim=0)
+    assert (found - expected).abs().max() < 0.1
+
+
 def quick(picture: Path) -> Style:
     return Style(picture, steps=2, layers=(1,), quality="draft")
 
@@ -175,6 +184,7 @@ def quick(picture: Path) -> Style:
         ({"hue": float("nan")}, "hue nan"),
         ({"tint": "blurple"}, "no color 'blurple'"),
         ({"match": "lost.jpg"}, "lost.jpg"),
+        ({"match": "material:tin"}, r"no material 'tin'.+material:bronze"),
         ({"shade": 2}, "there is no key 'shade'"),
         ({"hue": 3, "strength": 2.0}, "the intensity 2.0"),
     ],

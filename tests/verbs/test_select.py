@@ -15,7 +15,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.identities import render_labels
 from stylesplat.selection.pick import pick
 from stylesplat.verbs import select as verb
-from stylesplat.verbs.objects import objects
+from stylesplat.verbs.objects import delete, objects, rename
 from stylesplat.verbs.select import select
 
 VIEW = CAMERAS.names[2]
@@ -187,3 +187,43 @@ def test_places_are_checked_before_a_model_is_loaded(tmp_path: Path):
         select(SCENE, "it", text="owl", model=missing, not_point=("lost.jpg", 1, 2))
     with pytest.raises(StyleSplatError, match="9999"):
         select(SCENE, "it", text="owl", model=missing, box=(VIEW, 0, 0, 9999, 9))
+
+
+def red_and_cap(**choice: Any) -> tuple[Scene, Bool[torch.Tensor, " N"]]:
+    """The red ball, and a part of it that is chosen by the upper half of its box."""
+    scene = select(SCENE, "red", id=3)
+    x, y, z = BALLS[3][0]
+    box = (x - 1, y - 1, z + 0.1, x + 1.5, y + 1, z + 1)  # reaches over the green ball, too
+    return select(scene, "cap", **({"of": "red", "box3d": box} | choice)), picked(scene, "red")
+
+
+def test_a_part_leaves_its_object_the_rest():
+    scene, whole = red_and_cap()
+    cap, rest = picked(scene, "cap"), picked(scene, "red")
+    assert cap.any() and rest.any()
+    assert torch.equal(cap | rest, whole) and not (cap & rest).any()
+    assert scene.objects["red"].how["gaussians"] == rest.sum()
+    assert objects(scene)[0]["names"] == [], "it is not the whole object of the label any more"
+    x, y, z = BALLS[3][0]
+    side = (x, y, z + 0.3, 0.2)
+    smaller = select(scene, "cap", of="red", sphere=side)
+    cap, rest = picked(smaller, "cap"), picked(smaller, "red")
+    assert torch.equal(cap | rest, whole) and not (cap & rest).any(), "made again"
+    grown = select(scene, "cap", of="red", sphere=side, grow=0.3)
+    assert not (picked(grown, "cap") & ~whole).any()
+    renamed = rename(scene, "red", "pot")
+    assert torch.equal(picked(delete(renamed, "cap"), "pot"), whole), "it is given back"
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"of": "green"}, "no object 'green'"),
+        ({"of": "cap"}, "'cap' is no part of itself"),
+        ({"box3d": (), "sphere": (*BALLS[3][0], 0.5)}, "all of 'red', not a part"),
+        ({"box3d": (), "id": 7}, r"belongs to 'red'; no other.*--of.*--minus"),
+    ],
+)
+def test_parts_that_are_none(choice: dict[str, Any], message: str):
+    with pytest.raises(StyleSplatError, match=message):
+        red_and_cap(**choice)

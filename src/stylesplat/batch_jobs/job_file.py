@@ -26,6 +26,7 @@ ADDRESS = re.compile(r"[A-Za-z][\w+.-]+:/")  # a scheme is longer than the lette
 LONGEST = 120  # characters of a name: file systems take 255 bytes, and suffixes are appended
 UNFIT = re.compile(r"[^\w.+~]+")  # characters that names of results do not have
 SET_BY_BATCH = ("json", "overwrite", "restart", "finish", "output", "file", "pick")
+SPELLINGS = {"stylise": "stylize"}
 STYLE = "style"  # the option that is OBJECT=IMAGE on the command line, and a map in a job file
 # The message of msgspec: the fact, and where it is
 MISFIT = re.compile(r"(?P<fact>.*?)(?: - at `\$(?P<place>.*)`)?")
@@ -43,6 +44,7 @@ class _Entry(msgspec.Struct, forbid_unknown_fields=True, rename={"import_": "imp
     mask: Options = UNSET
     select: Options = UNSET
     stylize: Options = UNSET
+    stylise: Options = UNSET
     recolor: Options = UNSET
     sheet: Options = UNSET
     render: Options = UNSET
@@ -159,14 +161,14 @@ class _Planner:
         given = msgspec.structs.asdict(entry)
         found = {
             name: options
-            for name in self._verbs
+            for name in (*self._verbs, *SPELLINGS)
             if (options := given.get(name, given.get(f"{name}_", UNSET))) is not UNSET
         }
         if len(found) != 1:
             got = " and ".join(found) or "none"
             raise self._error(place, f"a job has one verb, got {got}. Begin each with a dash.")
         ((name, options),) = found.items()
-        verb = self._verbs[name]
+        verb = self._verbs[SPELLINGS.get(name, name)]
         if "then" in place and entry.scenes is not None:
             raise self._error((*place, "scenes"), "what follows a job works on its result.")
         if entry.then and verb.makes == "files":

@@ -10,7 +10,7 @@ from stylesplat.cli.demo import Demo, Doctor
 from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.export import Export
 from stylesplat.cli.import_ import Import
-from stylesplat.cli.mask import Mask
+from stylesplat.cli.mask import Labels, Mask
 from stylesplat.cli.mcp import Mcp
 from stylesplat.cli.objects import Delete, Objects, Rename, Select
 from stylesplat.cli.render import Render
@@ -29,6 +29,7 @@ VERBS: dict[str, type] = {
     "mask": Mask,
     "train": Train,
     "import": Import,
+    "labels": Labels,
     "objects": Objects,
     "select": Select,
     "rename": Rename,

@@ -49,7 +49,8 @@ class Export(MakingCommand):
     )
     repaint: Annotated[bool, arg(help=help_texts(MeshConfig)["repaint"])] = False
     spz_version: Literal[2, 3, 4] | None = None
-    """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs."""
+    """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs. With 2 a
+    .glb or .gltf holds SPZ, as Cesium wants it."""
 
     def run(self) -> dict[str, Any]:
         from stylesplat.io.gaussian_lists import LISTS

@@ -20,8 +20,8 @@ class Import(MakingCommand):
     """
 
     splat: Positional[Path]
-    """A .ply (also SuperSplat's compressed one), .spz, .splat, .sog, .glb or .gltf file, or the
-    meta.json of a SOG folder."""
+    """A .ply (also SuperSplat's compressed one), .spz, .splat, .ksplat, .sog, .glb or .gltf file,
+    or the meta.json of a SOG folder."""
     output: Output
     """Folder of the scene to make."""
     capture: Positional[Path | None] = None

@@ -11,7 +11,14 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import stylesplat as ss
 from stylesplat.cli.arguments import parse_place
-from stylesplat.cli.options import CONTINUES, Device, MakingCommand, OptionalOutput, refuse_given
+from stylesplat.cli.options import (
+    CONTINUES,
+    Device,
+    EditingCommand,
+    MakingCommand,
+    OptionalOutput,
+    refuse_given,
+)
 from stylesplat.cli.results import (
     next_lines,
     optional_picture,
@@ -36,8 +43,8 @@ PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 SCENE_PREVIEW = "masks.jpg"  # in the folder of a scene
 SIDE = 480  # pixels of the views in it
 MEND = (
-    "If a mask is wrong there: again with --overwrite, and a second --box for it in a photo from "
-    "another side, or --not-stroke over what it took too much."
+    "If a mask is wrong there: `mask` with --keep or --drop and a box in any photo over what it "
+    "missed or took too much; or again with --overwrite and a second --box from another side."
 )
 
 
@@ -60,10 +67,16 @@ class Mask(MakingCommand):
     """NAME=VIEW:x0,y0,x1,y1 around an object, in pixels of the photo itself, at its full size. May
     be repeated, for other objects and for other photos of the same; one photo often suffices."""
     stroke: UseAppendAction[tuple[str, ...]] = ()
-    """NAME=VIEW:x,y,x,y,... along a line over an object that has a box there, where the cut took
-    it for background. May be repeated."""
+    """NAME=VIEW:x,y,x,y,... along a line over an object, where a cut took it for background. May
+    be repeated."""
     not_stroke: UseAppendAction[tuple[str, ...]] = ()
     """The same over what is not the object, where the cut took too much."""
+    keep: UseAppendAction[tuple[str, ...]] = ()
+    """NAME=VIEW:x0,y0,x1,y1 in any photo: all that shows there belongs to the object, in all
+    photos. Without --box the label maps that are there are corrected; NAME= may be left out where
+    they have one object. May be repeated."""
+    drop: UseAppendAction[tuple[str, ...]] = ()
+    """The same where nothing belongs to it: what it stands on, its shadow. May be repeated."""
     source: Annotated[Path | None, arg(name="from")] = None
     """Masks of another program: a folder with pictures of ids named like the photos (DEVA,
     Gaussian Grouping), or with a sub-folder of binary masks per object; or COCO JSON with RLE."""
@@ -99,34 +112,39 @@ class Mask(MakingCommand):
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         names = result["names"]
         if "scene" in result:
-            yield f"{result['scene']}: its objects are {', '.join(names.values()) or 'none'}."
-            if result["preview"]:
-                yield f"Picture: {result['preview']}, the objects of its Gaussians in some views."
-            if names:
-                yield from next_lines(stylize_command(result["scene"], [*names.values()][-1]))
+            yield from _object_lines(result)
             return
         objects = ", ".join(names.get(id, f"id {id}") for id in result["ids"]) or "no objects"
         photos = f"{result['photos']} of {result['of']} photos"
         yield f"{result['masks']}: label maps of {photos}, which show {objects}."
         if result["preview"]:
             yield f"Picture: {result['preview']}, the label maps over some of the photos."
-            if self.box:
+            if self.box or self._corrects:
                 yield MEND
         scene = unused(self.capture, "-scene")
         yield from next_lines(pasted("train", self.capture, "-o", scene))
 
+    @property
+    def _corrects(self) -> bool:
+        """Whether label maps are corrected that are there."""
+        marks = self.keep or self.drop or self.stroke or self.not_stroke
+        return bool(marks) and not self.box
+
     def _drawn(self, record: "SfmRecord | None" = None) -> dict[str, Drawn]:
-        """The boxes and strokes by object, with the names that photos have in the capture."""
-        boxes, strokes = Drawn(), Drawn()
-        for text in self.box:
-            name, view, box = _parse_drawn(text, "VIEW:x0,y0,x1,y1")
-            boxes.setdefault(name, []).append((view_of_photo(view, record), box))
+        """What is drawn by object, with the names that photos have in the capture."""
+        given = {"boxes": self.box, "keep": self.keep, "drop": self.drop}
+        found = {kind: Drawn() for kind in (*given, "strokes")}
+        for kind, texts in given.items():
+            for text in texts:
+                name, view, box = _parse_drawn(text, "VIEW:x0,y0,x1,y1")
+                found[kind].setdefault(name, []).append((view_of_photo(view, record), box))
         for texts, over_object in ((self.stroke, True), (self.not_stroke, False)):
             for text in texts:
                 name, view, line = _parse_drawn(text, "VIEW:x,y,x,y,...")
                 stroke = ss.Stroke((*zip(line[::2], line[1::2], strict=True),), over_object)
-                strokes.setdefault(name, []).append((view_of_photo(view, record), stroke))
-        return {"boxes": boxes, "strokes": strokes}
+                place = view_of_photo(view, record), stroke
+                found["strokes"].setdefault(name, []).append(place)
+        return found
 
     def _masked(self, photos: Any, place: Path, drawn: dict[str, Drawn], **options: Any) -> Any:
         """Photos or a scene with masks; models keep what they have found beside the result."""
@@ -147,16 +165,17 @@ class Mask(MakingCommand):
         )
         output = folder / OBJECT_MASK
         refuse_occupied(output, marker="", overwrite=True)  # label maps are refused below
-        capture = ss.load(folder, masks=False)
+        capture = ss.load(folder, masks=None if self._corrects else False)
         with changing(output):
             record, names = read_sfm(folder), capture.cameras.names
             drawn = self._drawn(record)
             own = [record.origins.get(name, name) for name in names] if record else names
             for view, _ in _places(drawn):
                 find_name(view, names, shown_names=own)  # raises before label maps are refused
-            refuse_label_maps(capture, output, overwrite=self.overwrite)
+            overwrite = self.overwrite or self._corrects
+            refuse_label_maps(capture, output, overwrite=overwrite)
             masked = self._masked(capture, output, drawn, scene=scene)
-            found = write_label_maps(masked, output, overwrite=self.overwrite)
+            found = write_label_maps(masked, output, overwrite=overwrite)
             ids = sorted(set[int]().union(*found.values()))
             called = {id: masked.object_names[id] for id in ids if id in masked.object_names}
             preview = output / PREVIEW
@@ -186,6 +205,37 @@ class Mask(MakingCommand):
             return _describe_objects(after, place, self.device)
 
 
+@dataclass(frozen=True)
+class Labels(EditingCommand):
+    """Give a scene the labels of corrected label maps, in seconds: they are lifted, not trained.
+
+    Example: stylesplat labels garden-scene --masks garden/object_mask
+    """
+
+    masks: Path | None = None
+    """Folder of label maps, or COCO JSON, as `mask --from` takes them; by default object_mask/ of
+    the scene's photos."""
+    device: Device = "auto"
+
+    def run(self) -> dict[str, Any]:
+        with changing(self.folder):
+            after = self.rewrite(lambda scene: ss.labels(scene, self.masks, device=self.device))
+            return _describe_objects(after, self.folder, self.device)
+
+    def words(self, result: dict[str, Any]) -> Iterator[str]:
+        yield from _object_lines(result)
+
+
+def _object_lines(result: dict[str, Any]) -> Iterator[str]:
+    """The objects of a scene as `_describe_objects` has described them."""
+    names = result["names"]
+    yield f"{result['scene']}: its objects are {', '.join(names.values()) or 'none'}."
+    if result["preview"]:
+        yield f"Picture: {result['preview']}, the objects of its Gaussians in some views."
+    if names:
+        yield from next_lines(stylize_command(result["scene"], [*names.values()][-1]))
+
+
 def _parse_drawn(text: str, form: str) -> tuple[str, str, tuple[float, ...]]:
     """An object's name, which may be left out, the view, and the numbers behind it."""
     name, equals, place = text.partition("=")
@@ -194,8 +244,11 @@ def _parse_drawn(text: str, form: str) -> tuple[str, str, tuple[float, ...]]:
 
 def _places(drawn: dict[str, Drawn]) -> list[tuple[str, Any]]:
     """All views, and the boxes in them; None for a stroke."""
-    boxes, strokes = (chain(*each.values()) for each in drawn.values())
-    return [*boxes, *((view, None) for view, _ in strokes)]
+    return [
+        (view, None if kind == "strokes" else box)
+        for kind, each in drawn.items()
+        for view, box in chain(*each.values())
+    ]
 
 
 def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> dict[str, Any]:

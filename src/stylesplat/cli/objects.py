@@ -113,9 +113,12 @@ class Select(EditingCommand):
     """VIEW:x,y in the photo's pixels: the object that shows there. May be repeated."""
     not_point: UseAppendAction[tuple[str, ...]] = ()
     """VIEW:x,y of an object that is not meant. May be repeated."""
+    of: str | None = None
+    """The name of the object that this is a part of: what of the selection lies on it becomes the
+    part, and the rest stays the object's."""
     size: Literal["part", "object", "group"] | None = None
-    """How much a point means in a scene without labels: a part of one colour, an object (the
-    default there), or all that touches. In a scene with labels, instead of these."""
+    """How much a point means in a scene without labels: a part of one colour (the default with
+    --of), an object (otherwise), or all that touches. In a scene with labels, instead of these."""
     text: UseAppendAction[tuple[str, ...]] = ()
     """A few words: the object that they mean, if it is clear which one. May be repeated."""
     model: str | None = None
@@ -153,11 +156,22 @@ class Select(EditingCommand):
         selection_file(self.folder, self.name)  # raises before the work
         after = self.rewrite(self._select)
         picture = self._draw() if self.picture and self.json else None
-        how = after.objects[self.name].how
+        found = after.objects[self.name]
+        within = [
+            name
+            for name, each in after.objects.items()
+            if each.picked[found.picked].all() and each.picked.sum() > found.picked.sum()
+        ]
+        how = {**found.how, "within": within}
         return {"name": self.name, **how, "scene": self.folder, "picture": picture}
 
     def words(self, result: dict[str, Any]) -> Iterator[str]:
         yield f"{self.name}: {result['gaussians']:,} Gaussians."
+        for whole in result["within"]:
+            yield (
+                f"All of them are part of {whole}, too. With --of {whole} the rest stays its own; "
+                f"--minus {self.name} takes them away from another selection."
+            )
         yield from next_lines(stylize_command(result["scene"], self.name))
 
     def after_answer(self, result: dict[str, Any]) -> None:
@@ -173,6 +187,7 @@ class Select(EditingCommand):
             box=_places(self.box, "VIEW:x0,y0,x1,y1"),
             point=_places(self.point, "VIEW:x,y"),
             not_point=_places(self.not_point, "VIEW:x,y"),
+            of=self.of,
             size=self.size,
             text=self.text,
             box3d=_places(self.box3d, "x0,y0,z0,x1,y1,z1"),

@@ -68,6 +68,9 @@ class Stylize(MakingCommand):
     recipe: Path | None = None
     """YAML file with objects, styles and settings instead of --style; options given here precede
     its own. A styled scene's recipe.json is one too."""
+    protect: UseAppendAction[tuple[str, ...]] = ()
+    """Name of an object that gets no paint, such as the eyes of a face (`select --of` makes such
+    parts). May be repeated."""
     settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
     preset: Literal["default", "paper"] = "default"
     """Settings to start from; paper is the method as published, with --features vgg16."""
@@ -94,6 +97,7 @@ class Stylize(MakingCommand):
                 recipe,
                 features=self.features,
                 weights=self.weights,
+                protect=self.protect,
                 device=self.device,
                 on_painted=on_painted,
             )
@@ -187,6 +191,8 @@ class Adjust(EditingCommand):
     """Adjust or undo this object only. May be repeated."""
     undo: bool = False
     """Remove the paint: write the scene as it was before, to the bit, to the --output folder."""
+    picture: bool = True
+    """Draw no picture of before and after, which takes longer than the rest."""
 
     def run(self) -> dict[str, Any]:
         from stylesplat.scene.compose import strengths_of
@@ -201,7 +207,10 @@ class Adjust(EditingCommand):
             after = self.rewrite(lambda scene: ss.adjust(scene, self.intensity, **options))
             if after.layers:
                 result |= {"intensity": strengths_of(after)}
+            if after.layers and self.picture:
                 result |= draw_before_after(after, self.folder)
+            elif not self.output:
+                (self.folder / "before_after.png").unlink(missing_ok=True)  # of an earlier strength
         if self.form is not None:
             result["form"] = {each.object: each.form for each in after.layers}
         return result

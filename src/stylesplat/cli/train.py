@@ -1,5 +1,6 @@
 """`stylesplat train`."""
 
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -15,12 +16,12 @@ from tyro.conf import Positional, arg
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, help_texts
 from stylesplat.cli.options import CONTINUES, Device, MakingCommand, Output, refuse_given
-from stylesplat.cli.results import describe_scene, new_scene, new_scene_lines
+from stylesplat.cli.results import describe_scene, new_scene, new_scene_lines, pasted
 from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import is_there
-from stylesplat.progress import Observer, observed
+from stylesplat.progress import Observer, observed, say
 from stylesplat.signals import WHOLE
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 
@@ -34,6 +35,10 @@ SETTINGS = from_config(
     "seed",
     "max_memory",
 )
+GOOD, FAIR = 27.0, 22.0  # dB of photos held out: sharp as photos are; soft, with objects in place
+ENOUGH = TrainConfig.steps  # shorter runs gain most by more steps
+LARGE = 1600  # pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
+BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
 FINISHES = "`--finish` makes the scene of what there is."
 PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
 
@@ -111,6 +116,8 @@ class Train(MakingCommand):
                     self._delete_checkpoints()
                 Ranks.here().meet()
                 scene = train(capture)
+                if "max_seconds" in self.settings:
+                    _mention_load()
                 save(scene)
                 self._delete_checkpoints()
                 described = describe_scene(scene, capture, self.output, device=self.device)
@@ -120,11 +127,31 @@ class Train(MakingCommand):
         where = f"{result['gaussians']:,} Gaussians after {result['steps']:,} steps"
         close = f", {result['psnr']:.1f} dB from photos held out" if "psnr" in result else ""
         yield f"{self.output}: {where}{close}."
+        if "psnr" in result:
+            yield self._verdict(result["psnr"], result["steps"])
         yield from new_scene_lines(result)
+
+    def _verdict(self, psnr: float, steps: int) -> str:
+        """What a PSNR of photos held out means, and what to do about it."""
+        if psnr >= GOOD:
+            return "That is good."
+        worth = "fair" if psnr >= FAIR else "poor"
+        if steps < ENOUGH:
+            return f"That is {worth}, and the run was short: train longer, up to --steps {ENOUGH}."
+        check = pasted("check", self.capture)
+        return f"That is {worth}: `{check}` says whether other photos would help."
 
     def _capture(self) -> "ss.Capture":
         folder = find_photos_capture(self.capture, beside=self.output)
-        return ss.load(folder, downscale=self.downscale, masks=self.masks)
+        capture = ss.load(folder, downscale=self.downscale, masks=self.masks)
+        longest = int(capture.cameras.sizes.max())
+        if longest > LARGE:
+            factor = math.ceil(longest / LARGE)
+            say(
+                f"The photos are {longest} pixels long. `--downscale {factor}` trains "
+                f"{factor**2} times as fast, and shows as much at usual sizes."
+            )
+        return capture
 
     def _delete_checkpoints(self) -> None:
         """Delete what a run has left, and no other file in that folder."""
@@ -133,6 +160,16 @@ class Train(MakingCommand):
             for file in partial.glob("*checkpoint_*.pt"):
                 file.unlink()
             partial.rmdir()  # unless it has other files
+
+
+def _mention_load() -> None:
+    """Say that other programs took the time of a run that was limited by time."""
+    load, cores = getattr(os, "getloadavg", lambda: (0.0,))()[0], os.cpu_count() or 1
+    if load > BUSY * cores:
+        say(
+            f"The machine was busy (load {load:.0f} on {cores} cores), so the run took fewer steps "
+            "than in so many quiet seconds. Give more --max-seconds, or --steps."
+        )
 
 
 @contextmanager

@@ -26,7 +26,7 @@ class ViewCommand(Command):
 
         viewer = ss.view(ss.open(self.scene), port=self.port, block=False)
         say("Ctrl-C closes the viewer.")
-        until_interrupted(viewer.stop)
+        until_interrupted(viewer.close)
 
 
 @dataclass(frozen=True)

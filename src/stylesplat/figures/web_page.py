@@ -53,7 +53,7 @@ def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) ->
     before = splats_without_paint(scene).detach().to("cpu") if scene else splats
     packed = pack(splats, before, sh_degree=sh_degree)
     about = packed.about | {
-        "start": _start(splats, scene.cameras if scene else None),
+        "start": start_of(splats, scene.cameras if scene else None),
         "objects": list(_objects(scene)) if scene else [],
     }
     return _filled(
@@ -66,7 +66,8 @@ def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) ->
     )
 
 
-def _start(splats: Splats, cameras: Cameras | None) -> dict[str, Any]:
+def start_of(splats: Splats, cameras: Cameras | None) -> dict[str, Any]:
+    """The first view as `camera.js` takes it."""
     view = first_view(splats, cameras)
     places = {"position": view.position, "target": view.target, "up": view.up}
     return {name: place.tolist() for name, place in places.items()} | {"slopes": view.slopes}

@@ -7,9 +7,10 @@ from functools import cache
 from itertools import repeat
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.masks.grabcut import (
     Box,
     Channels,
@@ -17,22 +18,26 @@ from stylesplat.masks.grabcut import (
     Stroke,
     cut_box,
     grabcut_image,
+    pixels_inside,
     refine_mask,
 )
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.progress import task
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import PRIOR, contributed
+from stylesplat.rendering.shares import COVERED, PRIOR, contributed, coverage, render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import Mask
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import IDENTITY_SIZE, Splats
+from stylesplat.selection.clicks import pick_masked
 
+BOX_FIT = 0.05  # by how much the box of a pick in 3D may fit worse than that of GrabCut's cut
 GROWTH = 2  # factor between the numbers of masked views before and after a round
 SETTLING_ROUNDS = 2  # over all views at most, after each has a mask
 SETTLED = 0.98  # mean IoU with the round before, at which they stop
 CLOSER = 2.0  # times more pixels than in any known view, from which a Gaussian is new
+MIN_SHOWN = 0.5  # pixels of a Gaussian in a view, from which a mark there can mean it
 MIN_ALPHA = 0.05  # below which the depth of a pixel means nothing
 
 Images = Callable[[int], GrabCutImage]
@@ -111,9 +116,11 @@ def propagate_boxes(
 ) -> list[Mask]:
     """The masks of an object in every view, from boxes around it in one or a few.
 
-    GrabCut segments there. The masks are lifted onto the Gaussians, rendered into the nearest
-    other views and their contours moved to edges; then the next views, until all have one; then
-    all again until they settle.
+    GrabCut segments there. What it finds is completed and bounded on the surface of the splat,
+    without the plane that the object stands on. If that fills the boxes as well, its renders are
+    the masks. Otherwise the masks are lifted onto the Gaussians, rendered into the nearest other
+    views and their contours moved to edges; then the next views, until all have one; then all
+    again until they settle.
 
     Args:
         splats: A scene of the views; its labels do not matter.
@@ -130,6 +137,9 @@ def propagate_boxes(
     for row, box in boxes:
         drawn = [stroke for at, stroke in strokes if at == row]
         cuts[row] = cut_box(images(row), box, cameras.names[row], drawn)
+    picked = _pick_in_boxes(splats, cameras, boxes, {row: cut for row, (_, cut) in cuts.items()})
+    if picked is not None:
+        return [(coverage(splats, camera, picked) > COVERED).cpu() for camera in cameras]
     channels = cuts[boxes[0][0]][0]
     known = {row: mask for row, (_, mask) in cuts.items()}
     others, votes = nearest_views(cameras, [*known]), lift_masks(splats, cameras, known)
@@ -154,6 +164,58 @@ def propagate_boxes(
                 break
             votes = lift_masks(splats, cameras, known)
     return [known[row] for row in range(len(cameras))]
+
+
+def _pick_in_boxes(
+    splats: Splats,
+    cameras: Cameras,
+    boxes: Sequence[tuple[int, Box]],
+    cuts: Mapping[int, Mask],
+) -> Bool[Tensor, " N"] | None:
+    """The object in 3D that cuts show; None if it fills the boxes less well than the cuts do."""
+    there = {row: torch.from_numpy(pixels_inside(box, cameras[row].size)) for row, box in boxes}
+    given = [(row, cuts[row], ~inside) for row, inside in there.items()]
+    try:
+        picked = pick_masked(splats.to("cpu"), cameras, given).to(splats.device)
+    except StyleSplatError:  # hardly any Gaussian shows
+        return None
+    for row, inside in there.items():
+        seen = coverage(splats, cameras[row], picked).cpu() > COVERED
+        fits = [mask_iou(_around(mask), inside) for mask in (seen, cuts[row])]
+        if fits[0] < fits[1] - BOX_FIT:
+            return None
+    return picked
+
+
+def _around(mask: Mask) -> Mask:
+    """The smallest box around a mask."""
+    rows, columns = (mask.any(dim=axis).nonzero()[:, 0] for axis in (1, 0))
+    box = torch.zeros_like(mask)
+    if len(rows):
+        box[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = True
+    return box
+
+
+@torch.no_grad()
+def spread_marks(
+    splats: Splats, cameras: Cameras, marks: Sequence[tuple[int, Mask, Mask]]
+) -> list[tuple[Mask, Mask]]:
+    """The pixels of every view that belong to an object, and that do not, from those of some.
+
+    What lies mostly within a mark there is marked in all views.
+    """
+    is_marked = splats.means.new_zeros(len(splats), 2)
+    for row, *given in marks:
+        pixels = _pixels_in(splats, cameras[row], *given, torch.ones_like(given[0]))
+        shows = pixels[:, 2:] > MIN_SHOWN
+        is_marked[(pixels[:, :2] > 0.5 * pixels[:, 2:]) & shows] = 1
+    views = list[tuple[Mask, Mask]]()
+    for camera in cameras:
+        kept, dropped = (render_shares(splats, camera, is_marked) > COVERED).cpu().unbind(dim=2)
+        views.append((kept, dropped))
+    for row, kept, dropped in marks:
+        views[row] = (views[row][0] & ~dropped) | kept, (views[row][1] & ~kept) | dropped
+    return views
 
 
 def nearest_views(cameras: Cameras, seeds: Sequence[int]) -> list[int]:

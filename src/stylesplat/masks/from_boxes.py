@@ -5,17 +5,21 @@ from dataclasses import replace
 from functools import partial
 from typing import cast
 
+import torch
+
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.box_propagation import grabcut_images, propagate_boxes
-from stylesplat.masks.grabcut import Box, Stroke, refuse_box
+from stylesplat.masks.box_propagation import grabcut_images, propagate_boxes, spread_marks
+from stylesplat.masks.grabcut import Box, Stroke, pixels_inside, refuse_box
 from stylesplat.masks.import_masks import overlay_masks
 from stylesplat.masks.quick_splat import with_label_maps, working_splat
 from stylesplat.scene.arguments import Places, check_box, parse_places
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, at_most
+from stylesplat.scene.labels import BACKGROUND, Mask, OwnLabels, ids_of, resize_labels
 from stylesplat.scene.scene import Scene, check_name
 
 SIZE = 480  # pixels of the longer side at which objects are cut out
+ANY = "object"  # the name of what is given none
 
 PlacedStroke = tuple[str, Stroke]
 """A view's name, and a line in pixels of its photo at full size."""
@@ -26,21 +30,33 @@ Strokes = Mapping[str, PlacedStroke | Sequence[PlacedStroke]]
 
 
 def mask_boxes(
-    capture: Capture, boxes: Boxes, strokes: Strokes, *, scene: Scene | None, device: str
+    capture: Capture,
+    boxes: Boxes,
+    strokes: Strokes,
+    keep: Boxes,
+    drop: Boxes,
+    *,
+    scene: Scene | None,
+    device: str,
 ) -> Capture:
     """Cut objects out of all photos, from boxes in one or a few, without any model.
 
+    Without boxes around objects the label maps of the capture are corrected.
+
     Raises:
-        StyleSplatError: If there is no box, or one is no part of its photo or shows nothing that
-            stands out, a stroke has no box, or an object cannot be called so.
+        StyleSplatError: If there is neither a box nor a label map to correct, a box is no part of
+            its photo or shows nothing that stands out, or an object cannot be called so.
     """
-    refuse_without_box(boxes)
-    small = at_most(capture, SIZE)
-    around = _place_boxes(boxes, capture.full_cameras, small.cameras)
-    over = _place_strokes(strokes, around, capture.full_cameras, small.cameras)
+    small, full = at_most(capture, SIZE), capture.full_cameras
+    named = dict(enumerate(boxes, start=1)) if boxes else dict(capture.object_names)
+    names = named if boxes else _names_in(capture)
+    if boxes or not names:
+        refuse_without_box(boxes)
+    around = _place_boxes(boxes, full, small.cameras)
+    over = _place_strokes(strokes, [*names.values()], full, small.cameras)
+    marks = _marks(over, keep, drop, names, full, small.cameras)
     working = working_splat(small, scene, device)
     cameras, images = working.capture.cameras, grabcut_images(working.splats, working.capture)
-    names = dict(enumerate(boxes, start=1))
     masks = {
         id: propagate_boxes(
             working.splats,
@@ -51,12 +67,36 @@ def mask_boxes(
             name=name,
         )
         for id, name in names.items()
+        if boxes
     }
-    maps = [
-        partial(overlay_masks, [(id, found[row]) for id, found in masks.items()])
-        for row in range(len(capture))
-    ]
-    return with_label_maps(capture, maps, names)
+    changes = {
+        id: spread_marks(working.splats, cameras, marks[name])
+        for id, name in names.items()
+        if name in marks
+    }
+
+    def labels(row: int) -> OwnLabels:
+        found = capture.labels(row)
+        if boxes:
+            found = overlay_masks([(id, each[row]) for id, each in masks.items()])
+        elif found is None:
+            found = torch.zeros(*capture.cameras[row].size[::-1], dtype=torch.int32)
+        found = found.clone()
+        for id, each in changes.items():
+            kept, dropped = (resize_labels(m.int(), found.shape).bool() for m in each[row])
+            found[dropped & (found == id)] = BACKGROUND
+            found[kept] = id
+        return found
+
+    maps = [partial(labels, row) for row in range(len(capture))]
+    return with_label_maps(capture, maps, named)
+
+
+def _names_in(capture: Capture) -> dict[int, str]:
+    """The objects that label maps show: their names, or their ids where they have none."""
+    maps = (capture.labels(row) for row in range(len(capture)))
+    shown = set[int]().union(*(ids_of(each) for each in maps if each is not None))
+    return {id: capture.object_names.get(id, str(id)) for id in sorted(shown - {BACKGROUND})}
 
 
 def refuse_without_box(boxes: Boxes) -> None:
@@ -81,16 +121,59 @@ def _place_boxes(boxes: Boxes, full: Cameras, small: Cameras) -> dict[tuple[str,
                     f"There are several boxes around {name!r} in {full.names[row]}. Draw one "
                     "around all of it, or give them different names."
                 )
-            x0, y0, x1, y1 = check_box(box, full[row].size, full.names[row])
-            left, top = _scaled((x0, y0), full[row], small[row])
-            right, bottom = _scaled((x1, y1), full[row], small[row])
-            placed[name, row] = left, top, right, bottom
+            box = check_box(box, full[row].size, full.names[row])
+            placed[name, row] = _scaled_box(box, full[row], small[row])
             refuse_box(placed[name, row], small[row].size, full.names[row])
     return placed
 
 
+def _marks(
+    strokes: Sequence[tuple[str, int, Stroke]],
+    keep: Boxes,
+    drop: Boxes,
+    names: Mapping[int, str],
+    full: Cameras,
+    small: Cameras,
+) -> dict[str, list[tuple[int, Mask, Mask]]]:
+    """By object's name rows of views, and their pixels that belong to it, and that do not."""
+    found: dict[tuple[str, int], tuple[Mask, Mask]] = {}
+
+    def add(name: str, row: int, pixels: Mask, belongs: bool) -> None:
+        before = found.setdefault((name, row), (torch.zeros_like(pixels), torch.zeros_like(pixels)))
+        before[not belongs][pixels] = True
+
+    for name, row, stroke in strokes:
+        add(name, row, stroke.pixels(small[row].size), stroke.over_object)
+    for boxes, belongs in ((keep, True), (drop, False)):
+        for name, places in boxes.items():
+            own = _known_name(name, [*names.values()])
+            for view, box in parse_places(places, 4, "keep" if belongs else "drop"):
+                row = full.index(view)
+                scaled = _scaled_box(check_box(box, full[row].size, view), full[row], small[row])
+                pixels = torch.from_numpy(pixels_inside(scaled, small[row].size))
+                if not pixels.any():
+                    raise StyleSplatError(f"The box in {view} is too small. Draw a larger one.")
+                add(own, row, pixels, belongs)
+    marks: dict[str, list[tuple[int, Mask, Mask]]] = {}
+    for (name, row), masks in found.items():
+        marks.setdefault(name, []).append((row, *masks))
+    return marks
+
+
+def _known_name(name: str, known: Sequence[str]) -> str:
+    """The name of an object that a mark is for; the only one where none was given."""
+    if name in known:
+        return name
+    if name == ANY and len(known) == 1:
+        return known[0]
+    raise StyleSplatError(
+        f"No object is called {name!r} (there are: {', '.join(known) or 'none'}). Write NAME=VIEW:"
+        "... with one of these, or draw a --box around another."
+    )
+
+
 def _place_strokes(
-    strokes: Strokes, boxes: Mapping[tuple[str, int], Box], full: Cameras, small: Cameras
+    strokes: Strokes, names: Sequence[str], full: Cameras, small: Cameras
 ) -> list[tuple[str, int, Stroke]]:
     """Object's name, row of the view, and stroke in pixels of the working size."""
     placed = []
@@ -103,11 +186,6 @@ def _place_strokes(
                     f"Cannot use strokes={place!r}. Give the name of a view and a Stroke."
                 )
             row, stroke = full.index(place[0]), place[1]
-            if (name, row) not in boxes:
-                raise StyleSplatError(
-                    f"There is a stroke for {name!r} in {full.names[row]}, but no box around it "
-                    f"there. Draw one as well: --box {name}={full.names[row]}:x0,y0,x1,y1."
-                )
             width, height = full[row].size
             for x, y in stroke.points:
                 if not (0 <= x < width and 0 <= y < height):
@@ -116,8 +194,12 @@ def _place_strokes(
                         f"{width}x{height} pixels. Give pixels of the photo."
                     )
             points = tuple(_scaled(point, full[row], small[row]) for point in stroke.points)
-            placed.append((name, row, replace(stroke, points=points)))
+            placed.append((_known_name(name, names), row, replace(stroke, points=points)))
     return placed
+
+
+def _scaled_box(box: Box, camera: Cameras, small: Cameras) -> Box:
+    return *_scaled(box[:2], camera, small), *_scaled(box[2:], camera, small)
 
 
 def _scaled(

@@ -43,6 +43,13 @@ class Stroke:
     over_object: bool
     """False: over the background."""
 
+    def pixels(self, size: tuple[int, int]) -> Mask:
+        """What it covers of a photo of this width and height."""
+        mask = np.zeros(size[::-1], np.uint8)
+        line = np.array([*self.points, self.points[-1]]).astype(np.int32)  # a dot has two ends
+        cv2.polylines(mask, [line], isClosed=False, color=1, thickness=STROKE_WIDTH)
+        return torch.from_numpy(mask).bool()
+
 
 def grabcut_image(
     photo: UInt8[Tensor, "H W 3"], inverse_depth: Float[Tensor, "H W"]
@@ -58,7 +65,7 @@ def grabcut_image(
 
 def refuse_box(box: Box, size: tuple[int, int], photo: str) -> None:
     """Refuse a box that leaves too few pixels of the photo inside or outside to learn from."""
-    inside = _inside(box, size)
+    inside = pixels_inside(box, size)
     if min(inside.sum(), (~inside).sum()) < MIN_PIXELS:
         raise StyleSplatError(
             f"The box in {photo} is too small, or leaves too little of the photo outside to "
@@ -75,11 +82,12 @@ def cut_box(
     and its channels.
     """
     height, width, _ = image.shape
-    marks = np.where(_inside(box, (width, height)), cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
+    inside = pixels_inside(box, (width, height))
+    marks = np.where(inside, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
     for stroke in strokes:
-        line = np.array([*stroke.points, stroke.points[-1]]).astype(np.int32)  # a dot has two ends
-        value = cv2.GC_FGD if stroke.over_object else cv2.GC_BGD
-        cv2.polylines(marks, [line], isClosed=False, color=value, thickness=STROKE_WIDTH)
+        marks[stroke.pixels((width, height)).numpy()] = (
+            cv2.GC_FGD if stroke.over_object else cv2.GC_BGD
+        )
     foreground = np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD))
     if min(foreground.sum(), (~foreground).sum()) < MIN_PIXELS:
         raise StyleSplatError(
@@ -128,7 +136,7 @@ def refine_mask(
     return torch.from_numpy(mask)
 
 
-def _inside(box: Box, size: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
+def pixels_inside(box: Box, size: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
     inside = np.zeros(size[::-1], bool)
     inside[int(box[1]) : round(box[3]), int(box[0]) : round(box[2])] = True
     return inside

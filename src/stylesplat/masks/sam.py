@@ -7,7 +7,6 @@ from typing import Any, Literal
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
-from torchvision.ops import masks_to_boxes, nms
 
 from stylesplat.masks.propagation import VideoPropagator
 from stylesplat.models.hub import find_model, load_model, load_processor
@@ -129,6 +128,8 @@ class GridProposer:
     @torch.no_grad()
     def propose(self, photo: UInt8[Tensor, "H W 3"]) -> list[Mask]:
         """Masks of what may be objects or parts of them, best first; they may overlap."""
+        from torchvision.ops import nms  # of `stylesplat[segment]`; loads for seconds
+
         inputs = self.processor(
             images=photo.cpu().numpy(), input_data_format="channels_last", return_tensors="pt"
         )
@@ -174,6 +175,8 @@ class GridProposer:
 
         Masks stay small until duplicates are removed, since a thousand of them may be left.
         """
+        from torchvision.ops import masks_to_boxes
+
         for logits, qualities in masks:
             start = 0
             for large in self._enlarged(logits, sizes):

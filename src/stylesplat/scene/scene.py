@@ -33,6 +33,10 @@ class SceneObject:
     how: Mapping[str, Any] = field(default_factory=dict)
     """How they were selected, as plain values: `ids`, `threshold`, `gaussians` and so on."""
 
+    def with_picked(self, picked: Bool[Tensor, " N"]) -> "SceneObject":
+        """The object with other Gaussians."""
+        return SceneObject(picked, {**self.how, "gaussians": int(picked.sum())})
+
     def __repr__(self) -> str:
         named = " ".join(map(str, self.how.get("ids", ())))
         share = f"{int(self.picked.sum()):,} of {counted(len(self.picked), 'Gaussian')}"

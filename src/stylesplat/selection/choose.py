@@ -29,7 +29,8 @@ from stylesplat.selection.text import Detector, clear_winner, rank_objects
 
 # Selections with these are not the whole object
 SHAPING = frozenset(
-    {"plus", "minus", "box3d", "sphere", "rows", "all", "background", "grow", "shrink", "size"}
+    {"plus", "minus", "of", "box3d", "sphere", "rows", "all", "background"}
+    | {"grow", "shrink", "size"}
 )
 ALONE = frozenset({"text", "box3d", "sphere"})  # no list in objects.json where there is one
 
@@ -46,6 +47,8 @@ class Choice:
     """A view and a pixel: the object that shows there."""
     not_points: tuple[tuple[str, Point], ...] = ()
     """Objects to exclude."""
+    of: str | None = None
+    """The name of the object that this is a part of."""
     size: PickSize | None = None
     """How much points mean on the surface, whatever the labels; None to go by labels if known."""
     text: tuple[str, ...] = ()
@@ -92,7 +95,8 @@ def choose(
     An object that is called `name` now counts as background. For `threshold` and
     `remove_outliers` see `pick`.
     """
-    clicks = choice.size is not None or scene.splats.classifier is None
+    whole = None if choice.of is None else whole_of(scene, choice.of, name)
+    clicks = whole is not None or choice.size is not None or scene.splats.classifier is None
     excluded = [] if clicks else _ids_at(scene, choice.not_points)
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
     if choice.background:
@@ -129,14 +133,44 @@ def choose(
         mask &= ~_with_canvases(scene, picked)
     if not mask.any():
         raise StyleSplatError("Nothing is left of the selection. Exclude less.")
+    if whole is not None:
+        mask = _part(scene, choice.of or "", whole, mask)
     if choice.grow is not None:
         mask = grow(scene.splats, mask, choice.grow)
+        mask = mask if whole is None else mask & whole
     if choice.shrink is not None:
         mask = shrink(scene.splats, mask, choice.shrink)
     how: dict[str, Any] = {"ids": ids, "threshold": threshold, "gaussians": int(mask.sum())}
     given = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
     how |= {key: _recorded(key, value) for key, value in given.items()}
     return SceneObject(mask, how | ({"scores": scores} if scores else {}))
+
+
+def whole_of(scene: Scene, of: str, part: str | None) -> Bool[Tensor, " N"]:
+    """The Gaussians of an object together with a part of it that has been taken from it before."""
+    if of not in scene.objects:
+        raise _unknown(scene, of)
+    before = scene.objects.get(part or "")
+    own = scene.objects[of].picked
+    return own | before.picked if before and before.how.get("of") == of else own
+
+
+def _part(
+    scene: Scene, of: str, whole: Bool[Tensor, " N"], mask: Bool[Tensor, " N"]
+) -> Bool[Tensor, " N"]:
+    """What of a selection belongs to an object; refuses nothing of it, and all of it."""
+    if not (mask & whole).any():
+        others = [name for name, each in scene.objects.items() if (each.picked & mask).any()]
+        where = f"it is part of {', '.join(others)}" if others else "no other object has it either"
+        raise StyleSplatError(
+            f"Nothing of the selection belongs to {of!r}; {where}. Name with --of the object that "
+            f"it is a part of, or take it away from an object with --minus."
+        )
+    if not (whole & ~mask).any():
+        raise StyleSplatError(
+            f"The selection is all of {of!r}, not a part of it. Select less, or leave out --of."
+        )
+    return mask & whole
 
 
 def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
@@ -190,7 +224,7 @@ def names_of(scene: Scene, id: int) -> list[str]:
     return [
         name
         for name, each in scene.objects.items()
-        if each.how.get("ids") == [id] and not SHAPING & each.how.keys()
+        if each.how.get("ids") == [id] and _is_whole(scene, name)
     ]
 
 
@@ -198,8 +232,13 @@ def whole_ids(scene: Scene, name: str) -> tuple[int, ...]:
     """The label ids whose whole objects a name or an id stands for; none for other selections."""
     if name not in scene.objects:
         return (int(name),) if is_id(name) else ()
-    how = scene.objects[name].how
-    return () if SHAPING & how.keys() else tuple(how.get("ids", ()))
+    return tuple(scene.objects[name].how.get("ids", ())) if _is_whole(scene, name) else ()
+
+
+def _is_whole(scene: Scene, name: str) -> bool:
+    """Whether a name stands for the whole objects of its label ids."""
+    parts = (each.how.get("of") for each in scene.objects.values())
+    return name not in parts and not SHAPING & scene.objects[name].how.keys()
 
 
 def _ids(scene: Scene, choice: Choice) -> list[int]:
@@ -217,7 +256,7 @@ def _clicked(scene: Scene, choice: Choice) -> Bool[Tensor, " N"]:
         raise StyleSplatError("--size and --not-point on a surface go with --point. Add one.")
     from stylesplat.selection.clicks import pick_clicked  # slow to load
 
-    size = choice.size or "object"
+    size = choice.size or ("part" if choice.of else "object")
     picked = pick_clicked(scene.unpainted, scene.cameras, choice.points, choice.not_points, size)
     return _with_canvases(scene, picked)
 

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
-from scipy.spatial import KDTree
+from scipy.spatial import Delaunay, KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -26,6 +26,7 @@ from stylesplat.progress import track
 from stylesplat.rendering.shares import AT_ONCE, COVERED, contributed, without_looks
 from stylesplat.scene.arguments import PickSize, check_point
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.labels import Mask
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.selection.soft_picks import sampled_views
@@ -45,6 +46,11 @@ ENDS = 1e-4  # probability with which a walk ends at a step
 # objects of the demo have 0.1, the weakest cuts through its single ones 2 to 9.
 WEAK = 1.0
 SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
+SURE, OTHER = 0.9, 0.5  # shares of a cluster's pixels in masks, and outside, that make it a seed
+STRAY = 0.2  # of the seeds in the part that has most: a part with fewer is no part of the object
+# Where an object stands, in gaps over the plane. On the demo a table's own Gaussians reach 0.6, and
+# masks with FOOT 3 or 6 and FOOTING 0 or 1 are worse at the lowest tenth of objects.
+FOOT, FOOTING = 4.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,10 @@ class ClusterGraph:
     normals: Float[np.ndarray, "K 3"]
     touching: csr_array
     """The number of pairs of neighbours of two clusters."""
+    gap: float
+    """The median distance to the eighth neighbour, the unit of lengths."""
+    planes: Sequence[tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]]
+    """A point and the normal of each large plane."""
 
     def connections(self, fold: float, color: float) -> csr_array:
         """How strongly clusters are connected."""
@@ -87,7 +97,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> ClusterGraph:
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][:, :, 0]
     normals *= np.sign((normals * towards[rows]).sum(axis=1))[:, None]
-    flat = _planes(points / gap, normals, weights, rng)
+    flat, planes = _planes(points / gap, normals, weights, rng)
     own = np.flatnonzero(~flat & (distances[:, MIDDLE] <= LONE * gap))
     cluster = np.full(len(rows), -1)
     features = np.hstack([points / (SPREAD * gap), TINT * colors, normals])[own]
@@ -101,7 +111,9 @@ def surface_of(splats: Splats, cameras: Cameras) -> ClusterGraph:
     pairs = coo_array((np.ones(touch.sum()), (one[touch], other[touch])), (count, count)).tocsr()
     owners = cluster[np.asarray(KDTree(points).query(means, workers=-1)[1])]
     touching = csr_array(pairs + pairs.T)
-    return ClusterGraph(owners, member @ points, member @ colors, member @ normals, touching)
+    planes = [(centre * gap, normal) for centre, normal in planes]
+    middles = member @ points, member @ colors, member @ normals
+    return ClusterGraph(owners, *middles, touching, gap, planes)
 
 
 def _seen(splats: Splats, cameras: Sequence[Cameras]) -> tuple[np.ndarray, np.ndarray]:
@@ -121,9 +133,9 @@ def _planes(
     normals: Float[np.ndarray, "M 3"],
     weights: Float[np.ndarray, " M"],
     rng: np.random.Generator,
-) -> Bool[np.ndarray, " M"]:
-    """Which points lie on large planes, by RANSAC; lengths are in gaps."""
-    free = np.ones(len(points), bool)
+) -> tuple[Bool[np.ndarray, " M"], list[tuple[np.ndarray, np.ndarray]]]:
+    """Which points lie on large planes, and these, by RANSAC; lengths are in gaps."""
+    free, planes = np.ones(len(points), bool), []
     while weights[free].sum() >= PLANE * weights.sum():
         rows = np.flatnonzero(free)
         some, tries = rng.choice(rows, SAMPLE), rng.choice(rows, TRIES)
@@ -136,12 +148,13 @@ def _planes(
             on = free & (np.abs((points - centre) @ normal) < FLAT)
             on &= np.abs(normals @ normal) > 0.8
             if weights[on].sum() < PLANE * weights.sum():
-                return ~free
+                return ~free, planes
             centre = np.average(points[on], axis=0, weights=weights[on])
             away = points[on] - centre
             normal = np.linalg.eigh((away * weights[on, None]).T @ away)[1][:, 0]
         free &= np.abs((points - centre) @ normal) >= FLAT
-    return ~free
+        planes.append((centre, normal))
+    return ~free, planes
 
 
 def _clusters(
@@ -195,6 +208,67 @@ def pick_clicked(
             raise StyleSplatError("A point and a point to exclude hit the same place. Move one.")
         chosen[_cut(surface, rows, seeds, rivals, size)] = True
     return torch.from_numpy(np.append(chosen, False)[surface.owners]).to(device)
+
+
+def pick_masked(
+    splats: Splats,
+    cameras: Cameras,
+    masks: Iterable[tuple[int, Mask, Mask]],
+) -> Bool[Tensor, " N"]:
+    """The Gaussians of the object that some masks show, without the surface that it stands on.
+
+    Args:
+        splats: The splat, on the CPU.
+        cameras: Views of it.
+        masks: Rows of views, the pixels that show the object, and pixels that do not.
+
+    Returns:
+        The picked Gaussians; none if the masks show none but those of large planes.
+    """
+    surface = surface_of(splats, cameras)
+    seen = np.zeros((len(surface.points) + 1, 3))
+    for row, inside, outside in masks:
+        wanted = torch.zeros(*inside.shape, AT_ONCE)
+        wanted[..., 0], wanted[..., 1], wanted[..., 2] = inside, outside, 1
+        pixels = contributed(without_looks(splats), cameras[row], wanted)[:, :3].double().numpy()
+        np.add.at(seen, surface.owners, pixels)  # those of background go into the last row
+    inside, outside, everywhere = seen[:-1].T
+    seeds = np.flatnonzero((everywhere > 2 * SEEN) & (inside > SURE * everywhere))
+    rivals = np.flatnonzero((everywhere > 2 * SEEN) & (outside > OTHER * everywhere))
+    chosen = np.zeros(len(surface.points), bool)
+    _, parts = connected_components(surface.touching, directed=False)
+    counts = np.bincount(parts[seeds], minlength=1)
+    for part in np.flatnonzero(counts > STRAY * counts.max()):
+        own, others = (each[parts[each] == part] for each in (seeds, rivals))
+        chosen[_cut(surface, np.flatnonzero(parts == part), own, others, "object")] = True
+    picked = np.append(chosen, False)[surface.owners]
+    return torch.from_numpy(_with_feet(surface, splats.means.double().numpy(), picked))
+
+
+def _with_feet(
+    surface: ClusterGraph, means: Float[np.ndarray, "N 3"], picked: Bool[np.ndarray, " N"]
+) -> Bool[np.ndarray, " N"]:
+    """An object with what lies between it and the planes that it stands on: within the convex
+    hulls of its feet, and above the plane.
+    """
+    found = picked.copy()
+    for centre, normal in surface.planes if picked.any() else ():
+        heights = (means - centre) @ normal / surface.gap
+        heights *= np.sign(np.median(heights[picked]))
+        low = picked & (np.abs(heights) < FOOT)
+        slab = np.flatnonzero((surface.owners < 0) & (heights > FOOTING) & (heights < FLAT))
+        if not (low.any() and len(slab)):
+            continue
+        flat = means @ np.linalg.svd(normal[None])[2][1:].T
+        near = KDTree(flat[low]).query_pairs(GAP * surface.gap, output_type="ndarray").T
+        touching = coo_array((np.ones(near.shape[1]), tuple(near)), (low.sum(), low.sum()))
+        feet = connected_components(touching, directed=False)[1]
+        for foot in range(feet.max() + 1):
+            hull = flat[low][feet == foot]
+            if len(hull) > MIDDLE:
+                inside = Delaunay(hull, qhull_options="QJ").find_simplex(flat[slab]) >= 0
+                found[slab[inside]] = True
+    return found
 
 
 def _cut(

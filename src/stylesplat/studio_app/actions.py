@@ -1,45 +1,54 @@
 """What the page may ask for, what that does to a session, and what the page is told of it.
 
-Each action is a function of the state or a method of `Actions`, and its parameters are the message:
-`pick_names(state, names, how)` is for `{"do": "pick", "names": ["vase"]}`. They run in the worker's
-thread; methods for the browser `client`.
+Each action is a function of the state or a method, and its parameters are the message:
+`pick_names(state, names, how)` is for `{"do": "pick_names", "names": ["vase"]}`. They run in the
+worker's thread; methods of `Actions` for the browser `client`. What returns a state changes it.
 """
 
 import inspect
+import io
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial, reduce
 from operator import or_
-from typing import Annotated, Any, Literal, TypeVar, get_type_hints
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
 
 import msgspec
 import torch
+from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.orbits import first_view, turned_view
+from stylesplat.figures.orbits import turned_view
+from stylesplat.figures.web_page import start_of
+from stylesplat.io.layers import RECIPE
+from stylesplat.io.video import write_video
+from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
 from stylesplat.scene.framing import has_no_photos
+from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app import layers, picking
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.autosave import SceneStore
-from stylesplat.studio_app.commands import commands_text
-from stylesplat.studio_app.exports import FORMATS, Exporter, render_png
-from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture
-from stylesplat.studio_app.history import KeptState, StudioState, object_names
-from stylesplat.studio_app.layers import Variant, describe_settings, find_layer
-from stylesplat.studio_app.paint_queue import PaintQueue, make_style
-from stylesplat.studio_app.picking import object_in, pixel_of, region_of
-from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of
+from stylesplat.studio_app.exports import FORMATS, Exporter
+from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture, style_title
+from stylesplat.studio_app.history import KeptState, StudioState, hidden_rows, object_names
+from stylesplat.studio_app.layers import describe_settings, find_layer, recoloring_of
+from stylesplat.studio_app.paint_queue import PaintQueue
+from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of, render_display
 from stylesplat.studio_app.session import Display, Session
-from stylesplat.studio_app.style_previews import StylePreviews
-from stylesplat.studio_app.thumbnails import ObjectThumbnails, object_picture
-from stylesplat.stylization.config import StyleConfig
-from stylesplat.verbs.render import orbit
+from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
+from stylesplat.stylization.config import RecolorConfig, StyleConfig
+from stylesplat.stylization.materials import MATERIALS, PREFIX
+from stylesplat.stylization.style import Style
+from stylesplat.verbs.export import export
+from stylesplat.verbs.render import orbit, render
 
+MOST_PIXELS = 8192  # along a side of a still picture
 NEAREST = 0.1  # world units from a photo's camera to its target, at least
-USUAL = StyleConfig()
+USUAL, UNCHANGED = StyleConfig(), RecolorConfig()
 SETTINGS = (
     m.Setting("quality", "Quality", USUAL.quality, ("draft", "normal", "high")),
     m.Setting("color", "Colours", USUAL.color, ("style", "keep", "blend", "free")),
@@ -48,67 +57,50 @@ SETTINGS = (
     m.Setting("form", "Keep form", USUAL.form, low=0.0, high=1.5),
     m.Setting("content", "Keep pattern", USUAL.content),
 )
-CHANGES: dict[str, Callable[..., StudioState]] = {
-    "pick": picking.pick_names,
-    "pick_box": picking.pick_box,
-    "pick_words": picking.pick_words,
-    "resize": picking.resize_picked,
-    "spread": picking.spread_picked,
-    "unite": picking.unite_picked,
-    "subtract": picking.subtract_picked,
-    "forget": picking.forget_picked,
-    "rename": picking.rename_picked,
-    "hide": picking.hide_objects,
-    "alone": picking.isolate_picked,
-    "strength": layers.set_strength,
-    "form": layers.set_form,
-    "visible": layers.set_visible,
-    "lock": layers.set_locked,
-    "order": layers.move_layer,
-    "remove_paint": layers.remove_paint,
-}
-"""Functions of the state that the page may call."""
-Deliver = Callable[[int, str, bytes], None]
-Method = TypeVar("Method", bound=Callable[..., Any])
-
-METHODS = dict[str, Callable[..., StudioState | None]]()
-"""Methods of `Actions` that the page may call."""
-DRAGGED = ("strength", "form")  # of which one after the other is one step of undo
-
-
-def action(method: Method) -> Method:
-    """A method that the page may call. It may return another state."""
-    METHODS[method.__name__] = method
-    return method
+RECOLORINGS = (
+    m.Setting("hue", "Hue", UNCHANGED.hue, low=-180, high=180, step=5),
+    m.Setting("saturation", "Saturation", UNCHANGED.saturation, high=3),
+    m.Setting("brightness", "Brightness", UNCHANGED.brightness, low=0.2, high=2),
+    m.Setting("contrast", "Contrast", UNCHANGED.contrast, low=0.2, high=2),
+    m.Setting("temperature", "Warmth", UNCHANGED.temperature, low=-1),
+)
+DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
 
 
 class Actions:
-    """Does what the page asks for."""
-
     def __init__(
-        self,
-        session: Session,
-        *,
-        queue: PaintQueue,
-        gallery: Gallery,
-        store: SceneStore | None,
-        send: Callable[[int, str, bytes], None],
-        deliver: Deliver,
-        on_state: Callable[[], None],
+        self, session: Session, gallery: Gallery, store: SceneStore | None, **options: Any
     ) -> None:
-        self.session, self.queue, self.gallery, self.store = session, queue, gallery, store
-        self.pictures = Pictures(session, self._before, send)
-        self.thumbnails = ObjectThumbnails(session, on_state)
+        """`options` are those of `stylize_live`; without a store nothing can be changed."""
+        self.session, self.gallery, self.readonly = session, gallery, store is None
+        self.queue = PaintQueue(session, **options)
+        self.pictures = Pictures(session, self._before)
+        self.thumbnails = ObjectThumbnails(session, gallery.files)
         self.exporter = Exporter(session)
-        self.previews = StylePreviews(session, gallery, on_state, **queue.options)
-        self.variants, self.snapshots = list[Variant](), list[tuple[str, KeptState]]()
+        self.previews = StylePreviews(session, gallery, **options)
+        self.variants = list[tuple[m.Variant, Layer]]()
+        self.snapshots = list[tuple[str, KeptState]]()
         self.compared: int | None = None
         self.client = 0
-        self._deliver, self._on_state = deliver, on_state
-        self._held = {} if store is None else {store.folder: session.saved}
         self._reference: tuple[object, object, Display] | None = None
-        self._content = content_of(session.state.scene.splats).extent
+        scene = session.state.scene
+        self._content = content_of(scene.splats).extent
+        self._start = start_of(scene.splats, None if has_no_photos(scene) else scene.cameras)
         session.on_painted.append(self._painted)
+        changes = [picking.pick_names, picking.pick_box, picking.pick_words, picking.resize_picked]
+        changes += [picking.unite_picked, picking.subtract_picked, picking.forget_picked]
+        changes += [picking.rename_picked, picking.hide_objects, layers.adjust_layer]
+        changes += [layers.set_visible, layers.set_locked, layers.move_layer, layers.remove_paint]
+        methods = [self.pick_at, self.pick_drawn, self.recolor, self.paint, self.stop]
+        methods += [self.queue.resume, self.queue.remove, self.previews.try_all, self.use_variant]
+        methods += [self.compare_with, self.snapshot, self.restore, session.step, self.export]
+        methods += [self.exporter.cancel, self.picture, self.turntable, self.background]
+        methods += [] if store is None else [store.save, store.save_as]
+        self._methods = {each.__name__: each for each in methods}
+        self._changes = {each.__name__: each for each in changes}
+        known = {} if self.readonly else {**self._changes, **self._methods}
+        structs = [_struct_of(name, each) for name, each in known.items()]
+        self.decoder = msgspec.json.Decoder(reduce(or_, structs, m.Look))
 
     def act(self, client: int, message: m.Look | msgspec.Struct) -> None:
         """Ask for what a page wants; called in the server's thread."""
@@ -118,25 +110,25 @@ class Actions:
         name = str(type(message).__struct_config__.tag)
         values = msgspec.structs.asdict(message)
 
-        if name in CHANGES:
-            key = (name, values["name"]) if name in DRAGGED else None
-            change = partial(CHANGES[name], **values)
-            self.session.do(change, merge=key, kind=str(key or ""))
-            return
-
-        def job() -> None:
+        def change(state: StudioState) -> StudioState | None:
             self.client = client
-            state = METHODS[name](self, **values)
-            if state is not None:
-                self.session.change(state)
+            if name in self._changes:
+                return self._changes[name](state, **values)
+            return self._methods[name](**values)
 
-        self.session.ask(job)
+        key = None
+        if name in DRAGGED:
+            whats = [k for k, v in values.items() if v is not None and k in ("strength", "form")]
+            key = name, values.get("name"), str(values.get("names")), values.get("setting"), *whats
+        self.session.do(change, merge=key, kind=str(key or ""))
 
-    @property
-    def state(self) -> StudioState:
-        return self.session.state
+    def warm_up(self) -> None:
+        """What takes long and is wanted soon, though not for the first picture."""
+        for name in MATERIALS:
+            self.gallery.add(Path(PREFIX + name))
+        self.session.on_change.call()
+        self.queue.warm_up()
 
-    @action
     def pick_at(
         self,
         place: m.Place,
@@ -144,34 +136,24 @@ class Actions:
         radius: m.Positive | None = None,
         reach: m.Positive | None = None,
     ) -> StudioState:
-        """Pick the object that shows at a place, the ball around it, or what looks alike there."""
-        camera = self._camera()
-        pixel = pixel_of(camera, place)
-        if reach is not None:
-            return picking.pick_alike(self.state, camera, pixel, reach, how)
+        """Pick the ball around a place, or what looks alike there."""
         if radius is not None:
-            return picking.pick_ball(self.state, camera, pixel, radius, how)
-        return picking.pick_at(self.state, self.session.masks, camera, pixel, how)
+            return picking.pick_ball(self.session.state, self._camera(), place, radius, how)
+        return picking.pick_alike(self.session.state, self._camera(), place, reach or 1.0, how)
 
-    @action
     def pick_drawn(
-        self,
-        shape: m.Shape,
-        points: m.Line,
-        how: m.How = "new",
-        radius: m.Share = 0.02,
-        whole: bool = False,
+        self, shape: m.Shape, points: m.Line, how: m.How = "new", radius: m.Share = 0.02
     ) -> StudioState:
-        """Pick what shows inside a line, or the whole object that shows most in a rectangle."""
         camera = self._camera(MAP)
-        if whole:
-            low, high = (pixel_of(camera, each) for each in _corners(points))
-            found = object_in(self.state, self.session.masks, camera, low, high)
-            return self.state if found is None else picking.pick_names(self.state, [found], how)
-        inside = region_of(shape, points, camera.size, radius)
-        return picking.pick_drawn(self.state, camera, inside, how)
+        inside = picking.region_of(shape, points, camera.size, radius)
+        return picking.pick_drawn(self.session.state, camera, inside, how)
 
-    @action
+    def recolor(self, names: list[m.Text], setting: m.Text, value: float | m.Text | None) -> Any:
+        """Change a setting of objects' recolouring; `match` is the number of a style picture."""
+        if setting == "match" and value is not None:
+            value = str(self._style(int(value)).path)
+        return layers.recolor_objects(self.session.state, names, setting, value)
+
     def paint(
         self,
         style: int,
@@ -183,92 +165,46 @@ class Actions:
 
         `instead`: in place of their painting that is under way, whose picture stays meanwhile.
         """
-        picture, given = self._style(style), settings or {}
-        objects = self.session.state.picked if names is None else tuple(names)
-        usual = {each.name: each.value for each in SETTINGS}
-        unknown = given.keys() - usual.keys() - {"region"}
-        if unknown:
-            raise StyleSplatError(f"There is no setting {', '.join(sorted(unknown))}.")
-        chosen = {k: v for k, v in given.items() if k not in usual or v != usual[k]}
-        self.queue.paint(objects, make_style(picture.path, **chosen), picture.title, instead)
+        picture, objects = self._style(style), self.session.state.picked if names is None else names
+        self.queue.paint(objects, Style(picture.path, **(settings or {})), picture.title, instead)
 
-    @action
     def stop(self) -> None:
         self.previews.stop()
         self.queue.stop()
 
-    @action
-    def resume(self) -> None:
-        self.queue.resume()
-
-    @action
-    def unqueue(self, number: int) -> None:
-        self.queue.remove(number)
-
-    @action
-    def try_all(self) -> None:
-        """Show previews of all styles on what is picked, or remove them."""
-        self.previews.toggle()
-
-    @action
     def use_variant(self, number: int) -> StudioState:
-        return self._with_variant(self.state, number)
+        return self._with_variant(self.session.state, number)
 
-    @action
     def compare_with(self, number: int | None = None) -> None:
         """Show a variant on the left of the handle, or the scene before painting."""
         if number is not None:
-            self._variant(number)
+            self._with_variant(self.session.state, number)
         self.compared = number
         self.session.on_change.call()
 
-    @action
     def snapshot(self, name: m.Text) -> None:
-        """Keep the whole scene as it is."""
         name = name.strip() or f"Snapshot {len(self.snapshots) + 1}"
-        self.snapshots.append((name, KeptState(self.state)))
-        self._on_state()
+        self.snapshots.append((name, KeptState(self.session.state)))
+        self.session.on_change.call()
 
-    @action
     def restore(self, number: int) -> StudioState:
-        if not 0 <= number < len(self.snapshots):
-            raise StyleSplatError("There is no such snapshot.")
         name, kept = self.snapshots[number]
         return replace(kept.state(), note=f"Restored {name}")
 
-    @action
-    def undo(self) -> None:
-        self.session.step(-1)
-
-    @action
-    def redo(self) -> None:
-        self.session.step(1)
-
-    @action
-    def save(self) -> None:
-        self._store.save(self.session)
-
-    @action
-    def save_as(self, name: m.Text) -> None:
-        self._store.save_as(self.session, name)
-
-    @action
     def export(self, ending: m.Text) -> None:
-        self.exporter.start(self.session.state.scene, ending, partial(self._send, self.client, ""))
+        if ending not in FORMATS:
+            raise StyleSplatError(f"There is no format {ending}. Use {', '.join(FORMATS)}.")
+        make = partial(export, self.session.state.scene)
+        self.exporter.start(f"Exporting {ending}", make, ending, self._deliver(ending))
 
-    @action
-    def cancel(self) -> None:
-        """End the export."""
-        self.exporter.cancel()
+    def picture(self, width: Annotated[int, msgspec.Meta(ge=1, le=MOST_PIXELS)]) -> None:
+        camera = self._camera(10**9)
+        camera = camera.downscale(camera.size[0] / width).at_most(MOST_PIXELS)
+        pixels = render_display(self.session.display, camera, self.pictures.background)
+        file = io.BytesIO()
+        Image.fromarray(pixels).save(file, "PNG")
+        self._deliver("-view.png")(file.getvalue())
 
-    @action
-    def picture(self, width: int) -> None:
-        """Render the view as a PNG."""
-        look = self._look()
-        content = render_png(self.session, look, width, self.pictures.background)
-        self._send(self.client, "-view", ".png", content)
-
-    @action
     def turntable(
         self,
         seconds: Annotated[float, msgspec.Meta(gt=0, le=60)] = 4.0,
@@ -279,104 +215,85 @@ class Actions:
     ) -> None:
         """Make a video around an object or the scene: where the photos were taken, or of the view
         of the page in a circle, or to and fro."""
-        session, scene, frames = self.session, self.state.scene, max(2, round(seconds * fps))
-        if session.painting:
-            raise StyleSplatError("An object is being painted. Wait until it is done.")
+        scene, frames = self.session.state.scene, max(2, round(seconds * fps))
         if path == "photos":
             cameras = orbit(scene, around=around or None, frames=frames)
         else:
-            look = self._camera(10**9)
-            box = session.masks.extent(scene, (around,)) if around else self._content
-            cameras = turned_view(look, box.centre, up_vector(scene.cameras), frames, path)
-        deliver = partial(self._send, self.client, "-turntable")
-        self.exporter.film(cameras, width, fps, self.pictures.background, deliver)
+            known = self.session.masks.extent(scene, (around,)) if around else self._content
+            up = up_vector(scene.cameras)
+            cameras = turned_view(self._camera(10**9), known.centre, up, frames, path)
+        across, down = cameras.size
+        cameras = cameras.resize(width, max(2, round(width * down / across)))
+        behind = "#" + bytes(round(255 * each) for each in self.pictures.background).hex()
+        visible = replace(scene, splats=self.session.display.visible)
 
-    @action
+        def make(file: Path) -> None:
+            pictures = render(visible, cameras, background=behind).pictures
+            write_video(pictures, file, fps=fps)
+
+        deliver = self._deliver("-turntable.mp4")
+        self.exporter.start("Turntable", make, ".mp4", deliver, renders=True)
+
     def background(self, color: tuple[m.Share, m.Share, m.Share]) -> None:
         self.pictures.background = color
         self.pictures.refresh()
 
-    @property
-    def _store(self) -> SceneStore:
-        assert self.store is not None  # a page without one asks for nothing but looks
-        return self.store
-
-    def _look(self) -> m.Look:
-        look = self.pictures.look_of(self.client)
+    def _camera(self, pixels: int = PIXELS) -> Cameras:
+        look = self.pictures.looks.get(self.client)
         if look is None:
             raise StyleSplatError("This page has no picture yet.")
-        return look
-
-    def _camera(self, pixels: int = PIXELS) -> Cameras:
-        return camera_of(self._look(), pixels)
+        return camera_of(look, pixels)
 
     def _style(self, number: int) -> StylePicture:
-        pictures = [*self.gallery.pictures.values()]
-        if not 0 <= number < len(pictures):
-            raise StyleSplatError("This style picture is not there any more.")
-        return pictures[number]
+        return [*self.gallery.pictures.values()][number]
 
-    def _send(self, client: int, word: str, ending: str, content: bytes) -> None:
-        name = self._store.folder.resolve().name + word + ending
-        self._deliver(client, name, content)
-        self.session.tell(f"{name}: {len(content) / 1e6:.1f} MB")
+    def _deliver(self, ending: str) -> Callable[[bytes], None]:
+        """The function that lets the present page download a file."""
+        session, client = self.session, self.client
+        name = session.folder.resolve().name + ending
 
-    def preview(self, number: int) -> bytes | None:
-        return self.previews.picture(self._style(number).title)
+        def deliver(content: bytes) -> None:
+            url = self.gallery.files.add(content, name)
+            session.on_send.call(client, ("download", url), m.Download(url, name))
+            session.tell(f"{name}: {len(content) / 1e6:.1f} MB")
+
+        return deliver
 
     def _before(self) -> Display:
         """What lies on the left of the handle."""
         session, state = self.session, self.session.state
-        scene = state.scene if self.compared is not None else state.scene.unpainted
-        key = (self.compared, state.hidden, state.alone and state.picked)
-        if self._reference is None or self._reference[0] is not scene or self._reference[1] != key:
-            display = session.display_of(state)
+        key = self.compared, state.hidden
+        known = self._reference
+        if known is None or known[0] is not state.scene or known[1] != key:
             if self.compared is not None:
-                display = session.display_of(self._with_variant(state, self.compared))
+                other = self._with_variant(state, self.compared)
+                display = Display(other.scene.splats, hidden_rows(other, session.masks))
             else:
-                base, hidden = state.scene.unpainted, display.hidden
+                base, hidden = state.scene.unpainted, hidden_rows(state, session.masks)
                 display = Display(base, None if hidden is None else hidden[: len(base)])
-            self._reference = scene, key, display
-        return self._reference[2]
+            known = self._reference = state.scene, key, display
+        return known[2]
 
     def _with_variant(self, state: StudioState, number: int) -> StudioState:
-        variant = self._variant(number)
-        return layers.use_layer(state, variant.layer, variant.title)
-
-    def _variant(self, number: int) -> Variant:
-        if not 0 <= number < len(self.variants):
-            raise StyleSplatError("There is no such variant.")
-        return self.variants[number]
+        variant, layer = self.variants[number]
+        layers.refuse_locked(state, layer.name)
+        return layers.with_layer(state, layer, f"{layer.object}: {variant.title}")
 
     def _painted(self, name: str, title: str) -> None:
-        """Keep a finished painting as a variant."""
-        session = self.session
-        scene = session.state.scene
-        try:
-            picture = object_picture(
-                scene.splats, self.thumbnails.camera(name), session.masks.of(scene, name)
-            )
-        except StyleSplatError:  # it shows in no view
-            picture = b""
-        self.variants.append(Variant(find_layer(scene, name), title, picture))
-        session.on_change.call()
+        layer = find_layer(self.session.state.scene, name)
+        settings, url = describe_settings(layer.settings), self.thumbnails.paint_url(name)
+        self.variants.append((m.Variant(layer.object, title, settings, url), layer))
+        self.session.on_change.call()
 
-    def hello(self, title: str, *, readonly: bool) -> m.Hello:
+    def hello(self, title: str) -> m.Hello:
         scene = self.session.state.scene
-        known = not has_no_photos(scene)
-        view = first_view(scene.splats, scene.cameras if known else None)
-        start: dict[str, Any] = {
-            "position": view.position.tolist(),
-            "target": view.target.tolist(),
-            "up": view.up.tolist(),
-            "slopes": view.slopes,
-        }
         return m.Hello(
             title=title,
-            readonly=readonly,
-            start=start,
-            photos=list(_photos(scene, self._content.centre)) if known else [],
-            settings=list(SETTINGS),
+            readonly=self.readonly,
+            start=self._start,
+            photos=[] if has_no_photos(scene) else list(_photos(scene, self._content.centre)),
+            settings=SETTINGS,
+            recolorings=RECOLORINGS,
             formats=FORMATS,
             extent=float(self._content.size.norm()),
             gaussians=len(scene.splats),
@@ -384,105 +301,81 @@ class Actions:
         )
 
     def state_message(self) -> m.StateMessage:
-        """All that the page shows; called in the worker's thread."""
+        """All that the page shows, as far as it is known; called in the worker's thread."""
         session, state = self.session, self.session.state
-        scene, history = state.scene, session.history
-        box = self._content if not state.picked else session.masks.extent(scene, state.picked)
+        scene, history, box = state.scene, session.history, self._content
+        if state.picked and all(session.masks.has(scene, name) for name in state.picked):
+            box = session.masks.extent(scene, state.picked)
+        shown = {id(layer.sh0) for layer in scene.layers}
         return m.StateMessage(
             objects=[self._object(name) for name in object_names(scene)],
-            layers=[_layer_info(state, each.name) for each in scene.layers],
-            variants=[self._variant_info(n, each) for n, each in enumerate(self.variants)],
-            snapshots=[(n, name) for n, (name, _) in enumerate(self.snapshots)],
-            styles=[self._style_info(n, e) for n, e in enumerate(self.gallery.pictures.values())],
-            waiting=[m.JobInfo(each.number, each.name, each.title) for each in self.queue.waiting],
-            alone=state.alone,
+            layers=[_layer_info(state, each) for each in scene.layers],
+            variants=[variant for variant, _ in self.variants],
+            current=[n for n, (_, each) in enumerate(self.variants) if id(each.sh0) in shown],
+            snapshots=[name for name, _ in self.snapshots],
+            styles=[*self.gallery.pictures.values()],
+            previews=self.previews.urls,
+            waiting=[(each.number, each.name, each.title) for each in self.queue.waiting],
             painting=session.painting,
             can_continue=self.queue.can_continue,
             undo=history.undo_note,
             redo=history.redo_note,
             note=state.note,
             unsaved=session.unsaved,
-            folder=str(self.store.folder if self.store else session.folder),
-            commands=self._commands(),
+            folder=str(session.folder),
+            command=self._command(),
             compared=self.compared,
             box=(_vector(box.low), _vector(box.high)),
         )
 
-    def progress_message(self) -> m.ProgressMessage:
-        found = self.session.progress or self.session.export
-        if found is None:
-            return m.ProgressMessage()
-        return m.ProgressMessage(found.what, found.share, found.left, found.doing, found.export)
-
     def _object(self, name: str) -> m.ObjectInfo:
         session, state = self.session, self.session.state
-        mask = session.masks.of(state.scene, name)
-        extent = session.masks.extent(state.scene, (name,))
+        found = session.masks.has(state.scene, name)
+        extent = session.masks.extent(state.scene, (name,)) if found else None
         return m.ObjectInfo(
             name=name,
             picked=name in state.picked,
             hidden=name in state.hidden,
             named=name in state.scene.objects,
             painted=name in state.scene.painted_objects,
-            count=int(mask.sum()),
-            thumbnail=self.thumbnails.version(name),
-            centre=_vector(extent.centre),
-            radius=float(extent.size.norm()) / 2,
+            thumbnail=self.thumbnails.url(name) if found else "",
+            count=int(session.masks.of(state.scene, name).sum()) if found else None,
+            centre=_vector(extent.centre) if extent else None,
+            radius=float(extent.size.norm()) / 2 if extent else 0.0,
         )
 
-    def _variant_info(self, number: int, variant: Variant) -> m.VariantInfo:
-        layer = variant.layer
-        current = any(each.sh0 is layer.sh0 for each in self.state.scene.layers)
-        settings = describe_settings(layer.settings)
-        return m.VariantInfo(number, layer.object, variant.title, settings, current)
-
-    def _style_info(self, number: int, picture: StylePicture) -> m.StyleInfo:
-        version = self.previews.version(picture.title)
-        return m.StyleInfo(number, picture.title, picture.size, version)
-
-    def _commands(self) -> str:
-        if self.store is None:
+    def _command(self) -> str:
+        session, folder = self.session, self.session.folder
+        if not session.saved.scene.layers or self.readonly:
             return ""
-        self._held[self.store.folder] = self.session.saved
-        return commands_text(self.session.state, self.store.folder, self._held)
+        output = folder.resolve().with_name(f"{folder.resolve().name}-painted")
+        return pasted("stylize", folder, "--recipe", folder / RECIPE, "-o", output)
 
 
-def _corners(points: list[m.Place]) -> tuple[m.Place, m.Place]:
-    (x0, y0), (x1, y1) = points[0], points[-1]
-    return (min(x0, x1), min(y0, y1)), (max(x0, x1), max(y0, y1))
-
-
-def _layer_info(state: StudioState, name: str) -> m.LayerInfo:
-    layer = find_layer(state.scene, name)
-    names = (each.path.stem if each.path else "a picture" for each in layer.styles)
-    title = ", ".join(names).replace("_", " ") or "recoloured"
+def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
+    is_paint = layer.color_map is None
+    title = ", ".join(style_title(each.path) for each in layer.styles)
     return m.LayerInfo(
-        object=name,
-        title=title,
+        name=layer.name,
+        object=layer.object,
+        title=title if is_paint else "recoloured",
         strength=layer.strength,
         form=layer.form,
         visible=layer.visible,
-        locked=name in state.locked,
+        locked=layer.name in state.locked,
         settings=describe_settings(layer.settings),
+        recolor=None if is_paint else {**recoloring_of(layer), "match": title},
     )
 
 
 def _photos(scene: Scene, middle: torch.Tensor) -> Iterator[dict[str, Any]]:
-    cameras = scene.cameras
-    for row, name in enumerate(cameras.names):
-        position = cameras.positions[row].double()
-        axes = cameras.viewmats[row, :3, :3].double()
+    for camera in (scene.cameras[row] for row in range(len(scene.cameras))):
+        position, axes = camera.positions[0].double(), camera.viewmats[0, :3, :3].double()
         distance = max(float((middle - position) @ axes[2]), NEAREST)
-        width, height = cameras.sizes[row].tolist()
-        slopes = width / float(cameras.Ks[row, 0, 0]), height / float(cameras.Ks[row, 1, 1])
-        yield {
-            "name": name,
-            "position": position.tolist(),
-            "target": (position + distance * axes[2]).tolist(),
-            "right": axes[0].tolist(),
-            "down": axes[1].tolist(),
-            "slopes": slopes,
-        }
+        places = {"position": position, "target": position + distance * axes[2]}
+        places |= {"right": axes[0], "down": axes[1]}
+        places["slopes"] = camera.sizes[0] / camera.Ks[0].diagonal()[:2]
+        yield {"name": camera.names[0], **{key: each.tolist() for key, each in places.items()}}
 
 
 def _vector(values: torch.Tensor) -> m.Vector:
@@ -491,16 +384,10 @@ def _vector(values: torch.Tensor) -> m.Vector:
 
 
 def _struct_of(name: str, method: Callable[..., Any]) -> type[msgspec.Struct]:
-    """The message for a method: its parameters."""
     hints = get_type_hints(method, include_extras=True)
     fields = list[Any]()
     for each in inspect.signature(method).parameters.values():
-        if each.name not in ("self", "state"):
+        if each.name != "state":
             default = () if each.default is each.empty else (each.default,)
             fields.append((each.name, hints[each.name], *default))
     return msgspec.defstruct(name, fields, tag_field="do", tag=name, forbid_unknown_fields=True)
-
-
-MESSAGES = [_struct_of(name, method) for name, method in {**CHANGES, **METHODS}.items()]
-DECODER = msgspec.json.Decoder(reduce(or_, MESSAGES, m.Look))
-"""Reads what a page sends."""

@@ -1,46 +1,76 @@
-"""The style pictures to paint with: those of a folder, and uploads."""
+"""The style pictures to paint with, and the files that pages fetch."""
 
+import io
 import re
 import tempfile
+from collections import deque
 from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.progress import say
-from stylesplat.studio_app.thumbnails import jpeg, shrunk
+from stylesplat.stylization.materials import PREFIX
 from stylesplat.stylization.style_image import read_style
 
 MOST_BYTES = 40 * 2**20  # of an upload
 MOST_PICTURES = 60  # in the gallery
-SMALL, LARGE = 240, 720  # pixels along the longer side
+SIDE = 480  # pixels along the longer side of what pages show
 NO_NAME = re.compile(r"[^\w .-]|^\.+")
+PICTURE = "picture.jpg"  # the name of what is shown and not downloaded
+DOWNLOADS = 2  # that are kept
+
+Pixels = UInt8[np.ndarray, "H W 3"]
+
+
+def jpeg(pixels: Pixels, quality: int = 88) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "JPEG", quality=quality)
+    return file.getvalue()
+
+
+class Files(dict[str, tuple[str, bytes]]):
+    """Pictures and downloads by the digest of their content, which is part of their address."""
+
+    def __init__(self) -> None:
+        self._downloads = deque[str]()
+
+    def add(self, content: bytes, name: str = PICTURE) -> str:
+        """Keep a file; returns its address. Of downloads the latest are kept."""
+        key = blake2b(content, digest_size=16).hexdigest()
+        self[key] = name, content
+        if name != PICTURE:
+            self._downloads.append(key)
+            if len(self._downloads) > DOWNLOADS:
+                self.pop(self._downloads.popleft(), None)
+        return f"/file/{key}/{quote(name)}"
 
 
 @dataclass(frozen=True)
 class StylePicture:
     title: str
-    """Differs from all others."""
     path: Path
     size: tuple[int, int]
-    """Width and height in pixels."""
-    thumbnail: bytes
-    """A JPEG."""
-    large: bytes
-    """A larger JPEG."""
+    url: str
 
 
 class Gallery:
-    """Style pictures by title."""
+    """Style pictures by title: those of a folder, materials, uploads."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        self.pictures = dict[str, StylePicture]()
+        self.pictures, self.files = dict[str, StylePicture](), Files()
         self._uploads: tempfile.TemporaryDirectory[str] | None = None
-        if folder is None:
-            return
-        if not folder.is_dir():
+        if folder is not None and not folder.is_dir():
             raise StyleSplatError(f"There is no folder {folder}. Pass one with style pictures.")
-        for path in sorted(folder.iterdir()):
+        for path in sorted(folder.iterdir()) if folder is not None else ():
             if path.suffix.lower() in PHOTOS and len(self.pictures) < MOST_PICTURES:
                 try:
                     self.add(path)
@@ -48,14 +78,13 @@ class Gallery:
                     say(str(error))
 
     def add(self, path: Path) -> StylePicture:
-        picture = read_style(path)
-        stem = path.stem.replace("_", " ")
-        title, number = stem, 2
+        picture, name = read_style(path), style_title(path)
+        title, number = name, 2
         while title in self.pictures:
-            title, number = f"{stem} {number}", number + 1
+            title, number = f"{name} {number}", number + 1
         height, width = picture.shape[:2]
-        small, large = (jpeg(shrunk(picture, side)) for side in (SMALL, LARGE))
-        self.pictures[title] = StylePicture(title, path, (width, height), small, large)
+        url = self.files.add(jpeg(shrunk(picture)))
+        self.pictures[title] = StylePicture(title, path, (width, height), url)
         return self.pictures[title]
 
     def upload(self, name: str, content: bytes) -> StylePicture:
@@ -75,10 +104,19 @@ class Gallery:
             raise StyleSplatError(str(error).replace(str(path), path.stem)) from error
 
     def close(self) -> None:
-        """Remove the uploads."""
         if self._uploads is not None:
             self._uploads.cleanup()
 
 
+def style_title(path: Path | None) -> str:
+    return "a picture" if path is None else path.stem.removeprefix(PREFIX).replace("_", " ")
+
+
 def too_large(size: int) -> str:
     return f"The file has {size / 2**20:.0f} MB. Send {MOST_BYTES >> 20} MB at most."
+
+
+def shrunk(picture: Float[Tensor, "_ _ 3"]) -> Pixels:
+    image = Image.fromarray(to_uint8(picture).numpy())
+    image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
+    return np.array(image)

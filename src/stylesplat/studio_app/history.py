@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.scene.compose import compose, family
 from stylesplat.scene.content import Extent, extent_of
 from stylesplat.scene.scene import Scene
@@ -17,18 +18,12 @@ from stylesplat.selection.identities import object_ids
 
 @dataclass(frozen=True)
 class StudioState:
-    """Everything that undo takes back."""
-
     scene: Scene
     picked: tuple[str, ...] = ()
     """The names or label ids of the objects that are picked, in order."""
     hidden: frozenset[str] = frozenset()
-    alone: bool = False
-    """Only what is picked is displayed."""
     locked: frozenset[str] = frozenset()
     """Objects whose paint must not change."""
-    commands: tuple[tuple[str, ...], ...] = ()
-    """The commands that make these objects; `SCENE` stands for the scene's folder."""
     note: str = "Opened"
     """The last change, in a few words."""
 
@@ -40,19 +35,20 @@ class ObjectMasks:
         self._kept = dict[str, tuple[Tensor, Tensor]]()
         self._extents = dict[tuple[str, ...], tuple[Tensor, Extent]]()
 
+    def has(self, scene: Scene, name: str) -> bool:
+        """Whether they are found at once."""
+        named = name in scene.objects or name in scene.painted_objects
+        return named or (name in self._kept and self._kept[name][0] is scene.unpainted.means)
+
     def of(self, scene: Scene, name: str) -> Bool[Tensor, " N"]:
-        if name in scene.objects:
-            return scene.objects[name].picked
-        if name in scene.painted_objects:
+        if name in scene.objects or name in scene.painted_objects:
             return find_object(scene, name)
-        known, means = self._kept.get(name), scene.unpainted.means
-        if known is None or known[0] is not means:
-            found = find_object(scene, name)[: len(means)]
-            known = self._kept[name] = (means, found)
-        return known[1][family(scene)] if scene.layers else known[1]
+        means = scene.unpainted.means
+        if not self.has(scene, name):
+            self._kept[name] = means, find_object(scene, name)[: len(means)]
+        return self._kept[name][1][family(scene)] if scene.layers else self._kept[name][1]
 
     def extent(self, scene: Scene, names: tuple[str, ...]) -> Extent:
-        """The box around some objects, at least one."""
         picked = self.together(scene, names)
         assert picked is not None
         own = picked[: len(scene.unpainted)]
@@ -75,15 +71,13 @@ def object_names(scene: Scene) -> list[str]:
 
 def hidden_rows(state: StudioState, masks: ObjectMasks) -> Bool[Tensor, " N"] | None:
     """The Gaussians that are not displayed; None if all are."""
-    scene, hidden = state.scene, masks.together(state.scene, state.hidden)
-    if state.alone and state.picked:
-        picked = masks.together(scene, state.picked)
-        hidden = None if picked is None else ~picked
-    return none_if_all(hidden)
-
-
-def none_if_all(hidden: Bool[Tensor, " N"] | None) -> Bool[Tensor, " N"] | None:
+    hidden = masks.together(state.scene, state.hidden)
     return None if hidden is None or hidden.all() else hidden
+
+
+def require_picked(state: StudioState) -> None:
+    if not state.picked:
+        raise StyleSplatError("Nothing is picked. Click an object first.")
 
 
 def replace_scene(state: StudioState, scene: Scene, note: str) -> StudioState:
@@ -119,8 +113,6 @@ class KeptState:
 
 
 class History:
-    """States in their order, of which one is displayed."""
-
     def __init__(self, first: StudioState) -> None:
         self.now = first
         self._states, self._row = [KeptState(first)], 0
@@ -128,12 +120,10 @@ class History:
 
     @property
     def undo_note(self) -> str:
-        """The change that undo takes back; empty if there is none."""
         return self.now.note if self._row else ""
 
     @property
     def redo_note(self) -> str:
-        """The change that redo makes again; empty if there is none."""
         later = self._states[self._row + 1 :]
         return later[0].note if later else ""
 

@@ -1,13 +1,15 @@
 """What the page and the server tell each other: JSON over one WebSocket.
 
 The page sends `Look` and the actions of `actions.py`; the field `do` names the kind. The server
-sends `Hello` once, and after each change a whole `StateMessage`, `ProgressMessage` or `Note`.
-Pictures are binary, see `pictures.py`.
+sends `Hello` once, and after each change a whole `StateMessage`, `Progress` or `Note`. Pictures
+are binary, see `pictures.py`.
 """
 
 from typing import Annotated, Any, Literal
 
 import msgspec
+
+from stylesplat.studio_app.gallery import StylePicture
 
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Place = tuple[Share, Share]  # in a picture, from its top left corner
@@ -21,8 +23,6 @@ Line = Annotated[list[Place], msgspec.Meta(min_length=1, max_length=4000)]
 
 
 class Look(msgspec.Struct, frozen=True, tag="look", tag_field="do", forbid_unknown_fields=True):
-    """Where a browser's camera is."""
-
     number: int
     viewmat: Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
     focal: Positive
@@ -39,35 +39,28 @@ class Told(msgspec.Struct, frozen=True, tag_field="kind"):
 
 
 class Setting(msgspec.Struct, frozen=True):
-    """A control of the painting's settings."""
-
     name: str
     label: str
     value: Any
-    """The default."""
     choices: tuple[str, ...] = ()
     low: float = 0.0
     high: float = 1.0
     step: float = 0.05
-    hint: str = ""
 
 
 class Hello(Told, frozen=True, tag="hello"):
-    """What stays as it is."""
-
     title: str
     readonly: bool
     start: dict[str, Any]
     """The first view: position, target, up, slopes."""
     photos: list[dict[str, Any]]
-    """Name, position and target of each photo, and the corners of its picture there."""
-    settings: list[Setting]
+    settings: tuple[Setting, ...]
+    recolorings: tuple[Setting, ...]
     formats: tuple[str, ...]
     extent: float
     """Size of the content in world units."""
     gaussians: int
     max_bytes: int
-    """Of an upload."""
 
 
 class ObjectInfo(msgspec.Struct, frozen=True):
@@ -76,76 +69,71 @@ class ObjectInfo(msgspec.Struct, frozen=True):
     hidden: bool
     named: bool
     painted: bool
-    count: int
-    thumbnail: int
-    """Its version; 0 as long as there is none."""
+    thumbnail: str
+    count: int | None = None
+    """Of its Gaussians; None until they are found."""
     centre: Vector | None = None
     radius: float = 0.0
 
 
 class LayerInfo(msgspec.Struct, frozen=True):
+    name: str
     object: str
     title: str
-    """Of the style picture."""
     strength: float
     form: float
     visible: bool
     locked: bool
     settings: str
+    recolor: dict[str, Any] | None = None
+    """The settings of a recolouring; None for paint."""
 
 
-class VariantInfo(msgspec.Struct, frozen=True):
-    number: int
+class Variant(msgspec.Struct, frozen=True):
+    """A painting of an object that was finished, or stopped."""
+
     object: str
     title: str
     settings: str
-    current: bool
-
-
-class StyleInfo(msgspec.Struct, frozen=True):
-    number: int
-    title: str
-    size: tuple[int, int]
-    preview: int = 0
-    """Version of the preview of this style on what is picked; 0 without one."""
-
-
-class JobInfo(msgspec.Struct, frozen=True):
-    number: int
-    object: str
-    title: str
+    thumbnail: str
 
 
 class StateMessage(Told, frozen=True, tag="state"):
     objects: list[ObjectInfo]
     layers: list[LayerInfo]
     """The lowest first."""
-    variants: list[VariantInfo]
-    snapshots: list[tuple[int, str]]
-    styles: list[StyleInfo]
-    waiting: list[JobInfo]
-    alone: bool
+    variants: list[Variant]
+    current: list[int]
+    """The variants that are shown."""
+    snapshots: list[str]
+    styles: list[StylePicture]
+    previews: dict[str, str]
+    """The addresses of pictures of what is picked, by the titles of styles."""
+    waiting: list[tuple[int, str, str]]
+    """Number, object and style of paintings that wait."""
     painting: bool
     can_continue: bool
     undo: str
-    """What undo takes back; empty if there is nothing."""
     redo: str
     note: str
     unsaved: bool
     folder: str
-    commands: str
+    command: str
+    """What gives the saved scene once more; empty if nothing is painted."""
     compared: int | None
     box: tuple[Vector, Vector]
     """Around what is picked, or around the content."""
 
 
-class ProgressMessage(Told, frozen=True, tag="progress"):
+class Progress(Told, frozen=True, tag="progress"):
     """Long work; nothing is under way without `what`."""
 
     what: str = ""
     share: float = 0.0
     left: float | None = None
+    """Estimated seconds that it still takes."""
     doing: str = ""
+    """The preparation that is under way."""
     export: bool = False
     """Whether it is an export, which can be cancelled."""
 
@@ -156,7 +144,5 @@ class Note(Told, frozen=True, tag="note"):
 
 
 class Download(Told, frozen=True, tag="download"):
-    """A file is ready."""
-
     url: str
     name: str

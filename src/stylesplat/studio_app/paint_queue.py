@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
@@ -20,11 +20,11 @@ from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.studio_app.history import StudioState, hidden_rows, replace_scene
 from stylesplat.studio_app.layers import refuse_locked
-from stylesplat.studio_app.session import Display, Progress, Session, Stopped
+from stylesplat.studio_app.messages import Progress
+from stylesplat.studio_app.session import Display, Session, Stopped
 from stylesplat.stylization.colors import color_map, map_colors
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_image import Picture
 from stylesplat.verbs.stylize_live import Live, stylize_live
 
 SHOW_EVERY = 0.4  # seconds between two pictures of a painting
@@ -37,25 +37,18 @@ GAUSSIANS, NAME = 300, "noise"  # of the scene for the warm-up
 
 @dataclass(frozen=True, eq=False)
 class PaintJob:
-    """An object to paint."""
-
     number: int
-
     name: str
-    """A name or a label id."""
     style: Style
     title: str
-    """Of the style picture."""
     instead: bool = False
     """Whether the picture so far stays until there are strokes."""
 
 
 class PaintQueue:
-    """The current painting, and the objects that wait."""
-
     def __init__(self, session: Session, **options: Any) -> None:
         self.session, self.options = session, options
-        self._waiting, self._numbers = deque[PaintJob](), count(1)
+        self.waiting, self._numbers = deque[PaintJob](), count(1)
         self._current: PaintJob | None = None
         self._latest: Live | None = None
         self._lives: Iterator[Live] = iter(())
@@ -63,11 +56,7 @@ class PaintQueue:
         self._times = list[tuple[float, float]]()  # when each share of it was done
         self._usual = dict[str, list[tuple[float, float]]]()  # the times of the last, by quality
         self._drawn_at, self._drawing = 0.0, 0.0
-        session.interrupt = self._stop
-
-    @property
-    def waiting(self) -> tuple[PaintJob, ...]:
-        return tuple(self._waiting)
+        session.interrupt = self.stop
 
     @property
     def can_continue(self) -> bool:
@@ -75,57 +64,37 @@ class PaintQueue:
         stopped, session = self._stopped, self.session
         return stopped is not None and not session.painting and stopped[0] is session.state
 
-    def paint(
-        self, names: tuple[str, ...], style: Style, title: str, instead: bool = False
-    ) -> None:
-        """Ask for objects to be painted, one after the other.
+    def paint(self, names: Sequence[str], style: Style, title: str, instead: bool = False) -> None:
+        """Paint objects, one after the other.
 
         `instead`: drop a painting of them that is under way, and those that wait.
         """
-
-        def start() -> None:
-            if not names:
-                raise StyleSplatError("Nothing is picked. Click an object first.")
-            for name in names:
-                refuse_locked(self.session.state, name)
-            if instead:
-                self._waiting = deque(each for each in self._waiting if each.name not in names)
-                if self._current is not None and self._current.name in names:
-                    self._current, self.session.painting = None, False
-                    self.session.worker.go_on_with(None)
-            numbers = self._numbers
-            jobs = (PaintJob(next(numbers), name, style, title, instead) for name in names)
-            self._waiting.extend(jobs)
-            if self.session.painting:
-                self.session.on_change.call()
-            else:
-                self._start()
-
-        self.session.ask(start)
+        if not names:
+            raise StyleSplatError("Nothing is picked. Click an object first.")
+        style.read()  # an unfit picture is told before anything changes
+        for name in names:
+            refuse_locked(self.session.state, name)
+        if instead:
+            self.waiting = deque(each for each in self.waiting if each.name not in names)
+            if self._current is not None and self._current.name in names:
+                self._current, self.session.painting = None, False
+                self.session.worker.go_on_with(None)
+        numbers = self._numbers
+        self.waiting += [PaintJob(next(numbers), name, style, title, instead) for name in names]
+        if self.session.painting:
+            self.session.on_change.call()
+        else:
+            self._start()
 
     def remove(self, number: int) -> None:
-        """Ask for an object that waits not to be painted."""
-
-        def job() -> None:
-            self._waiting = deque(each for each in self._waiting if each.number != number)
-            self.session.on_change.call()
-
-        self.session.ask(job)
-
-    def stop(self) -> None:
-        """Ask for the painting to end with its result so far; the objects that wait are dropped."""
-        self.session.ask(self._stop)
+        self.waiting = deque(each for each in self.waiting if each.number != number)
+        self.session.on_change.call()
 
     def resume(self) -> None:
-        """Ask for the stopped painting to go on."""
-
-        def start() -> None:
-            if self._stopped is None or not self.can_continue:
-                raise StyleSplatError("No stopped painting can go on. Paint the object again.")
-            _, job, lives = self._stopped
-            self._begin(job, lives)
-
-        self.session.ask(start)
+        if self._stopped is None or not self.can_continue:
+            raise StyleSplatError("No stopped painting can go on. Paint the object again.")
+        _, job, lives = self._stopped
+        self._begin(job, lives)
 
     def warm_up(self) -> None:
         """Paint a ball of noise for a step, which loads kernels, libraries and the network."""
@@ -134,9 +103,12 @@ class PaintQueue:
             for _ in stylize_live(noise_ball(), NAME, style, **self.options):
                 pass
 
-    def _stop(self) -> bool:
-        """Stop in the worker's thread; returns whether an object was being painted."""
-        self._waiting.clear()
+    def stop(self) -> bool:
+        """End the painting with its result so far, and drop those that wait.
+
+        Returns whether an object was being painted.
+        """
+        self.waiting.clear()
         current, latest, steps = self._current, self._latest, self.session.worker.lengthy
         if current is None or steps is None:
             return False
@@ -153,9 +125,9 @@ class PaintQueue:
 
     def _start(self) -> None:
         """Begin the next painting, and show the colours of its picture at once."""
-        if not self._waiting:
+        if not self.waiting:
             return
-        job, session = self._waiting.popleft(), self.session
+        job, session = self.waiting.popleft(), self.session
         state = session.state
         picked = session.masks.of(state.scene, job.name)
         if job.instead:
@@ -177,14 +149,16 @@ class PaintQueue:
     def _steps(self, job: PaintJob, lives: Iterator[Live]) -> Iterator[None]:
         try:
             # The first step has no result yet, so Stop ends it in its middle
-            live = self._next(lives, stopped=lambda: self._current is not job)
-            while live is not None:
+            while True:
+                with self.session.listening(lambda: not (self._latest or self._current is job)):
+                    live = next(lives, None)
+                if live is None:
+                    break
                 if self._current is not job:  # it was stopped meanwhile
                     return
                 self._latest = live
                 self._show(job, live)
                 yield
-                live = self._next(lives)
             latest = self._latest
             assert latest is not None  # there is at least one step
             self._usual[job.style.config.quality] = self._times
@@ -193,19 +167,12 @@ class PaintQueue:
         except Stopped:
             return
         except Exception:
-            self._waiting.clear()
+            self.waiting.clear()
             self._end()
             raise
         self._start()
 
-    def _next(
-        self, lives: Iterator[Live], stopped: Callable[[], bool] = lambda: False
-    ) -> Live | None:
-        with self.session.listening(stopped):
-            return next(lives, None)
-
     def _show(self, job: PaintJob, live: Live) -> None:
-        """Show the progress from time to time."""
         now, step, steps = time.monotonic(), live.state.step, live.state.steps
         self._times.append((step / steps, now))
         if now - self._drawn_at < max(SHOW_EVERY, self._drawing / SHOWING):
@@ -246,22 +213,10 @@ def preview_colors(
     return map_colors(splats, picked, matrix, offset)
 
 
-def make_style(picture: Picture, **settings: Any) -> Style:
-    """A style whose picture was read once, so that an unfit one raises now."""
-    style = Style(picture, **settings)
-    style.read()
-    return style
-
-
 def seconds_left(
     times: Sequence[tuple[float, float]], usual: Sequence[tuple[float, float]] | None
 ) -> float | None:
-    """How long a painting still takes.
-
-    Args:
-        times: Shares of it that are done, and when, in seconds.
-        usual: The same of an earlier painting, whose stages take as long.
-    """
+    """How long a painting still takes, by when each share of it, or of an earlier one, was done."""
     (_, began), (share, now) = times[0], times[-1]
     if now - began < FIRST_GUESS:
         return None
@@ -275,13 +230,13 @@ def seconds_left(
 
 
 def noise_ball() -> Scene:
-    generator = torch.Generator().manual_seed(0)
+    points = torch.randn(GAUSSIANS, 2, 3, generator=torch.Generator().manual_seed(0))
     splats = Splats(
-        means=torch.nn.functional.normalize(torch.randn(GAUSSIANS, 3, generator=generator), dim=1),
-        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(GAUSSIANS, 1),
+        means=torch.nn.functional.normalize(points[:, 0], dim=1),
+        quats=torch.eye(4)[:1].repeat(GAUSSIANS, 1),
         scales=torch.full((GAUSSIANS, 3), -1.6),
         opacities=torch.full((GAUSSIANS,), 3.0),
-        sh0=torch.randn(GAUSSIANS, 1, 3, generator=generator),
+        sh0=points[:, :1],
         shN=torch.zeros(GAUSSIANS, 15, 3),
     )
     cameras = ring_cameras(splats, torch.tensor([0.0, 0.0, 1.0])).at_most(64)

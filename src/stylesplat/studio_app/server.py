@@ -11,23 +11,22 @@ import hmac
 import secrets
 import socket
 import threading
-from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from itertools import count
 from mimetypes import add_type
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import msgspec
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import PARTS as VIEWER
 from stylesplat.progress import write_lines
 from stylesplat.studio_app import messages as m
-from stylesplat.studio_app.actions import DECODER, Actions
-from stylesplat.studio_app.gallery import MOST_BYTES, too_large
-from stylesplat.studio_app.session import Session
+from stylesplat.studio_app.actions import Actions
+from stylesplat.studio_app.gallery import MOST_BYTES, PICTURE, too_large
 
 if TYPE_CHECKING:
     from starlette.requests import HTTPConnection, Request
@@ -48,6 +47,7 @@ POLICY = (
 )
 PORTS = 100  # that are tried, one after the other
 STOP_SECONDS = 10.0
+WARM_UP_AFTER = 2.0  # seconds after a browser has connected, in which its first picture is made
 
 
 class Guard:
@@ -118,27 +118,22 @@ class _Client:
 
 
 class PageServer:
-    """Serves the page of a session."""
-
-    def __init__(self, title: str, session: Session, *, readonly: bool = False) -> None:
-        self.title, self.session, self.readonly = title, session, readonly
-        self.actions: Actions
-        """Set before it serves."""
-        self.on_first_client: Callable[[], None] = lambda: None
+    def __init__(self, title: str, actions: Actions) -> None:
+        self.title, self.actions, self.session = title, actions, actions.session
         self.token = secrets.token_urlsafe(24)
         self.url = ""
         """The address that opens it, with the token."""
         self.port = 0
         self._clients = dict[int, _Client]()
-        self._numbers, self._notes = 0, 0
-        self._downloads = dict[str, tuple[str, bytes]]()
+        self._numbers = count(1)
         self._uploading = 0  # bytes
         self._loop: asyncio.AbstractEventLoop | None = None
         self._server: Any = None
         self._thread: threading.Thread | None = None
-        session.on_change.append(self.send_state)
-        session.on_progress.append(self.send_progress)
-        session.on_message.append(self.send_note)
+        self.session.on_send.append(self.send)
+        self.session.on_change.append(self.send_state)
+        self.session.on_progress.append(self.send_progress)
+        self.session.on_message.append(self.send_note)
 
     def start(self, host: str, port: int) -> None:
         """Begin to serve, and print the address with the token on stderr.
@@ -155,9 +150,8 @@ class PageServer:
             ) from error
         listening = _listening_socket(host, port)
         self.port = listening.getsockname()[1]
-        local = host in LOOPBACK
         config = uvicorn.Config(
-            Guard(self._app(), self.token, local=local),
+            Guard(self._app(), self.token, local=host in LOOPBACK),
             lifespan="off",
             ws="websockets-sansio",
             ws_max_size=LARGEST,
@@ -169,42 +163,42 @@ class PageServer:
         self._server = uvicorn.Server(config)
         started = threading.Event()
 
-        def serve() -> None:
-            loop = self._loop = asyncio.new_event_loop()
-            loop.call_soon(started.set)
-            try:
-                loop.run_until_complete(self._server.serve(sockets=[listening]))
-            finally:
-                loop.close()
+        async def serve() -> None:
+            self._loop = asyncio.get_running_loop()
+            self._loop.call_soon(started.set)
+            await self._server.serve(sockets=[listening])
 
-        self._thread = threading.Thread(target=serve, name="studio server", daemon=True)
+        run = partial(asyncio.run, serve())
+        self._thread = threading.Thread(target=run, name="studio server", daemon=True)
         self._thread.start()
         started.wait(STOP_SECONDS)
         self.url = f"http://{host}:{self.port}/?token={self.token}"
         write_lines(f"{self.title}: {self.url}")
 
     def stop(self) -> None:
-        """End it."""
         if self._server is not None:
             self._server.should_exit = True
         if self._thread is not None:
             self._thread.join(STOP_SECONDS)
 
-    def send(self, client: int, kind: object, message: str | bytes) -> None:
+    def send(self, client: int, kind: object, message: bytes | m.Told) -> None:
         """Send a message to a page, from any thread."""
+        if isinstance(message, m.Told):
+            content = msgspec.json.encode(message, enc_hook=str).decode()
+        else:
+            content = message
 
         def put() -> None:
             if client in self._clients:
-                self._clients[client].put(kind, message)
+                self._clients[client].put(kind, content)
 
         if self._loop is not None:
             with suppress(RuntimeError):  # it is closed
                 self._loop.call_soon_threadsafe(put)
 
     def broadcast(self, kind: object, message: m.Told) -> None:
-        text = _as_json(message)
         for client in [*self._clients]:
-            self.send(client, kind, text)
+            self.send(client, kind, message)
 
     def send_state(self) -> None:
         """Tell all pages the state, in the worker's thread."""
@@ -213,20 +207,10 @@ class PageServer:
         self.send_progress()
 
     def send_progress(self) -> None:
-        self.broadcast("progress", self.actions.progress_message())
+        self.broadcast("progress", self.session.progress or self.session.export or m.Progress())
 
     def send_note(self, line: str, failure: bool) -> None:
-        self._notes += 1
-        self.broadcast(("note", self._notes), m.Note(line, failure))
-
-    def deliver(self, client: int, name: str, content: bytes) -> None:
-        """Let a page download a file."""
-        key = secrets.token_urlsafe(9)
-        self._downloads[key] = name, content
-        while len(self._downloads) > 2:
-            self._downloads.pop(next(iter(self._downloads)))
-        message = m.Download(f"/download/{key}/{quote(name)}", name)
-        self.send(client, ("download", key), _as_json(message))
+        self.broadcast(object(), m.Note(line, failure))  # each is of a kind of its own
 
     def _app(self) -> "ASGIApp":
         from starlette.applications import Starlette
@@ -238,42 +222,29 @@ class PageServer:
             Route("/", lambda request: FileResponse(PAGE / "index.html")),
             Mount("/page", StaticFiles(directory=PAGE)),
             Mount("/viewer", StaticFiles(directory=VIEWER)),
-            Route("/picture/{kind}/{key:path}", self._picture),
+            Route("/file/{key}/{name}", self._file),
             Route("/style", self._upload, methods=["POST"]),
-            Route("/download/{key}/{name}", self._download),
             WebSocketRoute("/socket", self._socket),
         ]
         return Starlette(routes=routes)
 
-    async def _picture(self, request: "Request") -> "Response":
+    async def _file(self, request: "Request") -> "Response":
         from starlette.responses import Response
 
-        content = self._picture_of(request.path_params["kind"], request.path_params["key"])
-        if not content:
-            return Response(status_code=404)
-        return Response(content, media_type="image/jpeg")
-
-    def _picture_of(self, kind: str, key: str) -> bytes | None:
-        actions = self.actions
-        if kind == "object":
-            return actions.thumbnails.picture(key)
-        try:
-            number = int(key)
-            if kind == "variant":
-                return actions.variants[number].thumbnail if number >= 0 else None
-            if kind == "preview":
-                return actions.preview(number)
-            pictures = [*actions.gallery.pictures.values()]
-            picture = pictures[number]
-            return picture.large if kind == "large" else picture.thumbnail
-        except (ValueError, IndexError, StyleSplatError):
-            return None
+        found = self.actions.gallery.files.get(request.path_params["key"])
+        if found is None:
+            return Response("This file is no longer there. Export it again.", status_code=404)
+        name, content = found
+        if name == PICTURE:
+            return Response(content, media_type="image/jpeg")
+        headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(name)}"}
+        return Response(content, media_type="application/octet-stream", headers=headers)
 
     async def _upload(self, request: "Request") -> "Response":
         from starlette.responses import PlainTextResponse
 
         content, name = bytearray(), request.query_params.get("name", "picture")
-        if self.readonly:
+        if self.actions.readonly:
             return PlainTextResponse("Nothing can be changed here.", status_code=403)
         try:
             async for part in request.stream():
@@ -292,28 +263,18 @@ class PageServer:
         self.session.tell(f"Added {picture.title}.")
         self.send_state()
 
-    async def _download(self, request: "Request") -> "Response":
-        from starlette.responses import Response
-
-        name, content = self._downloads.get(request.path_params["key"], ("", b""))
-        if not name:
-            return Response("This file is no longer there. Export it again.", status_code=404)
-        headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(name)}"}
-        return Response(content, media_type="application/octet-stream", headers=headers)
-
     async def _socket(self, socket: "WebSocket") -> None:
         from starlette.websockets import WebSocketDisconnect
 
         await socket.accept()
-        self._numbers += 1
-        number, client = self._numbers, _Client()
+        number, client = next(self._numbers), _Client()
         self._clients[number] = client
-        hello = self.actions.hello(self.title, readonly=self.readonly)
-        client.put("hello", _as_json(hello))
+        self.send(number, "hello", self.actions.hello(self.title))
         self.session.ask(self.send_state, kind="greeting")
         sending = asyncio.create_task(_sending(socket, client))
-        if number == 1:
-            self.on_first_client()
+        if number == 1 and not self.actions.readonly:
+            warm_up = partial(self.session.ask, self.actions.warm_up, patient=True)
+            asyncio.get_running_loop().call_later(WARM_UP_AFTER, warm_up)
         try:
             while True:
                 self._receive(number, await socket.receive_text())
@@ -326,16 +287,9 @@ class PageServer:
 
     def _receive(self, client: int, text: str) -> None:
         try:
-            action = DECODER.decode(text)
+            self.actions.act(client, self.actions.decoder.decode(text))
         except (msgspec.ValidationError, msgspec.DecodeError) as error:
             self.session.tell(f"The page sent something that is not understood: {error}")
-            return
-        if not self.readonly or isinstance(action, m.Look):
-            self.actions.act(client, action)
-
-
-def _as_json(message: m.Told) -> str:
-    return msgspec.json.encode(message, enc_hook=Tensor.tolist).decode()
 
 
 async def _sending(socket: "WebSocket", client: _Client) -> None:
@@ -349,19 +303,15 @@ async def _sending(socket: "WebSocket", client: _Client) -> None:
 
 
 def _listening_socket(host: str, port: int) -> socket.socket:
-    """A socket at a port, or at the next free one."""
     reason = "all ports are in use" if 0 <= port < 2**16 else "ports are from 0 to 65535"
-    numbers = range(port, min(port + PORTS, 2**16)) if port else [0]
-    try:
-        family, *_ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
-        for number in numbers:
-            try:
-                return socket.create_server((host, number), family=family)
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE:
-                    raise
-    except OSError as error:
-        reason = error.strerror
+    for number in range(port, min(port + PORTS, 2**16)) if port > 0 else range(port + 1):
+        try:
+            family, *_ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+            return socket.create_server((host, number), family=family)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                reason = error.strerror
+                break
     raise StyleSplatError(
         f"Cannot serve at {host}:{port}: {reason}. Choose another address or port."
     )

@@ -3,12 +3,14 @@
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import torch
 from jaxtyping import Bool
+from msgspec.structs import replace
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -16,42 +18,27 @@ from stylesplat.progress import Observer, Task, observed
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.studio_app.history import History, ObjectMasks, StudioState, hidden_rows
+from stylesplat.studio_app.messages import Progress
 from stylesplat.work import Worker
 
-Change = Callable[[StudioState], StudioState]
+Change = Callable[[StudioState], StudioState | None]
+BUSY = "An object is being painted. Wait until it is done, or press Stop."
 
 
 class Stopped(Exception):
     """Ends long work that has no result yet."""
 
 
-class Callbacks(list[Callable[..., None]]):
+class Callbacks(list[Callable[..., object]]):
     """Functions that the worker calls one after the other."""
 
     def call(self, *arguments: object, **options: object) -> None:
-        for callback in self:
+        for callback in [*self]:
             callback(*arguments, **options)
-
-
-@dataclass(frozen=True)
-class Progress:
-    """The progress of long work."""
-
-    what: str
-    share: float
-    """How much of it is done, 0 to 1."""
-    left: float | None = None
-    """Estimated seconds that it still takes."""
-    doing: str = ""
-    """The preparation that is under way."""
-    export: bool = False
-    """Whether it is an export."""
 
 
 @dataclass(frozen=True, eq=False)
 class Display:
-    """What browsers display."""
-
     splats: Splats
     hidden: Bool[Tensor, " N"] | None = None
     """Gaussians that are not drawn."""
@@ -59,6 +46,10 @@ class Display:
     @cached_property
     def visible(self) -> Splats:
         return self.splats if self.hidden is None else self.splats[~self.hidden]
+
+    def shown(self, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " M"]:
+        """The mask among the visible Gaussians."""
+        return picked if self.hidden is None else picked[~self.hidden]
 
 
 class Session:
@@ -68,7 +59,6 @@ class Session:
         self.history = History(StudioState(scene))
         self.masks = ObjectMasks()
         self.folder = folder
-        """Where Save writes."""
         self.saved = self.history.now
         """The state that was saved last, or opened."""
         self.preview: Display | None = None
@@ -77,7 +67,7 @@ class Session:
         self.export: Progress | None = None
         """The progress of an export, which runs beside all else."""
         self.painting = False
-        """Whether an object is being painted, or a video made: the scene does not change then."""
+        """Whether an object is being painted: the scene does not change then."""
         self.interrupt: Callable[[], bool] = lambda: False
         """Stops the painting and keeps its result so far; returns whether there was one."""
         self.on_change = Callbacks()
@@ -87,9 +77,12 @@ class Session:
         """Called with an object and the title of its picture when it is painted, or stopped."""
         self.on_message = Callbacks()
         """Called with a line for the user, and whether it reports a failure."""
+        self.on_send = Callbacks()
+        """Called with a page's number, the kind of a message, and the message for it alone."""
         self.stopping = threading.Event()
         """Set as soon as the studio is to end."""
         self.worker = Worker(self.report)
+        self._display = Display(scene.splats)
 
     @property
     def state(self) -> StudioState:
@@ -97,32 +90,35 @@ class Session:
 
     @property
     def display(self) -> Display:
-        """What browsers display now."""
         return self.preview or self.display_of(self.state)
 
     def display_of(self, state: StudioState) -> Display:
-        return Display(state.scene.splats, hidden_rows(state, self.masks))
+        """What a state displays: the same object as before if it is the same."""
+        splats, hidden, known = state.scene.splats, hidden_rows(state, self.masks), self._display
+        same = hidden is known.hidden
+        if hidden is not None and known.hidden is not None:
+            same = torch.equal(hidden, known.hidden)
+        if known.splats is not splats or not same:
+            self._display = Display(splats, hidden)
+        return self._display
 
     @property
     def unsaved(self) -> bool:
-        """Whether the scene differs from the saved one."""
         return self.state.scene is not self.saved.scene
 
     def do(self, change: Change, *, merge: object = None, kind: str = "") -> None:
         """Ask for a change of the state; `merge` as for `History.add`, `kind` as for `ask`."""
 
-        self.ask(lambda: self.change(change(self.state), merge=merge), kind=kind)
+        def job() -> None:
+            state = change(self.state)
+            if state is None or state is self.state:
+                return
+            if self.painting and state.scene is not self.state.scene:
+                raise StyleSplatError(BUSY)
+            self.history.add(state, merge=merge)
+            self.on_change.call()
 
-    def change(self, state: StudioState, *, merge: object = None) -> None:
-        """Go on with another state, in the worker's thread."""
-        if state is self.state:
-            return
-        if self.painting and state.scene is not self.state.scene:
-            raise StyleSplatError(
-                "An object is being painted. Wait until it is done, or press Stop."
-            )
-        self.history.add(state, merge=merge)
-        self.on_change.call()
+        self.ask(job, kind=kind)
 
     def step(self, rows: int) -> None:
         """Ask for undo or redo. Undo first ends a painting, and takes its result so far back."""
@@ -131,10 +127,7 @@ class Session:
             if self.painting:
                 before = self.state
                 if rows > 0 or not self.interrupt():
-                    raise StyleSplatError(
-                        "An object is being painted, or a video made. Wait until it is done, or "
-                        "press Stop."
-                    )
+                    raise StyleSplatError(BUSY)
                 if self.state is before:  # the painting had no step yet
                     return
             self.history.step(rows)
@@ -153,21 +146,18 @@ class Session:
         self.worker.ask(job_with_messages, kind=kind, patient=patient)
 
     def tell(self, line: str, *, failure: bool = False) -> None:
-        """Show a line to the user."""
         self.on_message.call(line, failure)
 
-    @contextmanager
     def listening(
         self,
         stopped: Callable[[], bool] = lambda: False,
         counted: Callable[[float], None] = lambda share: None,
-    ) -> Iterator[None]:
+    ) -> AbstractContextManager[None]:
         """Within the block the library's messages go to the user, and `stopped` may end it.
 
         `counted` is called with the share of each task that is done.
         """
-        with observed(_SessionObserver(self, stopped, counted)):
-            yield
+        return observed(_SessionObserver(self, stopped, counted))
 
     def report(self, error: Exception) -> None:
         if not isinstance(error, StyleSplatError):

@@ -4,7 +4,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -21,27 +20,26 @@ from stylesplat.signals import Terminated
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.autosave import SceneStore
 from stylesplat.studio_app.gallery import Gallery
-from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.server import ADDRESS, PageServer
 from stylesplat.studio_app.session import Session
 
 AUTOSAVE_SECONDS = 60.0
-WARM_UP_AFTER = 2.0  # seconds after a browser has connected, in which its first picture is made
 
 
 class StudioServer:
-    """A running studio."""
+    """A running studio, or without a store a viewer."""
 
-    def __init__(self, server: PageServer, store: SceneStore) -> None:
+    def __init__(self, server: PageServer, store: SceneStore | None = None) -> None:
         self.server, self.store, self.session = server, store, server.session
         self.url = server.url
         """The address that opens it, with the token."""
         self._has_warned = False
-        self.session.on_painted.append(lambda name, title: self.autosave())
-        threading.Thread(target=self._autosaves, daemon=True).start()
+        if store is not None:
+            self.session.on_painted.append(lambda name, title: self.autosave())
+            threading.Thread(target=self._autosaves, daemon=True).start()
 
     def close(self) -> None:
-        """Close the studio. An unsaved scene is autosaved for the next time."""
+        """End it. An unsaved scene is autosaved for the next time."""
         if self.session.stopping.is_set():
             return
         self.session.stopping.set()
@@ -57,21 +55,20 @@ class StudioServer:
             raise
 
     def _autosave_at_the_end(self) -> None:
-        if self._autosave():
-            say(f"Autosaved {self.store.folder}: `stylesplat studio` recovers what is not saved.")
+        if self.autosave():
+            folder = self.session.folder
+            say(f"Autosaved {folder}: `stylesplat studio` recovers what is not saved.")
 
     def _autosaves(self) -> None:
         while not self.session.stopping.wait(AUTOSAVE_SECONDS):
             self.session.ask(self.autosave, kind="autosave", patient=True)
 
-    def autosave(self) -> None:
+    def autosave(self) -> bool:
         """Autosave in the worker's thread, unless an object is being painted."""
-        if not self.session.painting:
-            self._autosave()
-
-    def _autosave(self) -> bool:
+        if self.store is None or self.session.painting:
+            return False
         try:
-            return self.store.autosave(self.session)
+            return self.store.autosave()
         except StyleSplatError as error:
             if not self._has_warned or self.session.stopping.is_set():
                 self._has_warned = True
@@ -113,18 +110,9 @@ def studio(
     _refuse_empty(scene.splats)
     gallery = Gallery(None if styles is None else Path(styles))
     session = Session(scene, folder=scene.path)
-    store = SceneStore(scene.path)
+    store = SceneStore(session)
     _recover(session, store)
-    queue = PaintQueue(session, **options)
-    server = _page_server("StyleSplat studio", session, gallery, store, queue)
-
-    def warm_up_soon() -> None:
-        job = partial(session.worker.ask, queue.warm_up, patient=True)
-        timer = threading.Timer(WARM_UP_AFTER, job)
-        timer.daemon = True
-        timer.start()
-
-    server.on_first_client = warm_up_soon
+    server = PageServer("StyleSplat studio", Actions(session, gallery, store, **options))
     server.start(host, port)
     opened = StudioServer(server, store)
     if host != ADDRESS:
@@ -135,7 +123,7 @@ def studio(
 
 
 @check_arguments
-def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "Viewer":
+def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> StudioServer:
     """Show a scene in a browser.
 
     Args:
@@ -144,7 +132,7 @@ def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "View
         block: Serve until Ctrl-C; otherwise return at once.
 
     Returns:
-        The running server; its `url` opens it, `stop()` ends it.
+        The running server; its `url` opens it, `close()` ends it.
 
     Raises:
         StyleSplatError: If Starlette or uvicorn is not installed, or there is nothing to show.
@@ -155,28 +143,15 @@ def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> "View
         up = torch.tensor([0.0, 0.0, 1.0])
         what = Scene(what.detach().to("cpu"), ring_cameras(what.detach().to("cpu"), up))
     session = Session(what, folder=what.path or Path())
-    server = _page_server("StyleSplat", session, Gallery(), None, PaintQueue(session))
+    server = PageServer("StyleSplat", Actions(session, Gallery(), None))
     server.start(ADDRESS, port)
-    opened = Viewer(server)
+    opened = StudioServer(server)
     if block:
-        _block(opened.stop)
+        _block(opened.close)
     return opened
 
 
-class Viewer:
-    """A running viewer."""
-
-    def __init__(self, server: PageServer) -> None:
-        self.server, self.url = server, server.url
-
-    def stop(self) -> None:
-        """End it."""
-        self.server.session.worker.close()
-        self.server.stop()
-
-
 def until_interrupted(stop: Callable[[], object]) -> NoReturn:
-    """Wait for Ctrl-C or SIGTERM, then stop the server."""
     try:
         while True:
             time.sleep(1)
@@ -198,25 +173,9 @@ def _refuse_empty(splats: Splats) -> None:
         raise StyleSplatError("These splats are empty, so there is nothing to view.")
 
 
-def _page_server(
-    title: str, session: Session, gallery: Gallery, store: SceneStore | None, queue: PaintQueue
-) -> PageServer:
-    server = PageServer(title, session, readonly=store is None)
-    server.actions = Actions(
-        session,
-        queue=queue,
-        gallery=gallery,
-        store=store,
-        send=server.send,
-        deliver=server.deliver,
-        on_state=server.send_state,
-    )
-    return server
-
-
 def _recover(session: Session, store: SceneStore) -> None:
     try:
-        kept = store.recover(session.state)
+        kept = store.recover()
     except StyleSplatError as error:
         say(f"Cannot recover the autosave of the last time. {error}")
         return

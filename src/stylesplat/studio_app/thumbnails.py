@@ -1,14 +1,12 @@
-"""Thumbnails of objects, paintings and style pictures."""
+"""Small pictures of objects and paintings, and of what is picked in every style."""
 
-import io
-from collections.abc import Callable
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
+from typing import Any
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
-from PIL import Image
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -16,31 +14,24 @@ from stylesplat.figures.best_views import close_up
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
-from stylesplat.studio_app.session import Session
+from stylesplat.studio_app.gallery import Files, Gallery, StylePicture, jpeg
+from stylesplat.studio_app.history import StudioState, require_picked
+from stylesplat.studio_app.messages import Progress
+from stylesplat.studio_app.paint_queue import preview_colors
+from stylesplat.studio_app.session import BUSY, Session, Stopped
+from stylesplat.stylization.style import Style
+from stylesplat.verbs.stylize import stylize
 
 SIDE = 160  # pixels along a thumbnail
 CARD = 0.15  # grey around an object
-
-Pixels = UInt8[np.ndarray, "H W 3"]
-
-
-def jpeg(pixels: Pixels, quality: int = 88) -> bytes:
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "JPEG", quality=quality)
-    return file.getvalue()
-
-
-def shrunk(picture: Float[Tensor, "H W 3"], side: int) -> Pixels:
-    """A picture whose longer side has at most so many pixels."""
-    image = Image.fromarray(to_uint8(picture).numpy())
-    image.thumbnail((side, side), Image.Resampling.LANCZOS)
-    return np.array(image)
+QUICK = {"quality": "draft", "steps": 24, "object_size": 112}
+NAME = "object"
 
 
 @torch.no_grad()
 def object_picture(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> bytes:
-    """A JPEG of an object alone."""
     image, share = colors_and_coverage(splats, camera, picked)
     return jpeg(to_uint8(share * image + (1 - share) * CARD).cpu().numpy())
 
@@ -48,29 +39,30 @@ def object_picture(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) 
 class ObjectThumbnails:
     """Thumbnails of the objects of a scene, which are made while the worker is idle."""
 
-    def __init__(self, session: Session, on_ready: Callable[[], None]) -> None:
-        self._session, self._on_ready = session, on_ready
+    def __init__(self, session: Session, files: Files) -> None:
+        self._session, self._files = session, files
         self._cameras = dict[str, tuple[Tensor, Cameras]]()  # with the mask that each shows
         self._asked = dict[str, Splats]()  # the splats for which each was asked
-        self._made = dict[str, tuple[Tensor, int, bytes]]()  # colours and opacities, version, JPEG
+        self._made = dict[str, tuple[Tensor, str]]()  # colours and opacities; the address
 
-    def version(self, name: str) -> int:
-        """The number of the thumbnail of an object, 0 without one; a missing one is asked for."""
+    def url(self, name: str) -> str:
+        """The address of an object's thumbnail, or nothing; a missing one is asked for."""
         session, splats = self._session, self._session.state.scene.splats
         if not session.painting and self._asked.get(name) is not splats:
             self._asked[name] = splats
             session.ask(partial(self._make, name), kind=f"thumbnail {name}", patient=True)
-        return self._made[name][1] if name in self._made else 0
+        return self._made[name][1] if name in self._made else ""
 
-    def picture(self, name: str) -> bytes | None:
-        return self._made[name][2] if name in self._made else None
+    def paint_url(self, name: str) -> str:
+        """The address of a picture of an object as it is now; nothing if no view shows it."""
+        scene = self._session.state.scene
+        with suppress(StyleSplatError):
+            picked = self._session.masks.of(scene, name)
+            return self._files.add(object_picture(scene.splats, self._camera(name), picked))
+        return ""
 
-    def camera(self, name: str) -> Cameras:
-        """A small square view of an object.
-
-        Raises:
-            StyleSplatError: If it shows in no view.
-        """
+    def _camera(self, name: str) -> Cameras:
+        """A small square view of an object. Raises a StyleSplatError if no view shows it."""
         scene = self._session.state.scene
         own = self._session.masks.of(scene, name)[: len(scene.unpainted)]
         if name not in self._cameras or not torch.equal(self._cameras[name][0], own):
@@ -79,13 +71,86 @@ class ObjectThumbnails:
         return self._cameras[name][1]
 
     def _make(self, name: str) -> None:
-        splats = self._session.state.scene.splats
-        before, version, _ = self._made.get(name, (None, 0, b""))
-        with suppress(StyleSplatError):  # it was deleted, or no view shows it
-            picked = self._session.masks.of(self._session.state.scene, name)
-            shown = torch.cat([splats.sh0[picked, 0], splats.opacities[picked, None]], dim=1)
-            if before is not None and torch.equal(before, shown):
-                return
-            picture = object_picture(splats, self.camera(name), picked)
-            self._made[name] = shown, version + 1, picture
-            self._session.ask(self._on_ready, kind="thumbnails", patient=True)
+        scene = self._session.state.scene
+        with suppress(StyleSplatError):  # it was deleted
+            picked, splats = self._session.masks.of(scene, name), scene.splats
+            looks = torch.cat([splats.sh0[picked, 0], splats.opacities[picked, None]], dim=1)
+            if name not in self._made or not torch.equal(self._made[name][0], looks):
+                self._made[name] = looks, self.paint_url(name)
+                self._session.ask(self._session.on_change.call, kind="thumbnails", patient=True)
+
+
+class StylePreviews:
+    def __init__(self, session: Session, gallery: Gallery, **options: Any) -> None:
+        self._session, self._gallery = session, gallery
+        self._options, self._urls = {**options, "measured": False}, dict[str, str]()
+        self._of: StudioState | None = None
+        self._stopped = False
+
+    @property
+    def urls(self) -> dict[str, str]:
+        """The addresses of the previews of what is picked, by the titles of styles."""
+        return self._urls if self._is_current() else {}
+
+    def try_all(self) -> None:
+        """Show previews of all styles on what is picked, or remove them."""
+        session, state = self._session, self._session.state
+        there, self._of = self._is_current(), None
+        self._urls.clear()
+        if there:
+            session.on_change.call()
+            return
+        require_picked(state)
+        if session.painting:
+            raise StyleSplatError(BUSY)
+        self._of, self._stopped = state, False
+        session.worker.go_on_with(self._steps(state))
+
+    def stop(self) -> None:
+        """End the drafts; the previews that there are stay."""
+        self._stopped = True
+
+    def _is_current(self) -> bool:
+        return self._of is not None and self._of.picked == self._session.state.picked
+
+    def _keep(self, style: StylePicture, content: bytes) -> None:
+        self._urls[style.title] = self._gallery.files.add(content)
+        self._session.on_change.call()
+
+    def _steps(self, of: StudioState) -> Iterator[None]:
+        """Paint the object in one style after the other, until something else is asked for."""
+        session, styles = self._session, [*self._gallery.pictures.values()]
+        base, picked = of.scene.unpainted, session.masks.together(of.scene, of.picked)
+        assert picked is not None
+        picked = picked[: len(base)]
+        camera = close_up(base, of.scene.cameras, picked).at_most(SIDE)
+        alone, everything = base[picked], torch.ones(int(picked.sum()), dtype=torch.bool)
+        scene = Scene(alone, of.scene.cameras, objects={NAME: SceneObject(everything)})
+
+        def over() -> bool:
+            return self._stopped or self._of is not of or session.state is not of
+
+        what = f"Drafts of {', '.join(of.picked)}"
+        try:
+            for style in styles:
+                splats = preview_colors(base, picked, Style(style.path).read())
+                self._keep(style, object_picture(splats, camera, picked))
+                yield
+                if over():
+                    return
+            for row, style in enumerate(styles):
+                progress = Progress(f"{what}: {row + 1} of {len(styles)}", row / len(styles))
+                session.progress = progress
+                session.on_progress.call()
+                with session.listening(lambda: over() or session.painting):
+                    styled = stylize(scene, {NAME: Style(style.path, **QUICK)}, **self._options)
+                if over():
+                    return
+                self._keep(style, object_picture(styled.splats, camera, everything))
+                yield
+        except Stopped:
+            return
+        finally:
+            if session.progress is not None and session.progress.what.startswith(what):
+                session.progress = None
+                session.on_change.call()

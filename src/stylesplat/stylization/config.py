@@ -123,6 +123,8 @@ class StyleConfig:
     pattern, such as eyes, a mouth, folds."""
     content: float = 0.0
     """How much of the object's own features to keep, pattern included: 0 none, 1 nearly all."""
+    protect: tuple[str, ...] = ()
+    """Names of objects, such as its eyes, that get none of its paint."""
     object_size: int | None = None
     """Longer side of the object in all renders at most, in pixels: less is quicker and softer."""
     lr: float = 0.1

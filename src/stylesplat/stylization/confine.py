@@ -28,14 +28,21 @@ MARGIN = 16  # pixels around what the object may reach in them
 FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
 EDGE = 2  # pixels around what is covered that are its edge
 SMALLER = 0.6  # factor on the size of a disc that shows beside the object
+SHINES = 0.1  # pixels of a disc that shine through what is protected, if that lies before it
 
-Outside = tuple[Cameras, Tensor]  # one camera, and the pixels [H, W] that show nothing of an object
+# One camera, the pixels [H, W] in which no disc may show, and the pixels of each that may
+Outside = tuple[Cameras, Tensor, float]
 NO_ROWS = torch.zeros(0, dtype=torch.long)
 
 
 @torch.no_grad()
 def confine_canvas(
-    canvas: Canvas, boxes: Sequence[Box], cameras: Cameras, *, painted: Splats | None = None
+    canvas: Canvas,
+    boxes: Sequence[Box],
+    cameras: Cameras,
+    *,
+    painted: Splats | None = None,
+    protected: Bool[Tensor, " B"] | None = None,
 ) -> tuple[Canvas, Bool[Tensor, " M"]]:
     """Turn the discs of a canvas along the strokes, and let none show beside the object.
 
@@ -46,6 +53,7 @@ def confine_canvas(
         boxes: Where the object is seen.
         cameras: Views in which nothing may show beside it.
         painted: The canvas in the colours of the strokes; None leaves the discs round.
+        protected: Gaussians of the scene before that no disc may show on.
 
     Returns:
         The canvas, and which of its Gaussians are left.
@@ -56,7 +64,10 @@ def confine_canvas(
         canvas = canvas.changed(quats=turned.quats, scales=turned.scales)
     coarser = min(COARSER, max(1.0, float(cameras.sizes.max()) / LEAST_SIZE))
     checked = cameras[[*evenly(range(len(cameras)), VIEWS)]].downscale(coarser)
-    outside = _find_outside(splats, canvas.own, _crop_to_gaussians(splats[canvas.own], checked))
+    checked = _crop_to_gaussians(splats[canvas.own], checked)
+    outside = _find_outside(splats, canvas.own, checked)
+    if protected is not None:
+        outside += _find_covered(splats, protected, checked)
     rows, outside = _overflow(canvas, outside)
     scales = canvas.splats.scales.clone()
     scales[rows] = round_discs.scales[rows] + math.log(SMALLER)
@@ -94,9 +105,21 @@ def _find_outside(
         alone = full_coverage(own, camera)  # whatever hides it
         solid = (alone > COVERED).numpy().astype(np.uint8)
         edge = torch.from_numpy(cv2.dilate(solid, disc)).bool()
-        return camera, (covered == 0) | ((covered < FAINT) & ~edge)
+        return camera, (covered == 0) | ((covered < FAINT) & ~edge), 0.0
 
     return [*per_view(look, cameras, "looking beside the object")]
+
+
+def _find_covered(
+    splats: Splats, mask: Bool[Tensor, " N"], cameras: Sequence[Cameras]
+) -> list[Outside]:
+    """The pixels of each camera that show protected Gaussians."""
+    bare = without_looks(splats)
+
+    def look(camera: Cameras) -> Outside:
+        return camera, coverage(bare, camera, mask) > COVERED, SHINES
+
+    return [*per_view(look, cameras, "looking at what is protected")]
 
 
 def _overflow(
@@ -106,7 +129,7 @@ def _overflow(
     bare, is_disc = without_looks(canvas.splats), canvas.is_disc
 
     def look(view: Outside) -> Tensor:
-        camera, pixels = view
+        camera, pixels, most = view
         low, high = pixel_bounds(bare, camera)
         suspects = is_disc.nonzero()[:, 0]
         suspects = suspects[touching(low[suspects], high[suspects], pixels)]
@@ -115,12 +138,12 @@ def _overflow(
             return suspects[:0]
         there = touching(low, high, pixels).nonzero()[:, 0]
         seen = contributions(bare[there], camera, is_disc[there])
-        return there[seen.gaussians[seen.weights(pixels) > 0]]
+        return there[seen.gaussians[seen.weights(pixels) > most]]
 
     found = [*per_view(look, outside, "checking the outline")]
     uncovered = [
-        (camera, pixels & reached_pixels(canvas.splats[rows], camera))
-        for (camera, pixels), rows in zip(outside, found, strict=True)
+        (camera, pixels & reached_pixels(canvas.splats[rows], camera), most)
+        for (camera, pixels, most), rows in zip(outside, found, strict=True)
         if len(rows)
     ]
     return torch.cat([NO_ROWS, *found]).unique(), uncovered

@@ -69,4 +69,5 @@ def crop_scene(
         for each in (context.cameras, context.all_cameras)
     )
     part = replace(context, splats=splats[rows], cameras=cameras, all_cameras=all_cameras)
-    return part, replace(target, mask=target.mask[rows]), rows
+    protected = None if target.protected is None else target.protected[rows]
+    return part, replace(target, mask=target.mask[rows], protected=protected), rows

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from stylesplat.errors import StyleSplatError
 
 PREFIX = "material:"
-EDITION = 1  # of the drawings: whoever changes one raises it, so that older recipes are refused
+EDITION = 2  # of the drawings: whoever changes one raises it, so that older recipes are refused
 SIDE = 512  # pixels
 Random = np.random.RandomState  # draws the same numbers in all versions of numpy
 Plane = Float[np.ndarray, "512 512"]
@@ -62,34 +62,51 @@ def _ramp(values: Plane, *colors: str) -> Colors:
     return np.stack([np.interp(values, places, channel) for channel in stops.T], axis=-1)
 
 
+def _mirrored(height: Plane) -> tuple[Plane, Plane]:
+    """The place that a polished surface shows, from -1 to 1 along x and y of what is before it."""
+    down, right = np.gradient(height)
+    facing = 2 / (1 + down**2 + right**2)  # twice the square of the normal's part to the viewer
+    return -right * facing, -down * facing
+
+
 def _bronze(random: Random) -> Colors:
-    """Highlights brushed along x, and a little verdigris in the hollows."""
-    broad, brushed = _noise(random, 50, 20), _noise(random, 1, 2, across=24)
-    metal = _ramp(0.46 + 0.2 * broad + 0.07 * brushed, "1d0f08", "5a3416", "a8692c", "f6d28c")
-    hollow = 1 / (1 + np.exp(4 * (broad + 1.7 + 0.3 * _noise(random, 3, 8))))
-    return metal + 0.6 * hollow[..., None] * (_ramp(0.5 + 0.3 * broad, "2f5c50", "6fa08c") - metal)
+    """Polished relief that mirrors two lamps; verdigris in the hollows, and specks of it."""
+    relief = _noise(random, 44, 22)
+    x, y = _mirrored(26 * relief + 0.25 * _noise(random, 5, 10))
+    lamp = np.exp(-((x + 0.45) ** 2 + (y + 0.55) ** 2) / 0.1)
+    second = np.exp(-((x - 0.75) ** 2 + (y - 0.55) ** 2) / 0.12)
+    light = 0.3 - 0.22 * y - 0.08 * x + 0.75 * lamp + 0.25 * second
+    metal = _ramp(light, "120a06", "4a2a14", "96602c", "dba85a", "fff0cc")
+    hollow = 1 / (1 + np.exp(4 * (relief + 1.65 + 0.35 * _noise(random, 2, 5))))
+    specks = 1 / (1 + np.exp(10 * (0.5 * relief + 2.3 + _noise(random, 2, 3))))
+    shade = 0.35 * light + 0.4 + 0.2 * _noise(random, 1.5, 5)
+    green = _ramp(shade, "2d574c", "5a8f7c", "9cc7b0")
+    return metal + 0.85 * np.maximum(hollow, specks)[..., None] * (green - metal)
 
 
 def _marble(random: Random) -> Colors:
     """Clouds of white and grey, with veins where noise crosses 0."""
     cloud, veins = _noise(random, 60, 25, 8), np.zeros((SIDE, SIDE))
-    for width, strength, sharpness in ((70, 1.0, 12), (35, 0.7, 16), (20, 0.3, 20)):
+    for width, strength, sharpness in ((70, 1.0, 5), (35, 0.8, 8), (20, 0.4, 14)):
         warped = _noise(random, width) + 0.12 * _noise(random, 4, 9)
         veins += strength * np.exp(-sharpness * abs(warped)) * (0.6 + 0.4 * np.tanh(cloud))
-    return _ramp(0.84 + 0.07 * cloud - 0.7 * veins, "3a3d44", "8f9298", "d3d2d0", "faf8f4")
+    return _ramp(0.86 + 0.09 * cloud - 0.75 * veins, "2c2f36", "7d8088", "cfcdca", "fbf9f5")
 
 
 def _gold_leaf(random: Random) -> Colors:
-    """Crinkled foil: flat facets, each with its own light, and bright creases between them."""
-    y, x = np.mgrid[:SIDE, :SIDE] + 5 * np.stack([_noise(random, 9), _noise(random, 9)])
-    points = random.random_sample((450, 2)) * SIDE
+    """Crinkled foil: facets that mirror dark or light, and bright creases between them."""
+    y, x = np.mgrid[:SIDE, :SIDE] + 3 * np.stack([_noise(random, 9), _noise(random, 9)])
+    points = random.random_sample((260, 2)) * SIDE
     distances, near = map(np.asarray, KDTree(points).query(np.stack([y, x], axis=-1), k=2))
     facets = near[..., 0]
-    crease = np.exp(-(distances[..., 1] - distances[..., 0]) / 1.5)
-    tilt, light = random.standard_normal((2, len(points)))[:, facets]
-    light = light + 0.05 * tilt * (y - points[facets, 0]) + 0.8 * _noise(random, 60, 20)
-    light += 1.4 * crease + 0.25 * _noise(random, 1, 3)
-    return _ramp(0.5 + 0.13 * light, "4d2a06", "a86f16", "e0b03c", "fff3b8")
+    crease = np.exp(-(distances[..., 1] - distances[..., 0]) / 2)
+    down, right = random.standard_normal((2, len(points)))[:, facets]
+    along = down * (y - points[facets, 0]) + right * (x - points[facets, 1])
+    shine = 1 / (1 + np.exp(-4 * (0.8 * down + 0.03 * along + 0.7 * _noise(random, 50, 20) - 0.9)))
+    light = 0.36 + 0.1 * right + 0.004 * along + 0.5 * shine + 0.18 * crease
+    return _ramp(
+        light + 0.03 * _noise(random, 1, 3), "3a1e02", "8f5a0e", "d99e2b", "ffdf7e", "fffbe2"
+    )
 
 
 def _clay(random: Random) -> Colors:
@@ -110,10 +127,12 @@ def _clay(random: Random) -> Colors:
 
 
 def _jade(random: Random) -> Colors:
-    """Soft clouds of green with milky streaks."""
+    """Polished; soft clouds of pale green with milky streaks."""
     streaks = np.exp(-2 * _noise(random, 34, 12, across=2) ** 2)
     cloud = 0.15 * _noise(random, 60, 30, 12, 5) + 0.3 * streaks
-    return _ramp(0.36 + cloud, "123d2a", "2f7a52", "6fb287", "d8ecd6")
+    x, y = _mirrored(20 * _noise(random, 50, 24))
+    lamp = np.exp(-((x + 0.45) ** 2 + (y + 0.55) ** 2) / 0.06)
+    return _ramp(0.34 + cloud + 0.55 * lamp, "1d5239", "4f9670", "93c6a0", "e4f2e0", "ffffff")
 
 
 MATERIALS = {"bronze": _bronze, "marble": _marble, "gold-leaf": _gold_leaf, "clay": _clay}

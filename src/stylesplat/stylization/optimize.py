@@ -272,7 +272,9 @@ def _confine(object: _Object, paint: Splats, *, turned: bool) -> tuple[_Object, 
     device = paint.means.device
     painted = paint.to("cpu") if turned else None
     canvas, boxes, cameras = object.canvas.to("cpu"), object.boxes, object.context.all_cameras
-    canvas, kept = confine_canvas(canvas, boxes, cameras, painted=painted)
+    protected = object.target.protected
+    protected = protected if protected is None else protected.cpu()
+    canvas, kept = confine_canvas(canvas, boxes, cameras, painted=painted, protected=protected)
     canvas, kept = canvas.to(device), kept.to(device)
     return object.on(canvas), replace(canvas.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
 

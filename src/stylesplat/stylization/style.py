@@ -1,7 +1,7 @@
 """What an object is to look like: pictures, and how to take their style."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -129,6 +129,16 @@ class Recipe:
     """The lowest layer first, each once."""
     recolors: tuple[RecoloredObject, ...] = ()
     """The lowest first."""
+
+    def protecting(self, names: tuple[str, ...]) -> "Recipe":
+        """The recipe whose objects spare some more objects."""
+        objects = []
+        for each in self.objects:
+            style, every = each.style, dict.fromkeys((*each.style.config.protect, *names))
+            config = replace(style.config, protect=tuple(every))
+            style = Style(*style.pictures, config=config, preset=style.preset)
+            objects.append(replace(each, style=style))
+        return replace(self, objects=tuple(objects))
 
 
 def as_recipe(styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe) -> Recipe:

@@ -34,11 +34,14 @@ class PaintTarget:
     styles: tuple[Float[Tensor, "_ _ 3"], ...]
     """The style images, colours in 0..1; each feature takes the best match of all."""
     config: StyleConfig
+    protected: Bool[Tensor, " B"] | None = None
+    """Gaussians of the scene before, not of the mask, that no disc of a canvas may cover."""
 
     def to(self, splats: Splats) -> "PaintTarget":
         """The same on the device of the splats."""
         styles = tuple(style.to(splats.means) for style in self.styles)
-        return replace(self, mask=self.mask.to(splats.device), styles=styles)
+        protected = self.protected if self.protected is None else self.protected.to(splats.device)
+        return replace(self, mask=self.mask.to(splats.device), styles=styles, protected=protected)
 
 
 @dataclass(frozen=True)
@@ -98,10 +101,13 @@ class PaintTask(StyledObject):
     features: Network = DEFAULT_NETWORK
     images: tuple[Float[Tensor, "_ _ 3"], ...]
     mask: Bool[Tensor, " N"]
+    protected: Bool[Tensor, " B"] | None = None
+    """The rows of the base that its style protects."""
 
     def target(self, family: Int[Tensor, " M"]) -> PaintTarget:
         """The target among Gaussians that belong to these rows of the base."""
-        return PaintTarget(self.name, self.mask[family], self.images, self.style.config)
+        protected = self.protected if self.protected is None else self.protected[family]
+        return PaintTarget(self.name, self.mask[family], self.images, self.style.config, protected)
 
     def record(self, layer: Layer, precision: Precision) -> Layer:
         """The layer on the CPU, with all that it takes to paint it again."""
@@ -122,7 +128,8 @@ def paint_tasks(
     recipe: Recipe, scene: Scene, features: Network | None, weights: Path | str | None
 ) -> list[PaintTask]:
     """The objects of a recipe, the lowest layer first: those that are painted, then new ones."""
-    masks = find_objects(scene, [each.name for each in recipe.objects])
+    protects = [name for each in recipe.objects for name in each.style.config.protect]
+    masks = find_objects(scene, [*(each.name for each in recipe.objects), *protects])
     count, tasks = len(scene.unpainted), list[PaintTask]()
     for each in recipe.objects:
         own = each.features or each.style.network
@@ -132,6 +139,13 @@ def paint_tasks(
             "images": each.style.read(),
             "mask": masks[each.name][:count].cpu(),
         }
+        if protect := each.style.config.protect:
+            protected = torch.stack([masks[name][:count].cpu() for name in protect]).any(dim=0)
+            changed |= {"mask": changed["mask"] & ~protected, "protected": protected}
+            if not changed["mask"].any():
+                raise StyleSplatError(
+                    f"Cannot stylise {each.name}: all of it is protected ({', '.join(protect)})."
+                )
         if weights:
             changed["weights"] = Source(Path(weights))
         tasks.append(PaintTask(**vars(each) | changed))

@@ -65,6 +65,7 @@ def export(
         mesh: Settings of a textured mesh, which is written instead of splats, into a `.glb` or
             `.obj`: of one object, or of a scene that shows one. Needs `stylesplat[mesh]`.
         spz_version: Version of a `.spz`: 4 by default; 3 or 2 for programs that read no newer one.
+            With 2 a `.glb` or `.gltf` holds SPZ, for CesiumJS.
 
     Returns:
         How many Gaussians were written; of a mesh, how many faces; into a `.npz`, how many objects.

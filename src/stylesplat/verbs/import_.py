@@ -51,7 +51,7 @@ def import_(
     The splat stays as it is: same frame, same Gaussians, same order.
 
     Args:
-        splat: A .ply, .spz, .splat, .sog, .glb or .gltf file, or a SOG folder's meta.json;
+        splat: A .ply, .spz, .splat, .ksplat, .sog, .glb or .gltf file, or a SOG folder's meta.json;
             or splats in memory.
         capture: The photos that it was made from. Without them the scene gets views around
             the content, most of which show all of it.

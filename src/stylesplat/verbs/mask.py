@@ -21,7 +21,8 @@ from stylesplat.selection.objects import relabel
 Photos = TypeVar("Photos", Capture, Scene)
 Method = Literal["files", "grabcut"] | sam.Method
 # The arguments of each method; others would have no effect
-TAKES = {"files": {"source"}, "grabcut": {"boxes", "strokes", "scene"}}
+MARKS = {"strokes", "keep", "drop"}
+TAKES = {"files": {"source"}, "grabcut": {"boxes", "scene"} | MARKS}
 MODELS_TAKE = {"model", "scene", "progress"}
 
 
@@ -31,6 +32,8 @@ def mask(
     *,
     boxes: Boxes | None = None,
     strokes: Strokes | None = None,
+    keep: Boxes | None = None,
+    drop: Boxes | None = None,
     source: Path | str | None = None,
     method: Method | None = None,
     model: str | None = None,
@@ -48,12 +51,16 @@ def mask(
     with a `downscale`.
 
     Args:
-        capture: Posed photos; what label maps they have does not matter. Or a scene that was
-            imported without photos.
+        capture: Posed photos, whose label maps matter only if they are corrected. Or a scene that
+            was imported without photos.
         boxes: By object's name a view and a rectangle around the object, `(view, x0, y0, x1, y1)`
             or `(view, (x0, y0, x1, y1))`; several in a list. One view often suffices.
-        strokes: By object's name a view that has a box, and a line over the object or over what
-            is not; several in a list.
+        strokes: By object's name a view, and a line over the object or over what is not; several
+            in a list.
+        keep: By object's name a view and a rectangle in which all that shows belongs to the
+            object, as `boxes` are written. What is marked in one photo is so in all. Strokes,
+            `keep` and `drop` without `boxes` correct the label maps that the capture has.
+        drop: The same where nothing that shows belongs to it.
         source: Masks of another program: a folder of id pictures named like the photos or with a
             sub-folder of binary masks per object, or COCO JSON with RLE masks.
         method: `files` takes the masks in `source` and `grabcut` cuts out what the boxes hold, by
@@ -77,17 +84,18 @@ def mask(
     if isinstance(capture, Scene):
         if scene is not None:
             raise StyleSplatError("`scene` means nothing for a scene. Leave it out.")
-        options = {"boxes": boxes, "strokes": strokes, "source": source, "method": method}
-        options |= {"model": model, "progress": progress}
+        options = {"boxes": boxes, "strokes": strokes, "keep": keep, "drop": drop}
+        options |= {"source": source, "method": method, "model": model, "progress": progress}
         return _mask_scene(capture, options, device)
-    given = {"boxes": boxes, "strokes": strokes, "source": source, "model": model}
+    drawn = {"boxes": boxes or {}, "strokes": strokes or {}, "keep": keep or {}, "drop": drop or {}}
+    given = {**drawn, "source": source, "model": model}
     method = settled_method(method, given | {"scene": scene, "progress": progress})
     if method == "files":
         assert source is not None
         found = import_label_maps(Path(source), capture.cameras.names)
         return with_drawn_maps(capture, found.maps, found.names)
     if method == "grabcut":
-        return mask_boxes(capture, boxes or {}, strokes or {}, scene=scene, device=device)
+        return mask_boxes(capture, **drawn, scene=scene, device=device)
     return mask_with_model(
         capture, method, model=model, scene=scene, device=device, progress=progress
     )
@@ -110,7 +118,7 @@ def settled_method(method: Method | None, given: Mapping[str, Any]) -> Method:
         if source is None:
             raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
         check_mask_source(Path(source))
-    if method == "grabcut":
+    if method == "grabcut" and (given.get("boxes") or not any(given.get(n) for n in MARKS)):
         refuse_without_box(given.get("boxes") or {})
     return method
 

@@ -83,14 +83,26 @@ def rename(scene: Scene, old: str, new: str) -> Scene:
             f"Cannot rename {old!r}: something else is called {new!r}. Choose another name, or "
             f"delete that one first."
         )
-    objects = {new if name == old else name: each for name, each in scene.objects.items()}
-    layers = (replace(e, object=new) if e.object == old else e for e in scene.layers)
+    objects = {
+        new if name == old else name: replace(each, how={**each.how, "of": new})
+        if each.how.get("of") == old
+        else each
+        for name, each in scene.objects.items()
+    }
+    layers = []
+    for each in scene.layers:
+        protect = [new if name == old else name for name in each.settings.get("protect", ())]
+        settings = {**each.settings, **({"protect": protect} if protect else {})}
+        own = new if each.object == old else each.object
+        layers.append(replace(each, object=own, settings=settings))
     return replace(scene, objects=objects, layers=tuple(layers))
 
 
 @check_arguments
 def delete(scene: Scene, name: str) -> Scene:
     """Forget a named object of a scene. Its Gaussians stay, and so does what is painted on them.
+
+    Those of a part belong to the object again that it is a part of.
 
     Args:
         scene: Where it is.
@@ -107,7 +119,10 @@ def delete(scene: Scene, name: str) -> Scene:
         options = ("--object", name, "--undo", "-o", "OTHER")
         way = pasted("adjust", scene.path or "SCENE", *options)
         say(f"{name} stays painted. `{way}` takes that back.")
-    objects = {other: each for other, each in scene.objects.items() if other != name}
+    part, objects = scene.objects[name], dict(scene.objects)
+    del objects[name]
+    if (of := part.how.get("of")) in objects:
+        objects[of] = objects[of].with_picked(objects[of].picked | part.picked)
     return replace(scene, objects=objects)
 
 

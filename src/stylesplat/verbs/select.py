@@ -14,7 +14,7 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.arguments import PickSize, Places, check_box, parse_places, several
 from stylesplat.scene.scene import Scene, check_name
-from stylesplat.selection.choose import Choice, choose
+from stylesplat.selection.choose import Choice, choose, whole_of
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD
 from stylesplat.selection.text import load_detector
@@ -29,6 +29,7 @@ def select(
     box: Places = (),
     point: Places = (),
     not_point: Places = (),
+    of: str | None = None,
     size: PickSize | None = None,
     text: str | Sequence[str] | None = None,
     box3d: Sequence[Any] = (),
@@ -57,8 +58,11 @@ def select(
         box: `(view, x0, y0, x1, y1)`, or several: the object that shows most inside.
         point: `(view, x, y)`, or several: the object that shows there.
         not_point: The same for objects that are not meant.
+        of: The name of the object that this is a part of. What of the selection belongs to it
+            becomes the part; the rest stays the object's. Points are on its surface.
         size: How much a point means in a scene without labels: `part`, `object` (the default
-            there) or `group`, all that touches; in a scene with labels, instead of these.
+            there) or `group`, all that touches; in a scene with labels, instead of these. `part`
+            is the default with `of`.
         text: A few words: the object that they mean, if it is clear which one. Or several texts.
         box3d: `(x0, y0, z0, x1, y1, z1)` in world units, or several: what lies inside, whatever
             it is.
@@ -85,12 +89,15 @@ def select(
         >>> scene = select(scene, "pot", point=("IMG_0007.jpg", 640, 420))  # doctest: +SKIP
     """
     check_name(name)
+    if of == name:
+        raise StyleSplatError(f"{name!r} is no part of itself. Give the part another name.")
     texts = (text,) if isinstance(text, str) else tuple(text or ())
     choice = Choice(
         ids=(id,) if isinstance(id, int) else tuple(id),
         boxes=parse_places(box, 4, "box"),
         points=parse_places(point, 2, "point"),
         not_points=parse_places(not_point, 2, "not_point"),
+        of=of,
         size=size,
         text=texts,
         box3d=tuple(map(_box3d, several(box3d))),
@@ -116,6 +123,9 @@ def select(
     if name in scene.objects:
         before = int(scene.objects[name].picked.sum())
         say(f"{name!r} meant {before:,} Gaussians before.")
+    if of is not None:
+        left = whole_of(scene, of, name) & ~found.picked
+        scene = scene.with_object(of, scene.objects[of].with_picked(left))
     return scene.with_object(name, found)
 
 

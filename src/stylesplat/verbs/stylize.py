@@ -78,6 +78,7 @@ def stylize(
     *,
     features: Network | None = None,
     weights: Path | str | None = None,
+    protect: str | Sequence[str] = (),
     max_memory: float = MAX_MEMORY,
     device: str = "auto",
     on_painted: Callable[[Scene], None] | None = None,
@@ -96,6 +97,8 @@ def stylize(
         features: The network whose features are matched; by default what the recipe says, or that
             of the preset: `compact`, which ships with the package, or VGG16 for the paper's.
         weights: The network's file; VGG's are else downloaded, once.
+        protect: Names of objects, such as eyes, that get no paint of any of these; in addition to
+            those that a style protects. Their Gaussians stay, and no disc of a canvas covers them.
         max_memory: GiB for prepared views; what does not fit takes longer.
         device: Where to compute.
         on_painted: Called with the scene before it is measured, for example to save it.
@@ -114,6 +117,7 @@ def stylize(
         ... # doctest: +SKIP
     """
     start, before, recipe = time.perf_counter(), scene, as_recipe(styles)
+    recipe = recipe.protecting((protect,) if isinstance(protect, str) else tuple(protect))
     tasks = paint_tasks(recipe, scene, features, weights)
     torch_device = pick_device(device)
     context_of = context_maker(scene, tasks, max_memory, torch_device)

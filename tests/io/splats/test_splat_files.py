@@ -139,7 +139,7 @@ def test_what_follows_the_gaussians_is_not_read(tmp_path: Path, suffix: str):
 
 
 def test_nothing_to_read(tmp_path: Path):
-    for name in ("a.ply", "a.spz", "a.splat", "a.glb", "a.gltf", "a.sog", "meta.json"):
+    for name in ("a.ply", "a.spz", "a.splat", "a.ksplat", "a.glb", "a.gltf", "a.sog", "meta.json"):
         with pytest.raises(StyleSplatError, match=f"There is no file .*{name}. Check the name"):
             read_splats(tmp_path / name)
     (tmp_path / "a.obj").touch()

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from stylesplat.io.atomic import atomic_path
@@ -22,16 +22,25 @@ def read_dot_splat(path: Path | str) -> Splats:
     content = read_bytes(path)
     with reading(path, "Export it again."):
         rows = np.frombuffer(content, ROW)  # a ValueError if its size is no multiple of a row's
-    rgba = _floats(rows["rgba"]) / 255
+    sh0, opacities = from_rgba(rows["rgba"])
     splats = Splats(
-        means=_floats(rows["mean"]),
-        quats=(_floats(rows["quat"]) - 128) / 128,
-        scales=_floats(rows["scale"]).log(),
-        opacities=rgba[:, 3].clamp(HALF_STEP, 1 - HALF_STEP).logit(),
-        sh0=((rgba[:, :3] - 0.5) / SH_C0)[:, None],
+        means=to_floats(rows["mean"]),
+        quats=(to_floats(rows["quat"]) - 128) / 128,
+        scales=to_floats(rows["scale"]).log(),
+        opacities=opacities,
+        sh0=sh0,
         shN=torch.zeros(len(rows), 0, 3),
     )
     return check_splats(splats, path)
+
+
+def from_rgba(
+    pixels: UInt8[np.ndarray, "N 4"],
+) -> tuple[Float[Tensor, "N 1 3"], Float[Tensor, " N"]]:
+    """The constant band of colour, and the logits of opacities."""
+    rgba = to_floats(pixels) / 255
+    sh0 = ((rgba[:, :3] - 0.5) / SH_C0)[:, None]
+    return sh0, rgba[:, 3].clamp(HALF_STEP, 1 - HALF_STEP).logit()
 
 
 def write_dot_splat(splats: Splats, path: Path | str) -> None:
@@ -57,5 +66,5 @@ def _bytes(values: torch.Tensor) -> np.ndarray:
     return values.round().clamp(0, 255).to(torch.uint8).numpy()
 
 
-def _floats(values: np.ndarray) -> torch.Tensor:
+def to_floats(values: Shaped[np.ndarray, "*B"]) -> Float[Tensor, "*B"]:
     return torch.from_numpy(np.array(values, np.float32))

@@ -7,7 +7,7 @@ do not know it show a cloud of coloured points.
 
 import base64
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import reading
 from stylesplat.io.splats.gltf_file import (
+    BYTE,
     DISPLAYED,
     FLOAT,
     KINDS,
@@ -40,7 +41,7 @@ from stylesplat.io.splats.gltf_file import (
 )
 from stylesplat.io.splats.packing import unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, check_splats, of_degree, refuse_faulty
-from stylesplat.io.splats.spz import LARGEST_RATIO, spz_within
+from stylesplat.io.splats.spz import LARGEST_RATIO, pack_spz, spz_within
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import SH_C0, Splats
@@ -52,9 +53,12 @@ LARGEST = 1 - 2.0**-25  # of an opacity: 1 has no logit, and float32 has no numb
 # glTF's x left, y up, z forward to our (COLMAP's) x right, y down, z forward, and back
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 HALF_TURN_XYZW = [0.0, 0.0, 1.0, 0.0]
+HALF_TURN_MATRIX = np.diag([-1.0, -1.0, 1.0, 1.0]).ravel().tolist()
+VERSION_INSIDE = 2  # of SPZ, which the extension is named after
 TOLERANCE = 1e-3  # of a rotation times its transpose; files round to about six digits
 EXACT_WITHIN = 1e-6  # of quarter turns and of scale 1, which are then taken as exact
 POINTS = 0  # the mode of a primitive that is drawn as points
+KINDS_OF = {torch.float32: FLOAT, torch.uint16: SHORT, torch.uint8: BYTE}
 VERTICES = 34962  # the target of a view that holds attributes
 MAX_SIZE = 2**32 - 1  # bytes of a GLB
 
@@ -222,15 +226,15 @@ def _frame(matrix: Float[np.ndarray, "4 4"]) -> Frame | None:
     return Frame(torch.from_numpy(rotation), scale, torch.from_numpy(shift))
 
 
-def write_glb(splats: Splats, path: Path | str) -> None:
+def write_glb(splats: Splats, path: Path | str, *, spz: bool = False) -> None:
     """Write a GLB: float32 throughout, rotations as unit quaternions, colours of all degrees.
 
     glTF stores opacities and standard deviations, not logits and logarithms; when they are read
-    again, opacities differ by at most 1e-7 and scales by 1e-6.
+    again, opacities differ by at most 1e-7 and scales by 1e-6. With `spz` the numbers are those of
+    SPZ, which readers have to know.
     """
     path = Path(path)
-    columns = _columns(splats, path)
-    document = _document(columns)
+    document, parts = _document(splats, path, spz=spz)
     text, size = padded_json(document), document["buffers"][0]["byteLength"]
     whole = glb_size(text, size)
     if whole > MAX_SIZE:
@@ -240,14 +244,13 @@ def write_glb(splats: Splats, path: Path | str) -> None:
         )
     with atomic_path(path) as draft, draft.open("wb") as file:
         file.write(glb_head(text, size))
-        file.writelines(map(_bytes, columns.values()))
+        file.writelines(parts)
 
 
-def write_gltf(splats: Splats, path: Path | str) -> None:
+def write_gltf(splats: Splats, path: Path | str, *, spz: bool = False) -> None:
     """Write the same as JSON with the numbers in base64: a third larger, still one file."""
-    columns = _columns(splats, Path(path))
-    document = _document(columns)
-    content = base64.b64encode(b"".join(map(_bytes, columns.values()))).decode()
+    document, parts = _document(splats, Path(path), spz=spz)
+    content = base64.b64encode(b"".join(parts)).decode()
     document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{content}"
     with atomic_path(path) as draft:
         draft.write_text(json.dumps(document, indent=1))
@@ -281,27 +284,40 @@ def _columns(splats: Splats, path: Path) -> dict[str, Shaped[Tensor, "N D"]]:
     }
 
 
-def _document(columns: dict[str, Shaped[Tensor, "N D"]]) -> dict[str, Any]:
-    """The JSON that describes the attributes."""
-    sizes = [column.nbytes for column in columns.values()]
-    starts = [0, *accumulate(sizes)]
-    views = [
-        {"buffer": 0, "byteOffset": start, "byteLength": size, "target": VERTICES}
-        for start, size in zip(starts, sizes, strict=False)
-    ]
+def _document(
+    splats: Splats, path: Path, *, spz: bool
+) -> tuple[dict[str, Any], Sequence[bytes | memoryview]]:
+    """The JSON that describes the attributes, and the parts of the binary chunk.
+
+    With `spz` the accessors of the attributes have no content; there is none of those that the
+    extension does not name, from which CesiumJS would take wrong numbers. CesiumJS takes SPZ's
+    numbers to be in the mesh's axes.
+    """
+    columns = _columns(splats, path)
+    if spz:
+        packed = pack_spz(splats, path, version=VERSION_INSIDE)
+        columns = _columns(spz_within(packed, path), path)
+        columns["COLOR_0"] = (columns["COLOR_0"].float() / 257).round_().to(torch.uint8)
+        del columns[attribute("OPACITY")], columns[harmonics(0)[0]]
+        parts = [packed + bytes(-len(packed) % 4)]
+        views: list[dict[str, Any]] = [{"buffer": 0, "byteLength": len(packed)}]
+    else:
+        parts = [*map(_bytes, columns.values())]
+        starts = [0, *accumulate(map(len, parts))]
+        views = [
+            {"buffer": 0, "byteOffset": start, "byteLength": len(part), "target": VERTICES}
+            for start, part in zip(starts, parts, strict=False)
+        ]
     accessors: list[dict[str, Any]] = [
-        {
-            "bufferView": index,
-            "componentType": SHORT if column.dtype == torch.uint16 else FLOAT,
-            "count": len(column),
-            "type": KINDS[column.shape[1]],
-        }
+        {"componentType": KINDS_OF[column.dtype], "count": len(column)}
+        | {"type": KINDS[column.shape[1]]}
+        | ({} if spz else {"bufferView": index})
         for index, column in enumerate(columns.values())
     ]
     means = columns["POSITION"]
     accessors[0] |= {"min": means.amin(dim=0).tolist(), "max": means.amax(dim=0).tolist()}
     accessors[1]["normalized"] = True
-    splatting = {
+    splatting: dict[str, Any] = {
         "kernel": "ellipse",
         "colorSpace": DISPLAYED,
         "projection": "perspective",
@@ -312,14 +328,21 @@ def _document(columns: dict[str, Shaped[Tensor, "N D"]]) -> dict[str, Any]:
         "mode": POINTS,
         "extensions": {SPLATTING: splatting},
     }
-    return {
+    if spz:
+        splatting["extensions"] = {SPZ[0]: {"bufferView": 0}}
+    names = [SPLATTING, SPZ[0]] if spz else [SPLATTING]
+    # CesiumJS knows no other transform of splats than a matrix
+    turn = {"matrix": HALF_TURN_MATRIX} if spz else {"rotation": HALF_TURN_XYZW}
+    document = {
         "asset": {"version": f"{VERSION}.0", "generator": "StyleSplat"},
-        "extensionsUsed": [SPLATTING],
+        "extensionsUsed": names,
+        **({"extensionsRequired": names} if spz else {}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": HALF_TURN_XYZW}],
+        "nodes": [{"mesh": 0, **turn}],
         "meshes": [{"primitives": [primitive]}],
-        "buffers": [{"byteLength": starts[-1]}],
+        "buffers": [{"byteLength": sum(map(len, parts))}],
         "bufferViews": views,
         "accessors": accessors,
     }
+    return document, parts

@@ -9,6 +9,8 @@ from jaxtyping import Float, Int, UInt8
 from scipy.cluster.vq import kmeans2, vq
 from torch import Tensor
 
+from stylesplat.progress import track
+
 MORTON_BITS = 21  # of each coordinate: three of them fill a signed integer of 64 bits
 # Shifts and masks that spread the bits of a coordinate three apart
 SPREADS = (
@@ -114,7 +116,8 @@ def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
         counts = np.minimum(sizes, counts + more.astype(np.int64))
     centres, found = list[Centres](), np.empty(len(rows), np.int64)
     clusters = np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
-    for cluster, count in zip(clusters, counts.tolist(), strict=True):
+    pairs = zip(clusters, counts.tolist(), strict=True)
+    for cluster, count in track(pairs, "palette of colours", unit="part", total=len(clusters)):
         if len(cluster):
             own, inner = kmeans(rows[cluster], count)
             found[cluster] = sum(map(len, centres)) + inner

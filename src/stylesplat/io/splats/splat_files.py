@@ -18,7 +18,8 @@ from stylesplat.io.splats.compressed_ply import (
     write_compressed_ply,
 )
 from stylesplat.io.splats.dot_splat import dot_splat_order, read_dot_splat, write_dot_splat
-from stylesplat.io.splats.gltf import read_gltf, write_glb, write_gltf
+from stylesplat.io.splats.gltf import VERSION_INSIDE, read_gltf, write_glb, write_gltf
+from stylesplat.io.splats.ksplat import read_ksplat
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.sog import read_sog, write_sog
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree, read_splat_ply, write_splat_ply
@@ -34,6 +35,7 @@ WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but pla
     ".glb": write_glb,
     ".gltf": write_gltf,
 }
+SPZ_INSIDE = {".glb": write_glb, ".gltf": write_gltf}  # if a version of SPZ is asked for
 MAX_DEGREE = 3
 
 
@@ -47,6 +49,7 @@ READERS: dict[str, Callable[[Path], Splats]] = {
     ".ply": _read_ply,
     ".spz": read_spz,
     ".splat": read_dot_splat,
+    ".ksplat": read_ksplat,
     ".sog": read_sog,
     ".glb": read_gltf,
     ".gltf": read_gltf,
@@ -57,8 +60,8 @@ def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
     PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ,
-    .splat, glTF, and SOG, as a bundle or as the meta.json of a folder. No memory is allocated for a
-    count that was not checked against the file.
+    .splat, .ksplat, glTF, and SOG, as a bundle or as the meta.json of a folder. No memory is
+    allocated for a count that was not checked against the file.
     """
     path = Path(path)
     reader = read_sog if path.name == SOG_META else READERS.get(path.suffix.lower())
@@ -106,8 +109,13 @@ def write_splats(
             f"Cannot export to {path}: a .splat has one colour per Gaussian, which is degree 0. "
             "Leave the degree out, or choose a .ply or .spz."
         )
-    if spz_version is not None and suffix != ".spz":
+    if spz_version is not None and suffix not in SPZ_INSIDE and suffix != ".spz":
         raise StyleSplatError(f"{path} is no SPZ, so it has no version of SPZ. Leave it out.")
+    if suffix in SPZ_INSIDE and spz_version not in (None, VERSION_INSIDE):
+        raise StyleSplatError(
+            f"Cannot export to {path}: glTF holds SPZ of version {VERSION_INSIDE}, not "
+            f"{spz_version}. Take that, or choose a .spz."
+        )
     if besides and suffix != ".ply":
         raise StyleSplatError(
             f"Cannot export to {path}: it has no more columns than its format says. Choose a .ply."
@@ -118,8 +126,10 @@ def write_splats(
     if sh_degree is None:
         sh_degree = MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
     splats = of_degree(splats, sh_degree)
-    if spz_version is not None:
+    if spz_version is not None and suffix == ".spz":
         write_spz(splats, path, version=spz_version)
+    elif spz_version is not None:
+        SPZ_INSIDE[suffix](splats, path, spz=True)
     elif suffix == ".ply":
         write_splat_ply(splats, path, bands=splats.shN.shape[1], besides=besides)
     else:

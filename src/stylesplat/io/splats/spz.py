@@ -57,6 +57,13 @@ def spz_within(content: bytes, path: Path) -> Splats:
 
 def write_spz(splats: Splats, path: Path | str, *, version: int = SPZ_VERSIONS[0]) -> None:
     """Write SPZ: six times smaller than PLY or more, its numbers rounded."""
+    content = pack_spz(_flip(splats), Path(path), version=version)
+    with atomic_path(path) as draft:
+        draft.write_bytes(content)
+
+
+def pack_spz(splats: Splats, path: Path, *, version: int = SPZ_VERSIONS[0]) -> bytes:
+    """The content of an SPZ file, for `path`, of splats in SPZ's own axes."""
     check_choice(version, "version of SPZ", SPZ_VERSIONS)
     reach = float(splats.means.abs().max()) if len(splats) else 0.0
     bits = [b for b in FRACTION if reach * 2**b <= POSITION]
@@ -65,30 +72,30 @@ def write_spz(splats: Splats, path: Path | str, *, version: int = SPZ_VERSIONS[0
             f"Cannot export to {path}: the splats reach {reach:.0f} units from the origin, which "
             "SPZ cannot express. Export a .ply."
         )
-    flipped = _flip(splats)
-    data = to_gsply(replace(flipped, opacities=flipped.opacities.clamp(-SURE, SURE)))
-    with atomic_path(path) as draft:
-        gsply.write_spz(draft, data, version=max(version, 3), fractional_bits=max(bits))
-        if version == 2:
-            draft.write_bytes(_of_version_2(draft.read_bytes(), flipped))
+    data = to_gsply(replace(splats, opacities=splats.opacities.clamp(-SURE, SURE)))
+    with TemporaryDirectory() as folder:  # gsply writes files alone
+        packed = Path(folder) / "a.spz"
+        gsply.write_spz(packed, data, version=max(version, 3), fractional_bits=max(bits))
+        content = packed.read_bytes()
+    return _of_version_2(content, splats) if version == 2 else content
 
 
-def _of_version_2(content: bytes, flipped: Splats) -> bytes:
+def _of_version_2(content: bytes, splats: Splats) -> bytes:
     """An SPZ file of version 3 as one of version 2, whose rotations lack the real part.
 
     Half a turn about its own axis leaves a Gaussian as it is. Of four such quaternions, that of the
     largest real part loses least.
     """
     unpacked = gzip.decompress(content)
-    start = HEADER.size + ROTATIONS * len(flipped)
-    w, x, y, z = F.normalize(flipped.quats, dim=1).unbind(dim=1)
+    start = HEADER.size + ROTATIONS * len(splats)
+    w, x, y, z = F.normalize(splats.quats, dim=1).unbind(dim=1)
     turned = [(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
     four = torch.stack([torch.stack(each, dim=1) for each in turned], dim=1)  # [N, 4, 4]
     quats = four[torch.arange(len(four)), four[..., 0].abs().argmax(dim=1)]
     imaginary = quats[:, 1:] * quats[:, :1].sign()
     rotations = (imaginary * 127.5 + 127.5).round().clamp(0, 255).byte()
     head = unpacked[:4] + struct.pack("<I", 2) + unpacked[8:start]
-    return gzip.compress(head + rotations.numpy().tobytes() + unpacked[start + 4 * len(flipped) :])
+    return gzip.compress(head + rotations.numpy().tobytes() + unpacked[start + 4 * len(splats) :])
 
 
 def _flip(splats: Splats) -> Splats:

@@ -61,7 +61,7 @@ function Part({ style, onClose }) {
   return html`<${Dialog} title=${`Part of ${style.title}`} onClose=${onClose} wide>
     <p class="hint">Drag a rectangle over the part to paint with.</p>
     <div class="part" ref=${frame} onPointerDown=${press} onPointerMove=${move} onPointerUp=${() => (start.current = null)}>
-      <img src=${`/picture/large/${style.number}?${encodeURIComponent(style.title)}`} alt=${style.title} draggable="false" />
+      <img src=${style.url} alt=${style.title} draggable="false" />
       <i style=${`left:${share(x0, 0)};top:${share(y0, 1)};width:${share(x1 - x0, 0)};height:${share(y1 - y0, 1)}`}></i></div>
     <div class="row"><${Button} text="Whole picture" label="Use the whole picture" onClick=${() => use(null)} /><span class="grow"></span>
       <${Button} primary text="Use this part" label="Use this part" disabled=${x1 - x0 < 2 || y1 - y0 < 2} onClick=${() => use(drawn.value)} /></div>
@@ -89,8 +89,10 @@ function Keep({ onClose }) {
       <${Select} label="Around" value=${turn.value.around} choices=${[["", "the scene"], ...now.objects.map((each) => each.name)]} onChange=${set("around")} />
       <${Button} icon="download" text="MP4" label="Make a turntable video" disabled=${now.painting} onClick=${() => begin("turntable", turn.value)} /></div></section>
     <section><h3>Another folder</h3><${Entry} label="Name of a new folder beside this one" button="Save as" value=${`${name}-painted`} onEnter=${(words) => begin("save_as", { name: words })} /></section>
-    <section><h3>The same on the command line</h3><pre tabindex="0">${now.commands}</pre>
-      <div class="row"><${Button} icon="copy" text="Copy" label="Copy the commands" onClick=${() => copy(now.commands)} /></div></section>
+    <section><h3>The same on the command line</h3>${now.command
+      ? html`<pre tabindex="0">${now.command}</pre><p class="hint">It paints what was saved once more${now.unsaved ? "; save to have what has changed since" : ""}.</p>
+        <div class="row"><${Button} icon="copy" text="Copy" label="Copy the command" onClick=${() => copy(now.command)} /></div>`
+      : html`<p class="hint">Save the painted scene first.</p>`}</section>
   </${Dialog}>`;
 }
 

@@ -44,8 +44,8 @@ function Header() {
   return html`<header class="bar">
     <h1 title=${now.folder}>${name}</h1>
     <span class="saved" role="status">${now.unsaved ? "Not saved" : "Saved"}</span>
-    <${Button} icon="undo" label=${now.undo ? `Undo: ${now.undo} (Ctrl+Z)` : "Nothing to undo"} disabled=${!now.undo} onClick=${() => act("undo")} />
-    <${Button} icon="redo" label=${now.redo ? `Redo: ${now.redo} (Ctrl+Y)` : "Nothing to redo"} disabled=${!now.redo} onClick=${() => act("redo")} />
+    <${Button} icon="undo" label=${now.undo ? `Undo: ${now.undo} (Ctrl+Z)` : "Nothing to undo"} disabled=${!now.undo} onClick=${() => act("step", { rows: -1 })} />
+    <${Button} icon="redo" label=${now.redo ? `Redo: ${now.redo} (Ctrl+Y)` : "Nothing to redo"} disabled=${!now.redo} onClick=${() => act("step", { rows: 1 })} />
     <span class="note">${now.note}</span>
     <${Compare} />
     <${Views} />
@@ -75,8 +75,8 @@ function Progress() {
       <${Button} small icon="stop" text=${exporting ? "Cancel" : "Stop"} label=${exporting ? "Cancel the export" : "Stop and keep what is painted so far"}
         onClick=${() => act(exporting ? "cancel" : "stop")} /></div>
       <div class="meter" role="progressbar" aria-label=${what} aria-valuenow=${percent} aria-valuemin="0" aria-valuemax="100"><i style=${`width:${percent}%`}></i></div>`}
-    ${now.waiting.map((job) => html`<div class="line waiting" key=${job.number}><span>Next: ${job.object} like ${job.title}</span>
-      <${Button} small icon="close" label=${`Do not paint ${job.object}`} onClick=${() => act("unqueue", { number: job.number })} /></div>`)}
+    ${now.waiting.map(([number, object, title]) => html`<div class="line waiting" key=${number}><span>Next: ${object} like ${title}</span>
+      <${Button} small icon="close" label=${`Do not paint ${object}`} onClick=${() => act("remove", { number })} /></div>`)}
     ${!what && now.can_continue && html`<div class="line"><span>${now.note}</span>
       <${Button} small icon="play" text="Continue" label="Go on with this painting" onClick=${() => act("resume")} /></div>`}
   </section>`;
@@ -108,8 +108,8 @@ window.addEventListener("keydown", (event) => {
   if (isTyping(event) || !state.value || document.querySelector("dialog")) return;
   const key = event.key.toLowerCase();
   const does = event.ctrlKey || event.metaKey
-    ? { z: () => act(event.shiftKey ? "redo" : "undo"), y: () => act("redo"), s: () => act("save") }[key]
-    : { h: () => viewport.home(), escape: () => act("pick", { names: [] }) }[key];
+    ? { z: () => act("step", { rows: event.shiftKey ? 1 : -1 }), y: () => act("step", { rows: 1 }), s: () => act("save") }[key]
+    : { h: () => viewport.home(), escape: () => act("pick_names", { names: [] }) }[key];
   if (!does || (hello.value.readonly && key !== "h")) return;
   event.preventDefault();
   does();

@@ -32,6 +32,8 @@ export class Overlay {
     this.viewport.root.dataset.map = look;
     this.setPointed(this.pointed, true);
     this.draw();
+    const { tools } = this.viewport;
+    if (tools.early && tools.early.look === look) tools.pickIn(...tools.early.place);
   }
 
   async setPicked({ look, size, names }, bytes) {
@@ -104,9 +106,21 @@ export class Overlay {
 
   // The object at a place in pixels of the page; undefined if it is not known yet
   objectAt(x, y) {
+    return this.objectIn([x, y], [x, y]);
+  }
+
+  // The object that shows most in a rectangle
+  objectIn(one, other) {
     if (!this.isCurrent(this.map)) return undefined;
-    const number = this.map.ids[this.row(x, y)];
-    return number ? this.map.names[number - 1] : null;
+    const { ids, names, size: [width] } = this.map, counts = new Map();
+    const corner = (pick) => this.row(...[0, 1].map((axis) => pick(one[axis], other[axis])));
+    const first = corner(Math.min), last = corner(Math.max), wide = (last % width) - (first % width);
+    for (let row = first; row <= last; row += width) {
+      for (const number of ids.subarray(row, row + wide + 1)) counts.set(number, (counts.get(number) ?? 0) + 1);
+    }
+    counts.delete(0);
+    const [[most] = []] = [...counts].sort((a, b) => b[1] - a[1]);
+    return most ? names[most - 1] : null;
   }
 
   // How far away the surface is; 0 where there is none
@@ -207,7 +221,7 @@ export class Overlay {
   // The circle that stands for the strokes of the picked object, and its knob
   knob() {
     const [one, ...others] = tool.value === "strokes" ? state.value.objects.filter((each) => each.picked) : [];
-    if (!one || others.length) return null;
+    if (!one?.centre || others.length) return null;
     const [x, y, depth] = this.viewport.project(one.centre);
     if (depth <= 0.01) return null;
     const { scale, rotate } = strokes(), radius = KNOB_NEAR + KNOB_STEP * scale, angle = (rotate * Math.PI) / 180;

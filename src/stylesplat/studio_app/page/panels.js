@@ -2,7 +2,7 @@
 
 import { brush, dialog, mode, part, radius, reach, regions, settings, tool } from "./choices.js";
 import { act, hello, note, state, upload } from "./connection.js";
-import { Button, Entry, html, Icon, percent, Slider } from "./widgets.js";
+import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
 
 const TOOLS = [
   ["object", "Pick objects: click. Shift adds, Ctrl removes; both with a drag, too"],
@@ -16,7 +16,6 @@ const TOOLS = [
 ];
 
 const STEP = 0.05; // of its extent, by which an object grows or shrinks
-const SPREAD = 0.3; // of the wand's reach, by which the pick spreads
 const RESTING = 300; // milliseconds without motion of the handle, after which a draft begins
 
 const picked = () => state.value.objects.filter((each) => each.picked);
@@ -27,12 +26,12 @@ let resting = null;
 export function setStrokes(values) {
   settings.value = { ...settings.value, ...values };
   const { layers, styles } = state.value, [one, ...others] = picked();
-  const layer = layers.find((each) => each.object === one?.name && !each.locked);
-  const style = styles.find((each) => each.title === layer?.title);
-  if (!style || others.length) return;
-  window.studio.overlay.setPattern(one.name, thumbnail("large", style.number, style.title));
+  const layer = layers.find((each) => each.name === one?.name && !each.locked);
+  const style = styles.findIndex((each) => each.title === layer?.title);
+  if (style < 0 || others.length) return;
+  window.studio.overlay.setPattern(one.name, styles[style].url);
   clearTimeout(resting);
-  const draft = { style: style.number, names: [one.name], settings: { ...settings.value, quality: "draft" }, instead: true };
+  const draft = { style, names: [one.name], settings: { ...settings.value, quality: "draft" }, instead: true };
   resting = setTimeout(() => act("paint", draft), RESTING);
 }
 
@@ -52,8 +51,7 @@ export function Toolbar() {
     ${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}
     ${chosen === "wand" && html`<div class="options"><${Slider} label="Reach" value=${reach.value} low=${extent / 100} high=${extent} step=${extent / 200}
       show=${(value) => value.toPrecision(2)} onInput=${(value) => { reach.value = value; window.studio.tools.reachAgain(); }} />
-      ${[[SPREAD, "Grow"], [-SPREAD, "Shrink"]].map(([share, words]) => html`<button type="button" disabled=${!picked().length}
-        title=${`${words} along what looks alike`} onClick=${() => act("spread", { reach: share * reach.value })}>${words}</button>`)}</div>`}
+      </div>`}
     ${chosen === "ball" && html`<div class="options"><${Slider} label="Radius" value=${radius.value} low=${extent / 200} high=${extent / 2} step=${extent / 400}
       show=${(value) => value.toPrecision(2)} onInput=${(value) => (radius.value = value)} /></div>`}
     ${chosen === "brush" && html`<div class="options"><${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005}
@@ -77,8 +75,6 @@ function pickBox(how) {
   act("pick_box", { low, high, how });
 }
 
-const thumbnail = (kind, key, version) => `/picture/${kind}/${encodeURIComponent(key)}?${version}`;
-
 export function Objects({ viewport }) {
   const now = state.value, chosen = picked();
   const choose = (event, each) => {
@@ -89,24 +85,24 @@ export function Objects({ viewport }) {
     <h2>Objects</h2>
     ${!now.objects.length && html`<p class="hint">This scene has no labels. Click with the ball or draw around what is meant.</p>`}
     <ul class="cards">${now.objects.map((each) => html`<li key=${each.name} class=${each.hidden ? "off" : ""}>
-      <button type="button" class="card" aria-pressed=${each.picked} title=${`${each.name}: ${each.count.toLocaleString()} Gaussians`}
-        onClick=${(event) => choose(event, each)} onDblClick=${() => viewport().approach(each.centre, each.radius)}
+      <button type="button" class="card" aria-pressed=${each.picked} title=${`${each.name}: ${each.count?.toLocaleString() ?? "counting"} Gaussians`}
+        onClick=${(event) => choose(event, each)} onDblClick=${() => each.centre && viewport().approach(each.centre, each.radius)}
         onMouseEnter=${() => viewport()?.overlay.setPointed(each.name)} onMouseLeave=${() => viewport()?.overlay.setPointed(null)}>
-        ${each.thumbnail ? html`<img src=${thumbnail("object", each.name, each.thumbnail)} alt="" />` : html`<span class="blank"></span>`}
+        ${each.thumbnail ? html`<img src=${each.thumbnail} alt="" />` : html`<span class="blank"></span>`}
         <span class="name">${each.name}</span></button>
       <${Button} small icon=${each.hidden ? "hidden" : "eye"} label=${`${each.hidden ? "Show" : "Hide"} ${each.name}`}
-        onClick=${() => act("hide", { names: [each.name], hide: !each.hidden })} /></li>`)}</ul>
+        onClick=${() => act("hide_objects", { names: [each.name], hide: !each.hidden })} /></li>`)}</ul>
     <section aria-label="The pick"><h3>${chosen.length ? chosen.map((each) => each.name).join(", ") : "Nothing is picked"}</h3>
       ${chosen.length > 0 && html`<p class="hint">${chosen.reduce((sum, each) => sum + each.count, 0).toLocaleString()} Gaussians</p>
         <div class="row">
-          <${Button} text="Grow" label="Grow by 5 % of its extent" onClick=${() => act("resize", { share: STEP })} />
-          <${Button} text="Shrink" label="Shrink by 5 % of its extent" onClick=${() => act("resize", { share: -STEP })} />
-          <${Button} text="Alone" label="Show only what is picked" active=${now.alone} onClick=${() => act("alone", { only: !now.alone })} />
-          ${chosen.length > 1 && html`<${Button} text="Unite" label="Make one object of these" onClick=${() => act("unite")} />
-            <${Button} text="Subtract" label="Subtract the others from the first" onClick=${() => act("subtract")} />`}
-          ${chosen.some((each) => each.named) && html`<${Button} text="Delete name" label="Delete the name; the Gaussians stay" onClick=${() => act("forget")} />`}
+          <${Button} text="Grow" label="Grow by 5 % of its extent" onClick=${() => act("resize_picked", { share: STEP })} />
+          <${Button} text="Shrink" label="Shrink by 5 % of its extent" onClick=${() => act("resize_picked", { share: -STEP })} />
+          ${chosen.length > 1 && html`<${Button} text="Unite" label="Make one object of these" onClick=${() => act("unite_picked")} />
+            <${Button} text="Subtract" label="Subtract the others from the first" onClick=${() => act("subtract_picked")} />`}
+          ${chosen.some((each) => each.named) && html`<${Button} text="Delete name" label="Delete the name; the Gaussians stay" onClick=${() => act("forget_picked")} />`}
         </div>
-        ${chosen.length === 1 && html`<${Entry} key=${chosen[0].name} label="Name" button="Rename" value=${chosen[0].named ? chosen[0].name : ""} onEnter=${(name) => act("rename", { name })} />`}`}
+        ${chosen.length === 1 && html`<${Entry} key=${chosen[0].name} label="Name" button="Rename" value=${chosen[0].named ? chosen[0].name : ""} onEnter=${(name) => act("rename_picked", { name })} />`}`}
+      ${now.objects.length > 0 && html`<${Recolor} />`}
     </section>
     <${Entry} label="Find by words" button="Find" onEnter=${(text) => act("pick_words", { text })} />
   </aside>`;
@@ -115,18 +111,19 @@ export function Objects({ viewport }) {
 export function Layers() {
   const now = state.value, chosen = picked().map((each) => each.name);
   const layers = [...now.layers].reverse();
-  const variants = now.variants.filter((each) => !chosen.length || chosen.includes(each.object));
+  const variants = now.variants.map((each, number) => ({ ...each, number, current: now.current.includes(number) }))
+    .filter((each) => !chosen.length || chosen.includes(each.object));
   return html`<aside class="panel layers" aria-label="Layers">
     <h2>Layers</h2>
     ${!layers.length && html`<p class="hint">Nothing is painted. Pick an object, then click a style.</p>`}
-    <ul>${layers.map((layer, row) => html`<${Layer} key=${layer.object} layer=${layer} first=${row === 0} last=${row === layers.length - 1} picked=${chosen.includes(layer.object)} />`)}</ul>
+    <ul>${layers.map((layer, row) => html`<${Layer} key=${layer.name} layer=${layer} first=${row === 0} last=${row === layers.length - 1} picked=${chosen.includes(layer.object)} />`)}</ul>
     ${variants.length > 0 && html`<section aria-label="Variants"><h3>Variants${chosen.length ? ` of ${chosen.join(", ")}` : ""}</h3>
       <ul class="cards">${variants.map((each) => html`<li key=${each.number}>
         <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { number: each.number })}>
-          <img src=${thumbnail("variant", each.number, 0)} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span></button>
+          <img src=${each.thumbnail} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span></button>
         <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></li>`)}</ul></section>`}
     <section aria-label="Snapshots"><h3>Snapshots</h3>
-      ${now.snapshots.map(([number, name]) => html`<div class="line" key=${number}><span>${name}</span>
+      ${now.snapshots.map((name, number) => html`<div class="line" key=${number}><span>${name}</span>
         <${Button} small text="Restore" label=${`Restore ${name}`} onClick=${() => act("restore", { number })} /></div>`)}
       <${Entry} key=${now.snapshots.length} label="Keep the whole scene as" button="Keep" value=${`Snapshot ${now.snapshots.length + 1}`} onEnter=${(name) => act("snapshot", { name })} />
     </section>
@@ -140,43 +137,62 @@ function compare(number) {
 }
 
 function Layer({ layer, first, last, picked }) {
-  const { object } = layer, now = state.value;
+  const { name, object, recolor } = layer, now = state.value;
   const found = now.objects.find((each) => each.name === object);
-  const fixed = layer.locked || now.painting;
+  const fixed = layer.locked || now.painting, what = recolor ? `the colours of ${object}` : `the paint of ${object}`;
   return html`<li class=${`layer ${layer.visible ? "" : "off"}`}>
-    <div class="line"><button type="button" class="card flat" aria-pressed=${picked} title=${layer.settings} onClick=${() => act("pick", { names: [object] })}>
-        ${found?.thumbnail ? html`<img src=${thumbnail("object", object, found.thumbnail)} alt="" />` : html`<span class="blank"></span>`}
+    <div class="line"><button type="button" class="card flat" aria-pressed=${picked} title=${layer.settings} disabled=${!found} onClick=${() => act("pick_names", { names: [object] })}>
+        ${found?.thumbnail ? html`<img src=${found.thumbnail} alt="" />` : html`<span class="blank"></span>`}
         <span><b>${object}</b><br />${layer.title}</span></button>
-      <${Button} small icon=${layer.visible ? "eye" : "hidden"} label=${`${layer.visible ? "Hide" : "Show"} the paint of ${object}`} onClick=${() => act("visible", { name: object, visible: !layer.visible })} /></div>
-    <${Slider} label="Strength" value=${layer.strength} high=${1.5} show=${percent} disabled=${fixed} onInput=${(value) => act("strength", { name: object, strength: value })} />
-    ${picked && html`<${Slider} label="Form" value=${layer.form} high=${1.5} show=${percent} disabled=${fixed} onInput=${(value) => act("form", { name: object, form: value })} />
+      <${Button} small icon=${layer.visible ? "eye" : "hidden"} label=${`${layer.visible ? "Hide" : "Show"} ${what}`} onClick=${() => act("set_visible", { name, visible: !layer.visible })} /></div>
+    <${Slider} label="Strength" value=${layer.strength} high=${1.5} show=${percent} disabled=${fixed} onInput=${(strength) => act("adjust_layer", { name, strength })} />
+    ${(picked || !found) && html`${!recolor && html`<${Slider} label="Form" value=${layer.form} high=${1.5} show=${percent} disabled=${fixed} onInput=${(form) => act("adjust_layer", { name, form })} />`}
       <div class="row">
-        <${Button} icon=${layer.locked ? "lock" : "unlock"} label=${`${layer.locked ? "Unlock" : "Lock"} ${object}`} active=${layer.locked} onClick=${() => act("lock", { name: object, locked: !layer.locked })} />
-        <${Button} icon="up" label=${`Move ${object} up`} disabled=${first} onClick=${() => act("order", { name: object, by: 1 })} />
-        <${Button} icon="down" label=${`Move ${object} down`} disabled=${last} onClick=${() => act("order", { name: object, by: -1 })} />
+        <${Button} icon=${layer.locked ? "lock" : "unlock"} label=${`${layer.locked ? "Unlock" : "Lock"} ${what}`} active=${layer.locked} onClick=${() => act("set_locked", { name, locked: !layer.locked })} />
+        <${Button} icon="up" label=${`Move ${what} up`} disabled=${first} onClick=${() => act("move_layer", { name, by: 1 })} />
+        <${Button} icon="down" label=${`Move ${what} down`} disabled=${last} onClick=${() => act("move_layer", { name, by: -1 })} />
         <span class="grow"></span>
-        <${Button} icon="trash" danger label=${`Remove the paint of ${object}`} disabled=${fixed} onClick=${() => act("remove_paint", { name: object })} />
+        <${Button} icon="trash" danger label=${`Remove ${what}`} disabled=${fixed} onClick=${() => act("remove_paint", { name })} />
       </div>`}</li>`;
+}
+
+// Other colours for what is picked, or for what belongs to no object, at once
+function Recolor() {
+  const now = state.value, chosen = picked().map((each) => each.name);
+  const names = chosen.length ? chosen : ["background"];
+  const layer = now.layers.find((each) => each.recolor && each.object === names[0]), values = layer?.recolor ?? {};
+  const fixed = now.painting || layer?.locked;
+  const set = (setting, value) => act("recolor", { names, setting, value });
+  const match = now.styles.findIndex((each) => each.title === values.match);
+  return html`<details><summary>Recolour ${chosen.length ? chosen.join(", ") : "the background"}</summary>
+    ${hello.value.recolorings.map((each) => html`<${Slider} label=${each.label} value=${values[each.name] ?? each.value} low=${each.low} high=${each.high} step=${each.step}
+      disabled=${fixed} onInput=${(value) => set(each.name, value)} />`)}
+    <div class="row"><label class="check"><input type="color" value=${values.tint ?? "#c08040"} disabled=${fixed} onInput=${(event) => set("tint", event.target.value)} /><span>Tint</span></label>
+      ${values.tint && html`<${Button} text="No tint" label="Remove the tint" onClick=${() => set("tint", null)} />`}</div>
+    <${Select} label="Match the colours of" value=${String(match)} choices=${[["-1", "no picture"], ...now.styles.map((each, number) => [String(number), each.title])]}
+      onChange=${(number) => set("match", number === "-1" ? null : Number(number))} />
+    <div class="row"><${Button} text="Own colours" label="Remove the recolouring" disabled=${!layer || fixed} onClick=${() => act("remove_paint", { name: layer.name })} /></div>
+  </details>`;
 }
 
 export function Styles() {
   const now = state.value, chosen = picked();
-  const tried = now.styles.some((each) => each.preview);
+  const tried = Object.keys(now.previews).length > 0;
   const unusual = Object.keys(settings.value).length;
   return html`<section class="panel styles" aria-label="Styles">
     <div class="head"><h2>Styles</h2>
       <p class="hint">${chosen.length ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ")}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
       <span class="grow"></span>
-      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!chosen.length || !now.styles.length} active=${tried} onClick=${() => act("try_all")} />
+      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!chosen.length || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all")} />
       <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting" onClick=${() => (dialog.value = "settings")} />
       <label class="button"><${Icon} name="plus" /><span>Add pictures</span><input type="file" accept="image/*" multiple onChange=${add} /></label></div>
-    <ul class="strip">${now.styles.map((each) => html`<li key=${each.title}>
-      <button type="button" class="card" draggable="true" title=${`Paint like ${each.title}`} onClick=${() => paint(each.number)}
-        onDragStart=${(event) => event.dataTransfer.setData("style", String(each.number))}>
-        <img src=${each.preview ? thumbnail("preview", each.number, each.preview) : thumbnail("style", each.number, each.title)} alt="" draggable="false" />
-        ${each.preview > 0 && html`<img class="corner" src=${thumbnail("style", each.number, each.title)} alt="" />`}
+    <ul class="strip">${now.styles.map((each, number) => html`<li key=${each.title}>
+      <button type="button" class="card" draggable="true" title=${`Paint like ${each.title}`} onClick=${() => paint(number)}
+        onDragStart=${(event) => event.dataTransfer.setData("style", String(number))}>
+        <img src=${now.previews[each.title] || each.url} alt="" draggable="false" />
+        ${now.previews[each.title] && html`<img class="corner" src=${each.url} alt="" />`}
         <span class="name">${each.title}</span></button>
-      <${Button} small icon="crop" label=${`Choose a part of ${each.title}`} active=${Boolean(regions.value[each.number])} onClick=${() => (part.value = each)} /></li>`)}
+      <${Button} small icon="crop" label=${`Choose a part of ${each.title}`} active=${Boolean(regions.value[number])} onClick=${() => (part.value = { ...each, number })} /></li>`)}
       ${!now.styles.length && html`<li class="hint">Drop pictures or a folder here, or add them.</li>`}</ul>
   </section>`;
 }

@@ -104,12 +104,13 @@ export class Tools {
   }
 
   finish({ at: begin, how }, line, at) {
-    const shape = tool.value === "object" ? "rectangle" : tool.value;
-    const points = shape === "rectangle" ? [begin, at] : thinned(line);
+    if (tool.value === "object") {
+      this.pickIn(begin, at, how);
+      return;
+    }
+    const shape = tool.value, points = shape === "rectangle" ? [begin, at] : thinned(line);
     const wanted = shape === "brush" && how === "new" && state.value.objects.some((each) => each.picked) ? "add" : how;
-    act("pick_drawn", {
-      shape, points: points.map((each) => this.share(each)), how: wanted, radius: brush.value, whole: tool.value === "object",
-    });
+    act("pick_drawn", { shape, points: points.map((each) => this.share(each)), how: wanted, radius: brush.value });
   }
 
   click({ how }, at) {
@@ -123,10 +124,14 @@ export class Tools {
       act("pick_at", { place: this.share(at), how, reach: reach.value });
     }
     if (tool.value === "ball") act("pick_at", { place: this.share(at), how, radius: radius.value });
-    if (tool.value !== "object") return;
-    const name = this.overlay.objectAt(...at);
-    if (name === undefined) act("pick_at", { place: this.share(at), how });
-    else if (name !== null || how === "new") this.pick(name === null ? [] : [name], how);
+    if (tool.value === "object") this.pickIn(at, at, how);
+  }
+
+  // The object that shows most in a rectangle; if that is not known yet, as soon as it is
+  pickIn(one, other, how) {
+    const name = this.overlay.objectIn(one, other);
+    this.early = name === undefined ? { look: this.viewport.number, place: [one, other, how] } : null;
+    if (name || (name === null && how === "new")) this.pick(name === null ? [] : [name], how);
   }
 
   // The last click of the wand with another reach, in its place
@@ -135,7 +140,7 @@ export class Tools {
     this.later = setTimeout(() => {
       const { undo, painting } = state.value, { place, look, how } = this.spot ?? {};
       if (painting || look !== this.viewport.number || !undo.startsWith("Selected")) return;
-      act("undo");
+      act("step", { rows: -1 });
       act("pick_at", { place, how, reach: reach.value });
     }, REST);
   }
@@ -145,13 +150,13 @@ export class Tools {
     const after = { new: names, add: [...before, ...names], away: before.filter((each) => !names.includes(each)) }[how];
     if (how === "new" && String(before) === String(names)) return;
     this.overlay.guessPicked(after);
-    act("pick", { names, how });
+    act("pick_names", { names, how });
   }
 
   focus(event) {
     const name = this.overlay.objectAt(...this.place(event));
     const found = state.value?.objects.find((each) => each.name === name);
-    if (found && tool.value === "object") this.viewport.approach(found.centre, found.radius);
+    if (found?.centre && tool.value === "object") this.viewport.approach(found.centre, found.radius);
   }
 
   // Light what a click would take, and name it

@@ -188,7 +188,7 @@ export class Viewport {
 
   home() {
     const picked = state.value.objects.filter((each) => each.picked);
-    if (picked.length === 1) this.approach(picked[0].centre, picked[0].radius);
+    if (picked.length === 1 && picked[0].centre) this.approach(picked[0].centre, picked[0].radius);
     else this.animate(new Orbit(hello.value.start));
   }
 

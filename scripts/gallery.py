@@ -1,0 +1,115 @@
+"""The gallery: scenes painted by one command each, as pictures, pages for any browser, and a list.
+
+python scripts/gallery.py benchmarks/out/test_objects ../shared/data/styles -o gallery-output
+
+writes docs/gallery.md and its pictures, and the pages into the output. What the output has is not
+painted again. Scenes of photos that are licensed for research alone stay out of docs/.
+"""
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from PIL import Image
+
+import stylesplat as ss
+from stylesplat.figures.best_views import close_up
+from stylesplat.selection.choose import find_object
+
+DOCS = Path(__file__).parents[1] / "docs"
+SIDE, QUALITY = 480, 82  # pixels of each picture, and of JPEG
+TEXT = """# Gallery
+
+Objects of scenes before and after, each painted by the command under it. `scripts/gallery.py` makes
+these pictures, and a page of each scene that any browser opens and turns, as
+`stylesplat export SCENE page.html` does.
+
+The paintings are in the public domain: Vincent van Gogh, *The Starry Night*; Wassily Kandinsky,
+*Composition VII*; Childe Hassam, *The South Ledges, Appledore*; Claude Monet, *Water Lilies*;
+and a ukiyo-e print of Raiko. `make demo` trains the scene of the vase and the teapot.
+"""
+
+
+@dataclass(frozen=True)
+class Painting:
+    """A picture of the gallery."""
+
+    scene: str
+    styles: dict[str, str]
+    """The beginning of a painting's file name, by object."""
+    title: str
+    is_free: bool = True
+    """Whether the scene's pictures may be published."""
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return "-".join([Path(self.scene).parts[0], *self.styles.values()])
+
+
+PAINTINGS = (
+    Painting("demo/scene", {"vase": "van_gogh"}, "A vase in van Gogh's strokes"),
+    Painting("demo/scene", {"vase": "kandinsky", "teapot": "monet"}, "Two objects in two styles"),
+    Painting("face", {"1": "hassam"}, "A bust, its face kept"),
+    Painting("doll", {"doll": "ukiyo_e"}, "A plush doll, from 49 phone photos"),
+    Painting("doll", {"doll": "van_gogh"}, "The same doll in another style"),
+    Painting("sign", {"1": "kandinsky"}, "A sign on thin legs"),
+    Painting("fox", {"1": "van_gogh"}, "A fox's head", is_free=False),
+    Painting("desk", {"1": "kandinsky"}, "A bottle on a desk", is_free=False),
+)
+
+
+def painted(each: Painting, scenes: Path, paintings: Path, folder: Path) -> ss.Scene:
+    """The painted scene, from the folder if it is there."""
+    if folder.exists():
+        return ss.open(folder)
+    found = {name: next(paintings.glob(f"{style}*")) for name, style in each.styles.items()}
+    scene = ss.stylize(ss.open(scenes / each.scene), found, measured=False)
+    ss.save(scene, folder)
+    return ss.open(folder)
+
+
+def before_and_after(scene: ss.Scene, names: list[str]) -> Image.Image:
+    """Close-ups of the objects side by side."""
+    before = ss.adjust(scene, undo=True)
+    picked = torch.stack([find_object(before, name) for name in names]).any(dim=0)
+    camera = close_up(before.splats, before.cameras, picked, side=SIDE)
+    pictures = [picture for each in (before, scene) for _, picture in ss.render(each, camera)]
+    return Image.fromarray(torch.cat(pictures, dim=1).numpy())
+
+
+def main() -> None:
+    """Paint what is not there yet, and write everything else anew."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", type=Path, help="folder of the trained scenes")
+    parser.add_argument("paintings", type=Path, help="folder of the paintings")
+    parser.add_argument("-o", "--output", type=Path, default=Path("gallery-output"))
+    options = parser.parse_args()
+    (DOCS / "gallery").mkdir(exist_ok=True)
+    for each in PAINTINGS:
+        scene = painted(each, options.scenes, options.paintings, options.output / each.name)
+        page = options.output / f"{each.name}.html"
+        ss.export(scene, page, sh_degree=0, overwrite=True)
+        picture = (DOCS / "gallery" if each.is_free else options.output) / f"{each.name}.jpg"
+        before_and_after(scene, [*each.styles]).save(picture, quality=QUALITY)
+        print(f"{picture}  {page}: {page.stat().st_size / 2**20:.1f} MB", flush=True)
+        write_list()
+
+
+def write_list() -> None:
+    """Write the page of all pictures that are there."""
+    parts = [TEXT]
+    for each in PAINTINGS:
+        picture = f"gallery/{each.name}.jpg"
+        if (DOCS / picture).is_file():
+            styles = (f"--style {name}={style}.jpg" for name, style in each.styles.items())
+            scene = Path(each.scene).parts[0]
+            command = " ".join(["stylesplat stylize", scene, *styles, "-o painted"])
+            title = f"## {each.title}\n\n![{each.title}, before and after]({picture})"
+            parts.append(f"{title}\n\n```sh\n{command}\n```\n")
+    (DOCS / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
