@@ -12,9 +12,10 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from numba import prange
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -47,10 +48,11 @@ TRUNCATION = 4.0  # voxels
 BEHIND = (0.08, 0.03)  # of the extent: what lies farther behind the mean depth is another side
 LEAST_COSINE = 0.15  # below which depths are too uncertain
 SMOOTHING = 0.7  # voxels
-FREE, UNKNOWN = 0.0, -1.0  # pixels that show no surface, or none to trust; else a cosine
 FAINT, SOLID = 0.1, 0.5  # coverage that shows, and the share of what shows that has to be opaque
 LEAST_SEEN = 0.05  # weight of the depths at a vertex: less is a guess
 OPEN = 0.3  # share of the surface: where more is a guess, it is left open
+APART = 0.05  # of the way to their faces' middle: so far vertices that coincide are moved apart
+SAME = 1e-5  # of the extent: closer vertices coincide, and programs that read files merge them
 SPECK = 0.05  # of the largest part's area: smaller parts are strays
 
 
@@ -159,12 +161,14 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
     shape = tuple(((extent.size + 2 * margin) / voxel).ceil().int().tolist())
     values, weights, support = np.zeros((3, *shape), np.float32)
 
-    def look(row: int) -> tuple[int, Tensor, Tensor, int, int]:
+    def look(row: int) -> tuple[int, Tensor, np.ndarray, int, int]:
         camera, trusted = views.cameras[row], bool(views.trusted[row])
         depth, covered = surface_depth(alone, camera, side)
         cosines = cosines_of(depth, camera)
-        kinds = torch.where((cosines > LEAST_COSINE) & trusted, cosines, UNKNOWN)
-        kinds[covered < (COVERED if trusted else EMPTY)] = FREE
+        shown = (covered >= (COVERED if trusted else EMPTY)).numpy()
+        outside = 0.5 - np.asarray(distance_transform_edt(~shown), np.float32)  # below 0
+        kinds = torch.where((cosines > LEAST_COSINE) & trusted, cosines, 0.0).numpy()
+        kinds = np.where(shown, kinds, outside)
         return row, depth, kinds, int((covered > FAINT).sum()), int((covered > COVERED).sum())
 
     every = [*per_view(look, range(len(views.cameras)), "looking for the surface")]
@@ -177,8 +181,8 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
     for row, depth, kinds, *_ in every:
         camera = views.cameras[row]
         matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
-        place = low, voxel, TRUNCATION * voxel
-        _fuse(depth.numpy(), kinds.numpy(), matrix, *place, values, weights, support)
+        place = low, voxel, TRUNCATION * voxel, float(camera.Ks[0, 0, 0])
+        _fuse(depth.numpy(), kinds, matrix, *place, values, weights, support)
     field = np.where(weights > 0, values / np.maximum(weights, 1e-6), -1).astype(np.float32)
     field = np.pad(gaussian_filter(field, SMOOTHING), 1, constant_values=1.0)
     vertices, faces, _, _ = marching_cubes(-field, 0.0, gradient_direction="ascent")
@@ -190,7 +194,8 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
 
 @no_type_check
 @kernel
-def _fuse(depth, kinds, matrix, low, voxel, truncation, values, weights, support):
+def _fuse(depth, kinds, matrix, low, voxel, truncation, focal, values, weights, support):
+    """Add to sums what a view shows: cosines, or how many pixels a pixel lies outside, below 0."""
     height, width = depth.shape
     for i in prange(values.shape[0]):
         for j in range(values.shape[1]):
@@ -205,10 +210,10 @@ def _fuse(depth, kinds, matrix, low, voxel, truncation, values, weights, support
                     continue
                 px, py = int(u), int(v)
                 kind = kinds[py, px]
-                if kind == UNKNOWN:
+                if kind == 0:
                     continue
-                if kind == FREE:
-                    values[i, j, k] += 1.0
+                if kind < 0:
+                    values[i, j, k] += min(-kind * w / (focal * truncation), 1.0)
                     weights[i, j, k] += 1.0
                     continue
                 distance = (depth[py, px] - w) * kind / truncation
@@ -266,4 +271,51 @@ def simplify(surface: Surface, count: int) -> Surface:
         return surface
     points, faces, *_ = collapse_edges(surface.vertices, surface.faces, target_count=count, agg=5)
     points, faces = np.asarray(points, np.float32), np.asarray(faces, np.int32)
-    return compact(Surface(points, faces, np.zeros(len(points), np.float32)))
+    surface = without_pinches(compact(Surface(points, faces, np.zeros(len(points), np.float32))))
+    near = KDTree(surface.vertices).query_pairs(SAME * float(np.ptp(points)), output_type="ndarray")
+    return move_apart(surface, np.unique(near[:, 1]))
+
+
+def move_apart(surface: Surface, rows: Int[np.ndarray, " L"]) -> Surface:
+    """The surface with some vertices moved into their faces."""
+    points = surface.vertices.copy()
+    for row in rows:
+        around = surface.faces[(surface.faces == row).any(axis=1)]
+        points[row] += APART * (surface.vertices[around].mean(axis=(0, 1)) - points[row])
+    return replace(surface, vertices=points)
+
+
+def without_pinches(surface: Surface) -> Surface:
+    """The surface with two faces at an edge at most: where more touch they are moved apart.
+
+    One end of such an edge becomes several vertices, one for those faces around it that are
+    neighbours across other edges.
+    """
+    while True:
+        faces, corners = surface.faces, np.arange(surface.faces.size).reshape(-1, 3)
+        ends, owners = (
+            np.stack([each, np.roll(each, -1, axis=1)], axis=2).reshape(-1, 2)
+            for each in (faces, corners)
+        )
+        order = ends.argsort(axis=1)
+        ends, owners = (np.take_along_axis(each, order, axis=1) for each in (ends, owners))
+        edges, edge, uses = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+        pinched = edges[uses > 2]
+        if not len(pinched):
+            return surface
+        loose = np.bincount(pinched.ravel(), minlength=len(surface.vertices))[pinched] == 1
+        torn = np.where(loose[:, 0], *pinched.T)[loose.any(axis=1)]
+        if not len(torn):
+            torn = np.setdiff1d(*pinched.T)
+        order = edge.ravel().argsort(kind="stable")
+        pairs = owners[order[uses[edge.ravel()[order]] == 2]].reshape(-1, 2, 2)  # across an edge
+        kept = np.flatnonzero(~np.isin(faces, torn))
+        rows = np.append(pairs[:, 0], kept)
+        columns = np.append(pairs[:, 1], faces.size + faces.ravel()[kept])
+        size = faces.size + len(surface.vertices)
+        graph = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(size, size))
+        _, owner = connected_components(graph, directed=False)
+        _, first, apart = np.unique(owner[: faces.size], return_index=True, return_inverse=True)
+        origins, apart = faces.ravel()[first], apart.reshape(-1, 3).astype(np.int32)
+        surface = Surface(surface.vertices[origins], apart, surface.seen[origins])
+        surface = move_apart(surface, np.flatnonzero(np.isin(origins, torn)))

@@ -26,7 +26,6 @@ THINNED = 4  # one in so many texels is searched for the nearest
 HIDDEN = 0.01  # of the extent: what lies farther behind the depth buffer is hidden
 SHARP = 4  # power of the cosine between normal and ray by which a view counts
 LEAST_COSINE = 0.2
-ROUNDS = 3  # of correcting the texture by what its renders lack
 
 
 @dataclass(frozen=True)
@@ -121,73 +120,28 @@ def texels_of(mesh: TexturedMesh) -> Texels:
     return Texels(fragments.faces != NOTHING, *rest)
 
 
-@dataclass(frozen=True)
-class _Shot:
-    """One view of the splats and of the mesh."""
-
-    matrix: Float[np.ndarray, "3 4"]
-    """From the world to pixels."""
-    position: Float[np.ndarray, "3"]
-    image: Float[np.ndarray, "H W 4"]
-    """The splats: colours, and whether they are the object's alone."""
-    shown: Bool[np.ndarray, "H W"]
-    """Where the mesh shows."""
-    places: Float[np.ndarray, "P 2"]
-    """Where in the texture these pixels lie."""
-    depths: Float[np.ndarray, "H W"]
-
-    def lacking(self, texture: Float[np.ndarray, "S S 3"]) -> Float[np.ndarray, "H W 4"]:
-        """What the mesh lacks to look as the splats."""
-        error = np.zeros_like(self.image)
-        error[self.shown] = self.image[self.shown]
-        error[self.shown, :3] -= sample(texture, self.places)
-        return error
-
-
 @torch.no_grad()
 def bake(mesh: TexturedMesh, splats: Splats, views: MeshViews) -> TexturedMesh:
     """Colour the texture with the renders of splats that are the object alone."""
-    texels, size = texels_of(mesh), len(mesh.texture)
+    texels = texels_of(mesh)
     margin = HIDDEN * float(np.ptp(mesh.vertices, axis=0).max())
+    sums = np.zeros((2, len(texels.points), 4), np.float32)  # by whether views are trusted
 
-    def shoot(row: int) -> _Shot:
-        camera = views.cameras[row]
-        image, covered = render(splats, camera)
+    def look(row: int) -> tuple[int, np.ndarray, np.ndarray]:
+        image, covered = render(splats, views.cameras[row])
         colors = (image / covered.clamp(min=TINY_COVERAGE)).clamp(0, 1)
-        fragments = draw_mesh(mesh.vertices, mesh.faces, camera)
-        return _Shot(
-            matrix=(camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy(),
-            position=camera.positions[0].double().numpy(),
-            image=torch.cat([colors, (covered > SOLID).float()], dim=2).numpy(),
-            shown=fragments.faces != NOTHING,
-            places=fragments.of_corners(mesh.uvs, mesh.faces) * size,
-            depths=fragments.depths,
-        )
+        depths = draw_mesh(mesh.vertices, mesh.faces, views.cameras[row]).depths
+        return row, torch.cat([colors, (covered > SOLID).float()], dim=2).numpy(), depths
 
-    def gather(image: np.ndarray, shot: _Shot, sums: np.ndarray) -> None:
-        places = shot.matrix, shot.position, shot.depths, margin
-        _gather(texels.points, texels.normals, image, *places, sums)
-
-    guessed = np.zeros((len(texels.points), 4), np.float32)
-    for shot in per_view(shoot, np.flatnonzero(~views.trusted).tolist(), "rendering the texture"):
-        gather(shot.image, shot, guessed)
-    shots = [*per_view(shoot, np.flatnonzero(views.trusted).tolist(), "rendering the texture")]
-    sums = np.zeros_like(guessed)
-    for shot in shots:
-        gather(shot.image, shot, sums)
-    seen = sums[:, 3:] > 0
-    sums = np.where(seen, sums, guessed)
-    known = sums[:, 3] > 0
-    colors = sums[:, :3] / np.maximum(sums[:, 3:], TINY_COVERAGE)
-    mesh = _filled(mesh, texels, colors, known)
-    for _ in range(ROUNDS):
-        sums = np.zeros_like(sums)
-        for shot in shots:
-            gather(shot.lacking(mesh.texture), shot, sums)
-        colors += sums[:, :3] / np.maximum(sums[:, 3:], TINY_COVERAGE)
-        colors = colors.clip(0, 1)
-        mesh = _filled(mesh, texels, colors, known)
-    return mesh
+    for row, image, depths in per_view(look, range(len(views.cameras)), "rendering the texture"):
+        camera = views.cameras[row]
+        matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
+        place = matrix, camera.positions[0].double().numpy(), depths, margin
+        _gather(texels.points, texels.normals, image, *place, sums[int(views.trusted[row])])
+    guessed, seen = sums
+    found = np.where(seen[:, 3:] > 0, seen, guessed)
+    colors = found[:, :3] / np.maximum(found[:, 3:], TINY_COVERAGE)
+    return _filled(mesh, texels, colors, found[:, 3] > 0)
 
 
 def _filled(
