@@ -3,15 +3,18 @@
 from collections.abc import Mapping
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
-from stylesplat.io.layers import RECIPE, Intensity, as_tuple
+from stylesplat.io.layers import RECIPE, as_tuple
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.progress import say
+from stylesplat.scene.arguments import MAX_INTENSITY
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.config import (
@@ -28,6 +31,7 @@ from stylesplat.stylization.materials import is_material
 from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
 
 Preset = Literal["default", "paper"]
+Strength = Annotated[float | None, Meta(ge=0, le=MAX_INTENSITY)]
 VARIED = SETTINGS | {"preset": Preset, "stroke_size": SETTINGS["scale"]}  # what a sheet may vary
 SHARED = {  # what else a recipe may say of all objects
     "preset": Preset,
@@ -44,8 +48,8 @@ OWN = {  # and of one
     "features": Network | None,
     "weights": str | None,
     "weights_sha256": str | None,
-    "intensity": Intensity | None,
-    "form": Intensity | None,
+    "intensity": Strength,
+    "form": Strength,
     "precision": Precision | None,
 }
 RETIRED = {"canvas", "final_lr", "hard", "max_growth", "pattern", "smoothness", "texture"}
@@ -106,7 +110,7 @@ def _settings_and_others(
     entry: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The settings of an entry, which precede those under `settings`, and what it has of `keys`."""
-    own = convert_settings(_without_retired(entry), SETTINGS | keys)
+    own = convert_settings(_without_retired(entry), {**SETTINGS, **keys})
     others = {key: own.pop(key) for key in keys if key in own}
     inner = convert_settings(_without_retired(others.get("settings", {})), SETTINGS)
     return inner | own, others
