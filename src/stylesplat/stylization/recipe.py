@@ -3,18 +3,15 @@
 from collections.abc import Mapping
 from itertools import zip_longest
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from msgspec import Meta
+from typing import Any, Literal
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
-from stylesplat.io.layers import RECIPE, as_tuple
+from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.progress import say
-from stylesplat.scene.arguments import MAX_INTENSITY
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.config import (
@@ -31,7 +28,7 @@ from stylesplat.stylization.materials import is_material
 from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
 
 Preset = Literal["default", "paper"]
-Strength = Annotated[float | None, Meta(ge=0, le=MAX_INTENSITY)]
+STRENGTH = Intensity | None  # pyright: ignore[reportOperatorIssue]
 VARIED = SETTINGS | {"preset": Preset, "stroke_size": SETTINGS["scale"]}  # what a sheet may vary
 SHARED = {  # what else a recipe may say of all objects
     "preset": Preset,
@@ -48,8 +45,8 @@ OWN = {  # and of one
     "features": Network | None,
     "weights": str | None,
     "weights_sha256": str | None,
-    "intensity": Strength,
-    "form": Strength,
+    "intensity": STRENGTH,
+    "form": STRENGTH,
     "precision": Precision | None,
 }
 RETIRED = {"canvas", "final_lr", "hard", "max_growth", "pattern", "smoothness", "texture"}

@@ -76,10 +76,11 @@ def _decoded(path: Path) -> Pixels:
 
 def _colors_of(tensor: Tensor) -> Pixels:
     """The colours of a tensor, checked."""
-    colors = tensor.detach().cpu()
-    colors = colors if colors.dtype == torch.uint8 else colors.double()
-    most = 255 if tensor.dtype == torch.uint8 else 1
-    if colors.ndim != 3 or colors.shape[2] != 3 or not ((colors >= 0) & (colors <= most)).all():
+    colors, is_bytes = tensor.detach().cpu(), tensor.dtype == torch.uint8
+    is_known = is_bytes or tensor.is_floating_point()
+    colors = colors if is_bytes else colors.double()
+    within = (colors >= 0) & (colors <= (255 if is_bytes else 1))
+    if not is_known or colors.ndim != 3 or colors.shape[2] != 3 or not within.all():
         raise StyleSplatError(
             f"A style tensor holds [H, W, 3] bytes or floats in 0..1, this one {[*colors.shape]} "
             f"{tensor.dtype} from {colors.min():g} to {colors.max():g}. Move its channels to the "
