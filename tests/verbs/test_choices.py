@@ -52,8 +52,8 @@ CALLS = {
     "ss.mask(capture, method='sam9')": "no method 'sam9'. Use files, grabcut, sam",
     "ss.import_(SPLATS, capture, frame='blender')": "no frame 'blender'. Use capture",
     "ss.render(scene, device='gpu')": "no device 'gpu'. Use auto, cpu or cuda",
-    "ss.Style(SPLATS.means.new_ones(3, 40, 40)).read()": "has [3, 40, 40]",
-    "ss.Style(SPLATS.means.new_ones(40, 40, 3).int()).read()": "has torch.int32",
+    "ss.Style(SPLATS.means.new_ones(3, 40, 40)).read()": "[3, 40, 40] torch.float32",
+    "ss.Style(SPLATS.means.new_ones(40, 40, 3).int()).read()": "[40, 40, 3] torch.int32",
     "ss.import_(SPLATS, up='w')": "no direction 'w'. Use x, -x",
 }
 

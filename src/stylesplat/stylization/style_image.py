@@ -87,7 +87,7 @@ def _colors_of(tensor: Tensor) -> Pixels:
             "end, or divide it by 255."
         )
     _require_side(colors.shape[1], colors.shape[0], "The style tensor")
-    return (colors if most == 255 else colors.float()).numpy()
+    return (colors if is_bytes else colors.float()).numpy()
 
 
 def _require_side(width: int, height: int, what: str) -> None:
