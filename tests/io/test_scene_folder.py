@@ -35,6 +35,14 @@ def test_what_is_read_composes_to_the_same(tmp_path: Path):
     assert_same(scene_folder.open(tmp_path / "scene"), bare)
 
 
+def test_the_deepest_relief_that_painting_measures(tmp_path: Path):
+    scene = full_scene()
+    layers = [replace(layer, relief=layer.relief * 0 - 2) for layer in scene.layers]
+    scene = replace(scene, layers=tuple(layers), splats=compose(scene.unpainted, layers))
+    scene_folder.save(scene, tmp_path / "scene")
+    assert_same(scene_folder.open(tmp_path / "scene"), scene)
+
+
 def test_the_files_of_a_scene(tmp_path: Path):
     scene_folder.save(plain_scene(), tmp_path / "plain")
     scene_folder.save(full_scene(), tmp_path / "full")

@@ -26,6 +26,7 @@ LAYERS = "layers"  # the folder of their tensors
 RECIPE = "recipe.json"
 FILE = r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"  # in the folder: no slashes, no dots
 MAX_NAME_PART = 40  # characters of an object's name in a file's
+LEAST_RELIEF = -2.0  # of two bands of detail
 UNIT = {"low": 0.0, "high": 1.0}
 CANVAS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 # What `layers.json` has of a layer as it is
@@ -198,9 +199,9 @@ def _declared(count: int, kind: Kind) -> dict[str, Declared]:
         "sh0": replace(GAUSSIANS["sh0"], shape=("R", 1, 3)),
         "shN": replace(GAUSSIANS["shN"], shape=("R", "bands", 3)),
         "opacity_factors": replace(row, **UNIT),
-        "relief": replace(row, low=-1.0),
+        "relief": replace(row, low=LEAST_RELIEF),
         "parents": replace(index, shape=("C",)),
-        "canvas_relief": replace(row, shape=("C",), low=-1.0),
+        "canvas_relief": replace(row, shape=("C",), low=LEAST_RELIEF),
         "canvas_before": replace(GAUSSIANS["sh0"], shape=("C", 1, 3)),
         **{
             f"canvas_{name}": replace(GAUSSIANS[name], shape=("C", *shapes[name]))
