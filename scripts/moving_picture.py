@@ -1,8 +1,9 @@
 """The README's moving picture: a round trip of a painted scene, with a wipe from before to after.
 
-python scripts/moving_picture.py demo-output/styled docs/before_after.webp
+python scripts/moving_picture.py PAINTED docs/before_after.webp --size 460 460 --around 1
 
-The scene is that of `make demo`. Any painted scene will do.
+There it is the bust of `benchmarks/painted_objects.py` in van Gogh's Starry Night. Any painted scene
+will do, such as `demo-output/styled`.
 """
 
 import argparse
