@@ -77,7 +77,7 @@ class Render(MakingCommand):
         """The cameras to render from, and the frames a second that were asked for."""
         from stylesplat.io.view_files import is_video
         from stylesplat.scene.framing import frame_count
-        from stylesplat.verbs.render import FPS, FRAMES, cameras_of
+        from stylesplat.verbs.render import FPS, FRAMES, cameras_of_views
 
         self._refuse_mixed()
         size = None if self.size is None else _parse_size(self.size)
@@ -94,7 +94,7 @@ class Render(MakingCommand):
                 "--size and --seconds are for a round trip or a path; photos' views are as the "
                 "photos. Use --downscale, or --views orbit."
             )
-        return cameras_of(scene, self.view or self.views), self.fps
+        return cameras_of_views(scene, self.view or self.views), self.fps
 
     def _refuse_mixed(self) -> None:
         whole_trip = self.around is not None and self.views == "orbit"

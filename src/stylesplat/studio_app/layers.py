@@ -36,7 +36,7 @@ def adjust_layer(
 
 def set_visible(state: StudioState, name: str, visible: bool) -> StudioState:
     layer = replace(find_layer(state.scene, name), visible=visible)
-    return with_layer(state, layer, f"{'Showed' if visible else 'Hid'} {_what(name)}")
+    return replace_layer(state, layer, f"{'Showed' if visible else 'Hid'} {_what(name)}")
 
 
 def set_locked(state: StudioState, name: str, locked: bool) -> StudioState:
@@ -96,7 +96,7 @@ def refuse_locked(state: StudioState, name: str) -> None:
         raise StyleSplatError(f"The layer of {name} is locked. Unlock it first.")
 
 
-def with_layer(state: StudioState, layer: Layer, note: str) -> StudioState:
+def replace_layer(state: StudioState, layer: Layer, note: str) -> StudioState:
     """The state with a layer in place of its object's, or on top."""
     layers = {each.name: each for each in state.scene.layers} | {layer.name: layer}
     return _with_scene(state, with_layers(state.scene, [*layers.values()]), note)

@@ -81,7 +81,7 @@ def render(
         >>> for name, picture in render(scene, "test"):  # doctest: +SKIP
         ...     Image.fromarray(picture.numpy()).save(name)
     """
-    cameras = cameras_of(scene, views, frames).downscale(downscale)
+    cameras = cameras_of_views(scene, views, frames).downscale(downscale)
     splats = scene.splats.to(pick_device(device))
     picked = None
     if what.startswith("object:"):
@@ -90,7 +90,9 @@ def render(
     return Views(cameras.names, track(pictures, "rendering", total=len(cameras)))
 
 
-def cameras_of(scene: Scene, views: Which | Names | Cameras, frames: int | None = None) -> Cameras:
+def cameras_of_views(
+    scene: Scene, views: Which | Names | Cameras, frames: int | None = None
+) -> Cameras:
     """The cameras of `render`'s argument `views`."""
     if isinstance(views, Cameras):
         return views
