@@ -2,8 +2,8 @@
 
 python scripts/moving_picture.py PAINTED docs/before_after.webp --size 460 460 --around 1
 
-There it is the bust of `benchmarks/painted_objects.py` in van Gogh's Starry Night. Any painted scene
-will do, such as `demo-output/styled`.
+There it is the bust of `benchmarks/painted_objects.py` in van Gogh's Starry Night. Any painted
+scene will do, such as `demo-output/styled`.
 """
 
 import argparse
