@@ -1,4 +1,4 @@
-"""The figures of `benchmarks/looks.py` and `strokes.py` where they are known."""
+"""The figures of `looks.py`, `strokes.py` and `stroke_length.py` where they are known."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -16,6 +16,7 @@ from stylesplat.progress import say, write_lines
 from stylesplat.scene.arguments import pasted
 from stylesplat.signals import WHOLE, report_interruption
 
+BEFORE_AFTER = "before_after.png"  # in the folder of a painted scene
 PICTURE = "PICTURE.jpg"  # stands for any picture of the user's
 PIPE_CLOSED = 141  # as shells report it, after `| head`
 # Words of torch, OpenCV and CUDA, in errors of many kinds
@@ -105,7 +106,7 @@ def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") 
     from stylesplat.figures.sheets import before_after
     from stylesplat.io.images import write_image
 
-    target = folder / "before_after.png"
+    target = folder / BEFORE_AFTER
     with optional_picture():
         target.unlink(missing_ok=True)  # it shows an earlier painting
         found = before_after(scene, device=device)

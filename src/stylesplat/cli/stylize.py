@@ -19,6 +19,7 @@ from stylesplat.cli.options import (
     Weights,
 )
 from stylesplat.cli.results import (
+    BEFORE_AFTER,
     before_after_line,
     draw_before_after,
     new_scene,
@@ -210,7 +211,7 @@ class Adjust(EditingCommand):
             if after.layers and self.picture:
                 result |= draw_before_after(after, self.folder)
             elif not self.output:
-                (self.folder / "before_after.png").unlink(missing_ok=True)  # of an earlier strength
+                (self.folder / BEFORE_AFTER).unlink(missing_ok=True)  # of an earlier strength
         if self.form is not None:
             result["form"] = {each.object: each.form for each in after.layers}
         return result

@@ -73,11 +73,13 @@ class StyleIndex:
     @torch.no_grad()
     def nearest(self, feats: Float[Tensor, "P D"]) -> Int[Tensor, " P"]:
         """The row of the (almost always) most similar style feature of each feature."""
+        is_balanced = len(self.shares) > 1
         if self.directions.device.type == "cpu":
             found = self._search(feats)
         else:
-            found = most_similar(feats, self.directions, self.favour[self.kinds])
-        if len(self.shares) > 1 and len(found) > 0:
+            favour = self.favour[self.kinds] if is_balanced else None
+            found = most_similar(feats, self.directions, favour)
+        if is_balanced and len(found) > 0:
             each = self.usage.new_full((len(found),), 1 / len(found))
             used = torch.zeros_like(self.usage).index_add_(0, self.kinds[found], each)
             self.usage.lerp_(used, 1 - REMEMBERED)

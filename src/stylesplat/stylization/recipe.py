@@ -28,7 +28,7 @@ from stylesplat.stylization.materials import is_material
 from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
 
 Preset = Literal["default", "paper"]
-STRENGTH = Intensity | None  # pyright: ignore[reportOperatorIssue]
+Strength = Intensity | None  # pyright: ignore[reportOperatorIssue]
 VARIED = SETTINGS | {"preset": Preset, "stroke_size": SETTINGS["scale"]}  # what a sheet may vary
 SHARED = {  # what else a recipe may say of all objects
     "preset": Preset,
@@ -45,8 +45,8 @@ OWN = {  # and of one
     "features": Network | None,
     "weights": str | None,
     "weights_sha256": str | None,
-    "intensity": STRENGTH,
-    "form": STRENGTH,
+    "intensity": Strength,
+    "form": Strength,
     "precision": Precision | None,
 }
 RETIRED = {"canvas", "final_lr", "hard", "max_growth", "pattern", "smoothness", "texture"}

@@ -66,12 +66,12 @@ def labels(
     found = relabel(scene, small, add=False, device=place)
     known = object_ids(found.splats)
     for name, each in scene.objects.items():
-        ids = [id for id in whole_ids(scene, name) if id in known]
         if name in found.objects:
             continue
-        if ids:
+        before = whole_ids(scene, name)
+        if ids := [id for id in before if id in known]:
             found = select(found, name, id=ids, threshold=each.how.get("threshold", 0.5))
-        elif whole_ids(scene, name):
+        elif before:
             say(f"{name!r} is gone: the label maps do not contain its id.")
         else:
             found = found.with_object(name, each)
