@@ -26,9 +26,9 @@ from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.picking import pick_names
 from stylesplat.studio_app.pictures import camera_of, weightiest
 from stylesplat.studio_app.studio import StudioServer, studio
-from stylesplat.stylization.materials import MATERIALS
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
+from stylesplat.stylization.style_image import MATERIALS
 
 CAMERA = enlarged(CAMERAS, 4)[0]
 WIDTH, HEIGHT = CAMERA.size

@@ -11,9 +11,9 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.stylization import style_image as pictures
 from stylesplat.stylization.config import USUAL_SCALE
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.materials import MATERIALS
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_image import (
+    MATERIALS,
     coarsen_style,
     read_style,
     resize,
@@ -48,7 +48,7 @@ def test_tensors_are_cropped_and_turned_as_files_are(tmp_path: Path, settings: d
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_materials_are_drawn_alike_and_have_texture(name: str):
+def test_materials_are_pictures_with_texture(name: str):
     (colors,) = Style(f"material:{name}", rotate=90).read()
     assert torch.equal(colors, Style(Path(f"material:{name}"), rotate=90).read()[0])
     assert colors.shape == (512, 512, 3)

@@ -20,9 +20,9 @@ from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import map_bands, rgb_from_sh0, sh0_from_rgb, sh_basis
 from stylesplat.stylization.config import LIMITS, RECOLOR_LIMITS
-from stylesplat.stylization.materials import MATERIALS
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
+from stylesplat.stylization.style_image import MATERIALS
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.recolor import recolor

@@ -12,7 +12,7 @@ from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.materials import is_material
+from stylesplat.stylization.style_image import picture_file
 
 MODULES = ("skimage", "fast_simplification", "xatlas")
 BAKED = (160, 768)  # pixels of the views that give the texture, at least and at most
@@ -76,7 +76,7 @@ def _refuse_repainting(paint: tuple[Layer, Splats] | None, name: str) -> None:
             "--repaint out."
         )
     files = [source.path for source in paint[0].styles]
-    there = (file and (is_material(file) or file.is_file()) for file in files)
+    there = (file and picture_file(file).is_file() for file in files)
     if not files or not all(there):
         raise StyleSplatError(
             f"Cannot repaint {name}: a picture of its style is gone. Put it back, or leave "

@@ -41,8 +41,8 @@ from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of, ren
 from stylesplat.studio_app.session import Display, Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
-from stylesplat.stylization.materials import MATERIALS, PREFIX
 from stylesplat.stylization.style import Style
+from stylesplat.stylization.style_image import MATERIALS, PREFIX
 from stylesplat.verbs.export import export
 from stylesplat.verbs.render import orbit, render
 

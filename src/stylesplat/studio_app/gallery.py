@@ -18,8 +18,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.progress import say
-from stylesplat.stylization.materials import PREFIX
-from stylesplat.stylization.style_image import read_style
+from stylesplat.stylization.style_image import PREFIX, read_style
 
 MOST_BYTES = 40 * 2**20  # of an upload
 MOST_PICTURES = 60  # in the gallery

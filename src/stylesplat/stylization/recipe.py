@@ -24,8 +24,8 @@ from stylesplat.stylization.config import (
     recolor_config,
     with_settings,
 )
-from stylesplat.stylization.materials import is_material
 from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
+from stylesplat.stylization.style_image import is_material, picture_file
 
 Preset = Literal["default", "paper"]
 Strength = Intensity | None  # pyright: ignore[reportOperatorIssue]
@@ -183,11 +183,11 @@ def _pictures(files: tuple[Any, ...], digests: tuple[Any, ...], folder: Path) ->
     if digests and len(digests) != len(pictures):
         raise StyleSplatError(f"sha256 must have {len(pictures)} digests, not {len(digests)}.")
     for picture, expected in zip_longest(pictures, digests):
-        if not (is_material(picture) or picture.is_file()):
+        if not picture_file(picture).is_file():  # refuses unknown materials
             raise StyleSplatError(
                 f"there is no picture {picture}. Paths are relative to the recipe's folder."
             )
-        if digest(picture) != expected and expected:  # refuses unknown materials
+        if expected and digest(picture) != expected:
             raise StyleSplatError(
                 f"{picture} is another picture than the recipe's: its digest differs. "
                 "Put the picture back, or remove sha256."

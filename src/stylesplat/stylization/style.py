@@ -23,8 +23,7 @@ from stylesplat.stylization.config import (
     StyleConfig,
     with_settings,
 )
-from stylesplat.stylization.materials import is_material, material_digest
-from stylesplat.stylization.style_image import Picture, read_style
+from stylesplat.stylization.style_image import Picture, is_material, picture_file, read_style
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -150,10 +149,8 @@ def as_recipe(styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe
 
 
 def digest(path: Path) -> str:
-    """The SHA-256 of a file; of a material, that of its name."""
-    if is_material(path):
-        return material_digest(path)
-    return sha256(read_bytes(path)).hexdigest()
+    """The SHA-256 of a file, or of a material's picture."""
+    return sha256(read_bytes(picture_file(path))).hexdigest()
 
 
 def source_of(picture: Picture) -> Source:

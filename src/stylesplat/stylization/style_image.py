@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,8 +17,10 @@ from stylesplat.io.images import open_image, read_image
 from stylesplat.progress import say
 from stylesplat.stylization.config import USUAL_SCALE
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.materials import draw_material, is_material
 
+PREFIX = "material:"
+MATERIALS = ("bronze", "marble", "gold-leaf", "clay", "jade")  # of scripts/draw_materials.py
+FOLDER = Path(__file__).with_name("materials")
 MIN_SIDE = 32  # pixels; in less is no texture: one feature of VGG's block 3 sees 40
 SHOCKS = 4.0  # steps of the filter that coarsens a style image, for every unit of scale
 MAX_COARSENED = 8.0  # scale: beyond it strokes are as large as pictures
@@ -31,6 +34,26 @@ MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory
 Picture = Path | str | Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
 """A file, the name of a material, or colours: floats in 0..1, or bytes."""
 Pixels = UInt8[np.ndarray, "_ _ 3"] | Float[np.ndarray, "_ _ 3"]
+
+
+def is_material(picture: Any) -> bool:
+    """Whether a style is the name of a material, such as `material:bronze`."""
+    return isinstance(picture, str | Path) and str(picture).startswith(PREFIX)
+
+
+def picture_file(picture: Path | str) -> Path:
+    """The file of a picture; those of materials come with the package.
+
+    Raises:
+        StyleSplatError: If there is no such material.
+    """
+    if not is_material(picture):
+        return Path(picture)
+    name = str(picture).removeprefix(PREFIX)
+    if name not in MATERIALS:
+        known = ", ".join(PREFIX + each for each in MATERIALS)
+        raise StyleSplatError(f"There is no material {name!r}. Use a picture, or one of {known}.")
+    return FOLDER / f"{name}.jpg"
 
 
 def read_style(
@@ -51,10 +74,8 @@ def read_style(
     """
     if isinstance(picture, Tensor):
         name, pixels = "the style tensor", _colors_of(picture)
-    elif is_material(picture):
-        name, pixels = str(picture), draw_material(str(picture))
     else:
-        name, pixels = str(picture), _decoded(Path(picture))
+        name, pixels = str(picture), _decoded(picture_file(picture))
     if region is not None:
         pixels = _crop(pixels, region, name)
     pixels = np.ascontiguousarray(_turn(_shrink(pixels, name), rotate, name))
