@@ -22,6 +22,8 @@ from stylesplat.stylization.colors import blur_matrix
 
 MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__set__}  # pyright: ignore
 INDEXES = {Tensor.__getitem__, Tensor.index_put, Tensor.index_put_}
+KERNELS = ("rasterization", "rasterize_to_pixels", "spherical_harmonics")
+KERNELS += ("fully_fused_projection", "isect_tiles", "isect_offset_encode")
 TO_NUMPY = {Tensor.numpy, Tensor.__array__, Tensor.data_ptr}
 
 
@@ -32,8 +34,8 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
         yield "cuda"
         return
     gsplat = pytest.importorskip("gsplat")
-    install(monkeypatch)
-    for name in ("rasterization", "rasterize_to_pixels", "spherical_harmonics"):
+    install(monkeypatch, quickly=True)
+    for name in KERNELS:
         monkeypatch.setattr(gsplat, name, _kernel(getattr(gsplat, name)))
     install_training_kernels(monkeypatch, _kernel)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)

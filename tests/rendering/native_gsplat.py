@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from stylesplat.rendering import reference
+from stylesplat.rendering import cpu, reference
 from stylesplat.rendering.gaussians import EPS2D, FAR_PLANE, NEAR_PLANE, Gaussians, Projected, View
 from stylesplat.scene.splats import sh_basis
 
@@ -24,10 +24,12 @@ class Calls:
     projections: int = 0
     sorts: int = 0
     blended_channels: list[int] = field(default_factory=list)
+    sorted: tuple[Tensor, ...] = ()
+    """Depths and radii that were sorted into tiles last."""
 
 
-def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
-    """Put the stand-ins into gsplat for one test."""
+def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
+    """Put the stand-ins into gsplat for one test; quick ones blend as our CPU kernels do."""
     native = pytest.importorskip("gsplat.cuda._wrapper")
     calls = Calls()
 
@@ -52,6 +54,10 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
             assert backgrounds is None and masks is None
             assert colors.shape[-1] in SUPPORTED
             calls.blended_channels.append(colors.shape[-1])
+            if quickly:
+                return blend_images(
+                    Projected(means2d, conics, *calls.sorted), opacities, colors, rest
+                )
             return blend_tiles(
                 Projected(means2d, conics, means2d, means2d), opacities, colors, rest
             )
@@ -65,7 +71,8 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
     def compiled(name: str):
         def counted(*args):
-            calls.sorts += name == "intersect_tile"
+            if name == "intersect_tile":
+                calls.sorts, calls.sorted = calls.sorts + 1, (args[2], args[1])
             return {"intersect_tile": intersect_tile, "intersect_offset": intersect_offset}[name](
                 *args
             )
@@ -101,6 +108,18 @@ def intersect_offset(tiles: Tensor, images: int, columns: int, rows: int) -> Ten
     """Where each tile's list begins."""
     every = torch.arange(images * rows * columns)
     return torch.searchsorted(tiles, every).reshape(images, rows, columns)
+
+
+def blend_images(projected: Projected, opacities: Tensor, colors: Tensor, rest):
+    """Image and coverage, by our CPU kernels."""
+    padded = cpu.padded(colors)
+    size, channels = rest[:2], padded.shape[-1]
+    images = [
+        cpu.blend_projected(Projected(*each), opacities[index], padded[index], size, channels)
+        for index, each in enumerate(zip(*projected, strict=True))
+    ]
+    image, alphas = (torch.stack(each) for each in zip(*images, strict=True))
+    return image[..., : colors.shape[-1]], alphas
 
 
 def blend_tiles(projected: Projected, opacities: Tensor, colors: Tensor, rest):

@@ -9,6 +9,7 @@ from torch.overrides import TorchFunctionMode
 
 from balls import CAMERAS, SPLATS, ball
 from fake_cuda import cuda  # noqa: F401  (a fixture)
+from stylesplat.rendering.linear import RasterizedContributions
 from stylesplat.rendering.render import rasterize
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -75,6 +76,7 @@ def test_views_on_a_device_rasterize_what_reaches_them(cuda: str, network: Featu
     context = paint_context(splats, CAMERAS, network.to(cuda))
     boxes = find_boxes(splats, CAMERAS[:2], mask)
     for view in object_views(context, target, boxes, 1.0):
-        assert view.near is not None and len(view.near) < len(splats)
+        assert isinstance(view.linear, RasterizedContributions)
+        assert len(view.linear.near) < len(splats)
         whole = rasterize(splats, view.camera)[0][0]
         torch.testing.assert_close(view.render(splats).cpu(), whole.cpu())

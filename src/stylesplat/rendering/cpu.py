@@ -243,12 +243,28 @@ def rasterize(
     images, projections, opacities = [], [], gaussians.opacities
     for view, view_colors in zip(views_of(cameras), colors, strict=True):
         projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
-        raster = rasterize_to_pixels(projected, opacities, view_colors, cameras.size)
-        images.append(_Blend.apply(raster, geometry_channels, opacities, view_colors, *projected))
+        images.append(
+            blend_projected(projected, opacities, view_colors, cameras.size, geometry_channels)
+        )
         projections.append(projected)
     render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
     info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))
     return render_colors[..., :wanted], render_alphas, info._asdict()
+
+
+def blend_projected(
+    projected: Projected,
+    opacities: Float[Tensor, " N"],
+    colors: Float[Tensor, "N D"],
+    size: tuple[int, int],
+    geometry_channels: int,
+) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
+    """Blend projected Gaussians, of a padded number of channels, into an image and its coverage.
+
+    Gradients reach all; those of later channels than `geometry_channels` reach `colors` alone.
+    """
+    raster = rasterize_to_pixels(projected, opacities, colors, size)
+    return _Blend.apply(raster, geometry_channels, opacities, colors, *projected)
 
 
 def _stacked(tensors: tuple[Tensor, ...]) -> Tensor:

@@ -4,14 +4,22 @@ from typing import Any
 
 import gsplat
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stylesplat.rendering.gaussians import EPS2D, FAR_PLANE, NEAR_PLANE, Gaussians, Projected
+from stylesplat.rendering.gaussians import (
+    EPS2D,
+    FAR_PLANE,
+    NEAR_PLANE,
+    Gaussians,
+    Projected,
+    View,
+)
 from stylesplat.rendering.reference import Info
 from stylesplat.scene.cameras import Cameras
 
 CHANNELS_AT_ONCE = 32  # gsplat's default: its kernels become slow beyond
+TILE = 16  # pixels of a tile's side, gsplat's default
 
 
 def spherical_harmonics(
@@ -26,6 +34,51 @@ def spherical_harmonics(
     sh = torch.cat([sh0, shN], dim=1)
     colors = gsplat.spherical_harmonics(degree, dirs, sh) + 0.5
     return colors.clamp(min=0) if clamp else colors
+
+
+@torch.no_grad()
+def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
+    """What one camera sees of Gaussians, without gradients."""
+    means, quats, scales, opacities = gaussians
+    radii, means2d, depths, conics, _ = gsplat.fully_fused_projection(
+        means,
+        None,
+        quats,
+        scales,
+        view.viewmat[None],
+        view.K[None],
+        view.width,
+        view.height,
+        eps2d=EPS2D,
+        near_plane=NEAR_PLANE,
+        far_plane=FAR_PLANE,
+        opacities=opacities,
+    )
+    return Projected(means2d[0], conics[0], depths[0], radii[0])
+
+
+def reaching_pixels(
+    projected: Projected, opacities: Float[Tensor, " N"], size: tuple[int, int]
+) -> Bool[Tensor, " N"]:
+    """Which projected Gaussians reach a pixel of an image of a width and height."""
+    width, height = size
+    columns, rows = -(-width // TILE), -(-height // TILE)
+    places = projected.means2d[None], projected.radii[None], projected.depths[None]
+    _, tiles, order = gsplat.isect_tiles(*places, TILE, columns, rows)
+    info = {
+        "means2d": projected.means2d[None],
+        "conics": projected.conics[None],
+        "opacities": opacities[None],
+        "width": width,
+        "height": height,
+        "tile_size": TILE,
+        "isect_offsets": gsplat.isect_offset_encode(tiles, 1, columns, rows),
+        "flatten_ids": order,
+    }
+    with torch.enable_grad():
+        carried = opacities.new_zeros(1, len(opacities), 1).requires_grad_()
+        (weights,) = torch.autograd.grad(_blended(carried, info).sum(), carried)
+    return weights[0, :, 0] > 0
 
 
 def rasterize(

@@ -2,7 +2,8 @@
 
 `I = B + W c`: W holds what each picked Gaussian contributes to each pixel (alpha times
 transmittance), B is the image of everything else. One pass of the CPU rasteriser yields both;
-after that an image costs a sparse product.
+after that an image costs a sparse product. On a GPU W stays implicit: rasterising the Gaussians
+that reach the image reads fewer bytes than W has (docs/scale.md).
 """
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
@@ -21,9 +22,11 @@ from stylesplat.rendering import cpu
 from stylesplat.rendering.gaussians import with_matrices_of
 from stylesplat.rendering.kernels import linear_blocks, vec
 from stylesplat.rendering.kernels.linear_blocks import BlockWeights
-from stylesplat.rendering.render import colors_of
-from stylesplat.rendering.visibility import in_view
+from stylesplat.rendering.render import colors_of, rasterize
+from stylesplat.rendering.shares import contributed, coverage, without_looks
+from stylesplat.rendering.visibility import in_view, visible
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.layer import without_identities
 from stylesplat.scene.splats import SH_C0, Splats
 
 GREY = 0.5  # the colour of zero coefficients
@@ -96,6 +99,45 @@ class Contributions:
         return _color_gradients(self, counted)[:, 0]
 
 
+@dataclass(frozen=True)
+class RasterizedContributions:
+    """The same on a GPU, where it is rasterised again for every question."""
+
+    scene: Splats
+    """Whose geometry and opacities stay."""
+    camera: Cameras
+    near: Int[Tensor, " L"]
+    """Rows of the Gaussians that reach the image."""
+    is_picked: Bool[Tensor, " L"]
+    """Which of them are picked."""
+    coverage: Float[Tensor, "H W"]
+    """The opaque share of the picked Gaussians in each pixel."""
+    nbytes: int = 0
+    """Nothing is kept."""
+
+    @property
+    def gaussians(self) -> Int[Tensor, " M"]:
+        """Rows of the picked Gaussians that are visible."""
+        return self.near[self.is_picked]
+
+    def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
+        """The image with the colours of these splats; see `Contributions.render`."""
+        near = without_identities(splats).map(lambda tensor: tensor.index_select(0, self.near))
+        return rasterize(near, self.camera)[0][0]
+
+    def with_fixed_bands(
+        self, splats: Splats, varied: Bool[Tensor, " N"] | None = None
+    ) -> "RasterizedContributions":
+        """Itself: fixed bands save no time here."""
+        return self
+
+    def weights(self, pixels: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, " M"]:
+        """Each Gaussian's contribution to some pixels, or to all."""
+        counted = torch.ones_like(self.coverage) if pixels is None else pixels.to(self.coverage)
+        near = without_looks(self.scene)[self.near]
+        return contributed(near, self.camera, counted[..., None])[self.is_picked, 0]
+
+
 @torch.no_grad()
 def contributions(
     splats: Splats,
@@ -129,6 +171,26 @@ def contributions(
         origin=camera.positions.to(splats.means),
         blocks=_block_weights(tiled, numbers, camera.size),
     )
+
+
+LinearView = Contributions | RasterizedContributions
+"""One camera's image as a function of the colours of some Gaussians, on any device."""
+
+
+@torch.no_grad()
+def linear_view(
+    splats: Splats,
+    camera: Cameras,
+    picked: Bool[Tensor, " N"],
+    pixels: Bool[Tensor, "H W"] | None = None,
+) -> LinearView:
+    """The `contributions` of some Gaussians to one camera's image, on the splats' device."""
+    if splats.device.type == "cpu":
+        return contributions(splats, camera, picked, pixels)
+    camera = with_matrices_of(splats, camera)  # once, not in every step
+    near = visible(in_view(splats, camera), camera).rows
+    covered = coverage(splats, camera, picked)
+    return RasterizedContributions(splats, camera, near, picked[near], covered)
 
 
 def _block_weights(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> BlockWeights:

@@ -181,15 +181,14 @@ def colors_of(
     sh_degree: int | None = None,
     features: Float[Tensor, "N F"] | None = None,
 ) -> Float[Tensor, "M D"]:
-    """Colours of some Gaussians as seen from a point, on the CPU; their features follow."""
-    from stylesplat.rendering import cpu
-
+    """Colours of some Gaussians as seen from a point; their features follow."""
+    backend = _module("auto", splats.device)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
     tensors = splats.means, splats.sh0, splats.shN[:, : (degree + 1) ** 2 - 1]
     parts = []
     for some in rows.split(PART):
         means, *sh = (each.index_select(0, some) for each in tensors)
-        own = cpu.spherical_harmonics(degree, means - origin, *sh)
+        own = backend.spherical_harmonics(degree, means - origin, *sh)
         if features is not None:
             own = torch.cat([own, features.index_select(0, some)], dim=1)
         parts.append(own)

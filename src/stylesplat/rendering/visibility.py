@@ -1,4 +1,4 @@
-"""Which Gaussians are in view of one camera, and which of them are visible; on the CPU.
+"""Which Gaussians are in view of one camera, and which of them are visible.
 
 Gaussians in view may reach its image if there were no others; visible ones do reach a pixel. The
 scene is projected a part at a time, so that memory is that of the Gaussians in view. Kernels are
@@ -13,7 +13,13 @@ from jaxtyping import Bool, Float, Int, Real
 from torch import Tensor
 from torch.nn.functional import pad
 
-from stylesplat.rendering.gaussians import Projected, activated, views_of, with_matrices_of
+from stylesplat.rendering.gaussians import (
+    Gaussians,
+    Projected,
+    activated,
+    views_of,
+    with_matrices_of,
+)
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import overlapping
 from stylesplat.scene.splats import Splats
@@ -36,7 +42,7 @@ class InView(NamedTuple):
     def box(self, camera: Cameras) -> Bool[Tensor, "H W"]:
         """The rectangle of the camera's pixels that they may reach."""
         width, height = camera.size
-        inside = torch.zeros(height, width, dtype=torch.bool)
+        inside = torch.zeros(height, width, dtype=torch.bool, device=self.rows.device)
         if len(self.rows):
             low, high = bounds(self.projected)
             left, top = low.amin(dim=0).clamp(min=0).tolist()
@@ -47,7 +53,7 @@ class InView(NamedTuple):
 
 @torch.no_grad()
 def in_view(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None) -> InView:
-    """The Gaussians that may reach the image of one camera on the CPU, if there were no others.
+    """The Gaussians that may reach the image of one camera, if there were no others.
 
     With `pixels`, without those that cannot reach one of these.
     """
@@ -62,10 +68,8 @@ def in_view(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None 
 def _part_in_view(
     splats: Splats, camera: Cameras, start: int, pixels: Bool[Tensor, "H W"] | None
 ) -> tuple[Tensor, ...]:
-    from stylesplat.rendering import cpu
-
     gaussians = activated(splats, slice(start, start + PART))
-    projected = cpu.project_gaussians(gaussians, views_of(camera)[0])
+    projected = _project(gaussians, camera)
     rows = (projected.radii[:, 0] > 0).nonzero()[:, 0]
     if pixels is not None:
         low, high = (corner.index_select(0, rows) for corner in bounds(projected))
@@ -74,11 +78,20 @@ def _part_in_view(
     return start + rows, *(each.index_select(0, rows) for each in found)
 
 
+def _project(gaussians: Gaussians, camera: Cameras) -> Projected:
+    """Project Gaussians by the backend of their device."""
+    if gaussians.means.device.type == "cpu":
+        from stylesplat.rendering import cpu as backend
+    else:
+        from stylesplat.rendering import cuda as backend
+    return backend.project_gaussians(gaussians, views_of(camera)[0])
+
+
 def touching(
     low: Real[Tensor, "N 2"], high: Real[Tensor, "N 2"], pixels: Bool[Tensor, "H W"]
 ) -> Bool[Tensor, " N"]:
     """Which boxes of pixels, from and to, hold marked ones."""
-    touched = torch.zeros(len(low), dtype=torch.bool)
+    touched = torch.zeros(len(low), dtype=torch.bool, device=low.device)
     marked = pixels.nonzero().flip(1).to(low)  # x, y
     if not len(marked):
         return touched
@@ -95,6 +108,11 @@ def touching(
 @torch.no_grad()
 def visible(near: InView, camera: Cameras) -> InView:
     """The Gaussians that reach a pixel of the camera, though others hide some."""
+    if near.rows.device.type != "cpu":
+        from stylesplat.rendering import cuda
+
+        reached = cuda.reaching_pixels(near.projected, near.opacities, camera.size)
+        return near.some(reached.nonzero()[:, 0])
     from stylesplat.rendering import cpu
 
     colors = near.opacities.new_zeros(len(near.rows), 3)
@@ -106,10 +124,7 @@ def visible(near: InView, camera: Cameras) -> InView:
 @torch.no_grad()
 def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
     """The pixels that each Gaussian may reach, from and to; none if it is out of view."""
-    from stylesplat.rendering import cpu
-
-    views = views_of(with_matrices_of(splats, camera))
-    projected = cpu.project_gaussians(activated(splats), views[0])
+    projected = _project(activated(splats), with_matrices_of(splats, camera))
     inside = (projected.radii > 0).all(dim=1, keepdim=True)
     low, high = (corner * inside for corner in bounds(projected))
     return low.long(), high.long()

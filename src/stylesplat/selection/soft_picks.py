@@ -14,7 +14,7 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.linear import contributions
+from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.shares import COVERED, without_looks
 from stylesplat.rendering.visibility import LARGE, bounds, in_view, pixel_bounds, visible
 from stylesplat.scene.cameras import Cameras
@@ -52,8 +52,6 @@ def own_shares(
 
     `labels` are the likeliest label ids, if they are known already.
     """
-    device = splats.device
-    splats, picked = splats.to("cpu"), picked.cpu()  # contributions exist on the CPU only
     bare, alone = without_looks(splats), without_looks(splats)[picked.nonzero()[:, 0]]
     if labels is None and splats.classifier is not None:
         labels = likeliest(splats)
@@ -61,7 +59,7 @@ def own_shares(
 
     def sums_in(camera: Cameras) -> Float[Tensor, "N 2"]:
         """The contribution of each Gaussian to the object's pixels, and to all."""
-        view = contributions(bare, camera, picked, in_view(alone, camera).box(camera))
+        view = linear_view(bare, camera, picked, in_view(alone, camera).box(camera))
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
         if ids is not None and len(ids) and unsure.any():
@@ -70,16 +68,18 @@ def own_shares(
         return sums.new_zeros(len(splats), 2).index_copy_(0, view.gaussians, sums)
 
     views = sampled_views(cameras)
-    found = track(at_once(sums_in, views), "finding contours", total=len(views))
-    inside, everywhere = sum(found, torch.zeros(len(splats), 2)).unbind(dim=1)
+    found = at_once(sums_in, views, splats.device)
+    found = track(found, "finding contours", total=len(views))
+    inside, everywhere = sum(found, splats.means.new_zeros(len(splats), 2)).unbind(dim=1)
     parts = inside / everywhere.clamp(min=UNSEEN)
     seen, unseen = picked & (everywhere >= UNSEEN), picked & (everywhere < UNSEEN)
     if seen.any() and unseen.any():
-        tree = KDTree(splats.means[seen].double().numpy())
+        tree = KDTree(splats.means[seen].double().cpu().numpy())
         count = min(NEIGHBOURS, int(seen.sum()))
-        rows = torch.from_numpy(tree.query(splats.means[unseen].double().numpy(), k=count)[1])
+        _, rows = tree.query(splats.means[unseen].double().cpu().numpy(), k=count)
+        rows = torch.from_numpy(rows).to(splats.device)
         parts[unseen] = parts[seen][rows.view(-1, count)].median(dim=1).values
-    return (((parts - OUTSIDE) / (INSIDE - OUTSIDE)).clamp(0, 1) * picked).to(device)
+    return ((parts - OUTSIDE) / (INSIDE - OUTSIDE)).clamp(0, 1) * picked
 
 
 def sampled_views(cameras: Cameras) -> list[Cameras]:
@@ -92,7 +92,7 @@ def _labels_around(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"])
     low = [int(pixels.any(dim=axis).nonzero().min()) for axis in (0, 1)]
     high = [int(pixels.any(dim=axis).nonzero().max()) + 1 for axis in (0, 1)]
     cut = crop(camera, low, [b - a for a, b in zip(low, high, strict=True)])
-    labels = torch.full(pixels.shape, BACKGROUND, dtype=torch.int32)
+    labels = torch.full_like(pixels, BACKGROUND, dtype=torch.int32)
     labels[low[1] : high[1], low[0] : high[0]] = render_labels(splats, cut)
     return labels
 

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.linear import contributions
+from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.render import colors_of, rasterize
 from stylesplat.rendering.shares import COVERED, colors_and_coverage, coverage, without_looks
 from stylesplat.rendering.visibility import in_view
@@ -102,10 +102,6 @@ class Canvas:
         """The canvas with some of its Gaussians, all of the scene before among them."""
         return replace(self, splats=self.splats[kept], parents=self.parents[kept])
 
-    def to(self, device: torch.device | str) -> "Canvas":
-        rest = {"own": self.own.to(device), "parents": self.parents.to(device)}
-        return replace(self, before=self.before.to(device), splats=self.splats.to(device), **rest)
-
 
 @torch.no_grad()
 def lay_canvas(
@@ -117,7 +113,7 @@ def lay_canvas(
     max_discs: int,
     seed: int,
 ) -> Canvas | None:
-    """Lay a canvas on an object of a scene on the CPU, and fade the Gaussians under it.
+    """Lay a canvas on an object of a scene, and fade the Gaussians under it.
 
     The discs are fine enough for views in which the object is so many pixels long. Next come
     `fit_canvas` and `confine_canvas`. Returns None if the object has no surface, as smoke has none.
@@ -134,8 +130,9 @@ def lay_canvas(
         spacing *= math.sqrt(len(rows) / (SPARE * max_discs))  # there would be too many
     means, normals = project_to_planes(points, normals, rows)
     own = mask.nonzero()[:, 0]
-    _, nearest = KDTree(splats.means[own].double().numpy()).query(means.double().numpy())
-    parents = own[torch.from_numpy(nearest)]
+    tree = KDTree(splats.means[own].double().cpu().numpy())
+    _, nearest = tree.query(means.double().cpu().numpy())
+    parents = own[torch.from_numpy(nearest).to(own)]
     scales = points.new_tensor([WIDE, WIDE, FLAT]).mul(spacing).log()
     discs = replace(
         splats[parents],
@@ -146,7 +143,7 @@ def lay_canvas(
         sh0=sh0_from_rgb(colors[rows])[:, None],
         shN=splats.shN[parents] * 0,
     )
-    parents = torch.cat([torch.arange(len(splats)), parents])
+    parents = torch.cat([torch.arange(len(splats), device=splats.device), parents])
     return fade_hidden(Canvas(splats, mask, Splats.cat([splats, discs]), parents, spacing), boxes)
 
 
@@ -167,11 +164,12 @@ def fade_hidden(canvas: Canvas, boxes: Sequence[Box]) -> Canvas:
 
     def look(camera: Cameras) -> Tensor:
         hidden = coverage(bare, camera, is_disc) > COVERED
-        view = contributions(before, camera, canvas.own)
+        view = linear_view(before, camera, canvas.own)
         sums = torch.stack([view.weights(hidden), view.weights()], dim=1)
         return sums.new_zeros(count, 2).index_copy_(0, view.gaussians, sums)
 
-    found = per_view(look, box_cameras(boxes, LENGTH, VIEWS), "looking under the canvas")
+    cameras = box_cameras(boxes, LENGTH, VIEWS)
+    found = per_view(look, cameras, "looking under the canvas", splats.device)
     hidden, everywhere = torch.stack([*found]).sum(dim=0).unbind(dim=1)
     low, high = HIDDEN
     fading = ((hidden / everywhere.clamp(min=1e-9) - low) / (high - low)).clamp(0, 1) * canvas.own
@@ -186,14 +184,16 @@ def fill_holes(canvas: Canvas, boxes: Sequence[Box]) -> Canvas:
     faded, before, mask = without_looks(canvas.splats), without_looks(canvas.before), canvas.mask
 
     def look(camera: Cameras) -> Tensor:
-        view = contributions(before, camera, canvas.own)
+        view = linear_view(before, camera, canvas.own)
         lost = view.coverage - coverage(faded, camera, mask) > LOST
-        covered = (view.coverage > COVERED).numpy().astype(np.uint8)
-        inner = torch.from_numpy(cv2.erode(covered, np.ones((2 * RIM + 1, 2 * RIM + 1)))).bool()
+        covered = (view.coverage > COVERED).cpu().numpy().astype(np.uint8)
+        inner = torch.from_numpy(cv2.erode(covered, np.ones((2 * RIM + 1, 2 * RIM + 1))))
+        inner = inner.to(lost)
         return view.gaussians[view.weights(lost & inner) > IN_HOLES * view.weights()]
 
     cameras = box_cameras(boxes, LENGTH, HOLE_VIEWS)
-    rows = torch.cat([*per_view(look, cameras, "looking for holes of the canvas")])
+    found = per_view(look, cameras, "looking for holes of the canvas", faded.device)
+    rows = torch.cat([*found])
     opacities = canvas.splats.opacities.clone()
     opacities[rows] = before.opacities[rows]
     return canvas.changed(opacities=opacities)
@@ -219,13 +219,13 @@ def fit_canvas(canvas: Canvas, boxes: Sequence[Box], *, seed: int) -> Canvas:
     """
     length = min(FIT_LENGTH, typical_length(boxes))
     cameras = box_cameras(boxes, length, FIT_VIEWS, FIT_MARGIN)
-    views = [*at_once(partial(_look, canvas), cameras)]
+    views = [*at_once(partial(_look, canvas), cameras, canvas.splats.device)]
     leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in RATES}
     moments, own = Moments.zeros(leaves), canvas.mask.to(canvas.splats.means)
     generator = torch.Generator().manual_seed(seed)
     order = track(drawn(views, STEPS, generator), "fitting the canvas", total=STEPS)
     for step, view in enumerate(order, start=1):
-        raised = RAISED * torch.rand(3, generator=generator)
+        raised = (RAISED * torch.rand(3, generator=generator)).to(own)
         is_disc, rows = canvas.is_disc[view.rows], view.rows
         with torch.enable_grad():
             moved = {name: leaf[rows] for name, leaf in leaves.items()}

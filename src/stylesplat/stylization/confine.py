@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.metrics.lab import LUMA
-from stylesplat.rendering.linear import contributions
+from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.shares import COVERED, coverage, without_looks
 from stylesplat.rendering.visibility import pixel_bounds, touching
@@ -39,7 +39,6 @@ SHINES = 0.1  # pixels of a disc that shine through what is protected, if that l
 
 # One camera, the pixels [H, W] in which no disc may show, and the pixels of each that may
 Outside = tuple[Cameras, Tensor, float]
-NO_ROWS = torch.zeros(0, dtype=torch.long)
 
 
 @torch.no_grad()
@@ -54,8 +53,8 @@ def confine_canvas(
     """Turn the discs of a canvas along the strokes, and let none show beside the object.
 
     Discs that show beside it in a camera become smaller; those that still do are removed. Without
-    the canvas painted in the colours of the strokes, discs stay round. All is on the CPU. Nor
-    may discs show on what is protected of the Gaussians before.
+    the canvas painted in the colours of the strokes, discs stay round. Nor may discs show on what
+    is protected of the Gaussians before.
 
     Returns:
         The canvas, and which of its Gaussians are left.
@@ -86,7 +85,8 @@ def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
     crops = []
     for camera in cameras:
         low, high = pixel_bounds(splats, camera)
-        low, high = (low - MARGIN).clamp(min=0), torch.minimum(high + MARGIN, camera.sizes[0])
+        most = camera.sizes[0].to(high)
+        low, high = (low - MARGIN).clamp(min=0), torch.minimum(high + MARGIN, most)
         reached = (low < high).all(dim=1)
         if reached.any():
             low, high = low[reached].amin(dim=0), high[reached].amax(dim=0)
@@ -105,11 +105,11 @@ def _find_outside(
     def look(camera: Cameras) -> Outside:
         covered = coverage(bare, camera, mask)
         alone = full_coverage(own, camera)  # whatever hides it
-        solid = (alone > COVERED).numpy().astype(np.uint8)
-        edge = torch.from_numpy(cv2.dilate(solid, disc)).bool()
+        solid = (alone > COVERED).cpu().numpy().astype(np.uint8)
+        edge = torch.from_numpy(cv2.dilate(solid, disc)).bool().to(covered.device)
         return camera, (covered == 0) | ((covered < FAINT) & ~edge), 0.0
 
-    return [*per_view(look, cameras, "looking beside the object")]
+    return [*per_view(look, cameras, "looking beside the object", splats.device)]
 
 
 def _find_covered(
@@ -121,7 +121,7 @@ def _find_covered(
     def look(camera: Cameras) -> Outside:
         return camera, coverage(bare, camera, mask) > COVERED, SHINES
 
-    return [*per_view(look, cameras, "looking at what is protected")]
+    return [*per_view(look, cameras, "looking at what is protected", splats.device)]
 
 
 def _overflow(
@@ -139,16 +139,16 @@ def _overflow(
         if not pixels.any():
             return suspects[:0]
         there = touching(low, high, pixels).nonzero()[:, 0]
-        seen = contributions(bare[there], camera, is_disc[there])
+        seen = linear_view(bare[there], camera, is_disc[there])
         return there[seen.gaussians[seen.weights(pixels) > most]]
 
-    found = [*per_view(look, outside, "checking the outline")]
+    found = [*per_view(look, outside, "checking the outline", bare.device)]
     uncovered = [
         (camera, pixels & reached_pixels(canvas.splats[rows], camera), most)
         for (camera, pixels, most), rows in zip(outside, found, strict=True)
         if len(rows)
     ]
-    return torch.cat([NO_ROWS, *found]).unique(), uncovered
+    return torch.cat([is_disc.nonzero()[:0, 0], *found]).unique(), uncovered
 
 
 def reached_pixels(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
@@ -167,10 +167,10 @@ def align_to_strokes(splats: Splats, discs: Bool[Tensor, " N"], distance: float)
     rows = discs.nonzero()[:, 0]
     means, axes = splats.means[rows], rotation_matrices(splats.quats[rows])
     tangents, normals = axes[:, :, :2], axes[:, :, 2]
-    points = means.double().numpy()
+    points = means.double().cpu().numpy()
     far, near = KDTree(points).query(points, k=min(NEIGHBOURS, len(rows)), workers=-1)
     far = torch.from_numpy(far).to(means).view(len(rows), -1) / distance
-    near = torch.from_numpy(near).view(len(rows), -1)
+    near = torch.from_numpy(near).to(rows).view(len(rows), -1)
     same_side = (normals[near] * normals[:, None]).sum(dim=2).clamp(min=0)  # [D, k]
 
     def weights(width: float) -> Tensor:

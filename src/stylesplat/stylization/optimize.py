@@ -251,28 +251,27 @@ def _paint(
 
 def _lay(object: _Object, length: float) -> _Object:
     """Lay a canvas that is fine enough for this length, if the object has a surface for it."""
-    config, device = object.target.config, object.canvas.splats.device
+    config = object.target.config
     max_discs = config.max_discs(int(object.target.mask.sum()))
     if max_discs == 0 or config.intensity == 0:
         return object
-    bare = object.canvas.to("cpu")  # contributions are known on the CPU only
-    rest = {"length": length, "max_discs": max_discs, "seed": config.seed}
+    bare, rest = object.canvas, {"length": length, "max_discs": max_discs, "seed": config.seed}
     canvas = lay_canvas(bare.splats, bare.mask, object.boxes, **rest)
     if canvas is None:
         say(f"{object.target.name} has no surface for a canvas: its own Gaussians are painted.")
         return object
-    return object.on(fit_canvas(canvas, object.boxes, seed=config.seed).to(device))
+    return object.on(fit_canvas(canvas, object.boxes, seed=config.seed))
 
 
 def _confine(object: _Object, paint: Splats, *, turned: bool) -> tuple[_Object, Splats]:
     """Let no disc show beside the object, and turn them along the strokes if there are any."""
-    device = paint.means.device
-    painted = paint.to("cpu") if turned else None
-    canvas, boxes, cameras = object.canvas.to("cpu"), object.boxes, object.context.all_cameras
-    protected = object.target.protected
-    protected = protected if protected is None else protected.cpu()
-    canvas, kept = confine_canvas(canvas, boxes, cameras, painted=painted, protected=protected)
-    canvas, kept = canvas.to(device), kept.to(device)
+    canvas, kept = confine_canvas(
+        object.canvas,
+        object.boxes,
+        object.context.all_cameras,
+        painted=paint if turned else None,
+        protected=object.target.protected,
+    )
     return object.on(canvas), replace(canvas.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
 
 

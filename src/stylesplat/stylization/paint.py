@@ -136,7 +136,7 @@ def crop_scene(
     splats, views = context.splats, [*context.all_cameras]
     everything = context, target, torch.arange(len(splats), device=splats.device)
     names = {*context.all_cameras.names}
-    if len(splats) < LARGE or splats.device.type != "cpu" or len(names) < len(views):
+    if len(splats) < LARGE or len(names) < len(views):
         return everything
     bare, own = without_looks(splats), target.mask.nonzero()[:, 0]
     others = replace(bare, opacities=bare.opacities.masked_fill(target.mask, -torch.inf))
@@ -147,14 +147,15 @@ def crop_scene(
         near = reached_pixels(alone, view)
         if not near.any():
             return None
-        near = torch.from_numpy(cv2.dilate(near.numpy().astype(np.uint8), square)).bool()
-        rows = visible(in_view(others, view, near), view).rows
+        near = torch.from_numpy(cv2.dilate(near.cpu().numpy().astype(np.uint8), square))
+        rows = visible(in_view(others, view, near.bool().to(own.device)), view).rows
         there = torch.cat([own, rows])
-        shares = coverage(bare[there], view, torch.arange(len(there)) < len(own))
+        is_own = torch.arange(len(there), device=there.device) < len(own)
+        shares = coverage(bare[there], view, is_own)
         return rows if (shares > VISIBLE).any() else None
 
     kept, shown = target.mask.clone(), set[str]()
-    found = per_view(look, views, "looking around the object")
+    found = per_view(look, views, "looking around the object", splats.device)
     for view, rows in zip(views, found, strict=True):
         if rows is not None:
             kept[rows] = True

@@ -116,7 +116,7 @@ def pool_points(
     cells = (points / size).floor().long()
     cells -= cells.amin(dim=0)
     across, along, _ = (cells.amax(dim=0) + 1).tolist()
-    keys = cells @ torch.tensor([1, across, across * along])
+    keys = cells @ cells.new_tensor([1, across, across * along])
     _, index, counts = keys.unique(return_inverse=True, return_counts=True)
     none = points.new_zeros(len(counts), 3)
     return [none.index_add(0, index, v) / counts[:, None] for v in (points, *others)]
@@ -126,10 +126,10 @@ def project_to_planes(
     points: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"], rows: Int[Tensor, " L"]
 ) -> tuple[Float[Tensor, "L 3"], Float[Tensor, "L 3"]]:
     """Some points moved onto the planes of their neighbours, and the normals of the planes."""
-    coordinates = points.double().numpy()
+    coordinates = points.double().cpu().numpy()
     count = min(PLANE, len(points))
-    _, near = KDTree(coordinates).query(coordinates[rows.numpy()], k=count, workers=-1)
-    near = torch.from_numpy(near).view(len(rows), -1)
+    _, near = KDTree(coordinates).query(coordinates[rows.cpu().numpy()], k=count, workers=-1)
+    near = torch.from_numpy(near).to(rows).view(len(rows), -1)
     smooth = F.normalize(normals[near].mean(dim=1), dim=1)
     above = ((points[rows] - points[near].mean(dim=1)) * smooth).sum(dim=1, keepdim=True)
     return points[rows] - above * smooth, smooth
@@ -137,11 +137,11 @@ def project_to_planes(
 
 def thin(points: Float[Tensor, "P 3"], distance: float, *, seed: int) -> Int[Tensor, " L"]:
     """Choose points of which no two are closer than a distance, as many as fit, in random order."""
-    pairs = KDTree(points.double().numpy()).query_pairs(distance, output_type="ndarray")
+    pairs = KDTree(points.double().cpu().numpy()).query_pairs(distance, output_type="ndarray")
     near = coo_array((np.ones(len(pairs), bool), pairs.T), shape=(len(points), len(points)))
     near = csr_array(near + near.T)
     free = np.ones(len(points), bool)
     for row in np.random.default_rng(seed).permutation(len(points)).argsort():
         if free[row]:
             free[near.indices[near.indptr[row] : near.indptr[row + 1]]] = False
-    return torch.from_numpy(free.nonzero()[0])
+    return torch.from_numpy(free.nonzero()[0]).to(points.device)

@@ -7,18 +7,17 @@ from statistics import median
 from typing import TypeVar
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say, track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.linear import Contributions, contributions
+from stylesplat.rendering.linear import LinearView, linear_view
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, contributed, coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.layer import without_identities
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import SH_C0, Splats
@@ -63,17 +62,13 @@ class ObjectView:
     """Which features are the object's, for each layer group."""
     pixels: Bool[Tensor, "H W"]
     """Those of the object."""
-    linear: Contributions | None = None
-    """The image as a function of the object's colours; None rasterises it every time."""
-    near: Int[Tensor, " M"] | None = None
-    """The Gaussians that reach the image, which alone are rasterised; None rasterises all."""
+    linear: LinearView | None = None
+    """The image as a function of the object's colours; None rasterises the scene every time."""
 
     def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
         """Render splats that differ from the scene at most in the object's colours."""
         if self.linear is not None:
             return self.linear.render(splats)
-        if (near := self.near) is not None:
-            splats = without_identities(splats).map(lambda tensor: tensor.index_select(0, near))
         return rasterize(splats, self.camera)[0][0]
 
     def backproject(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 1 3"]:
@@ -165,8 +160,8 @@ def object_views(
 ) -> list[ObjectView]:
     """Views cropped to boxes of the object, at a multiple of the cameras' size.
 
-    Boxes that hardly show it are skipped. Linear views, which are the CPU's, may take so many bytes
-    of memory; others are rasterised in every step, on a GPU with the Gaussians that reach them.
+    Boxes that hardly show it are skipped. Linear views may take so many bytes of memory, none on a
+    GPU; others are rasterised in every step.
     """
     splats, mask = context.splats, target.mask
     cells = [context.network.cells(group) for group in target.config.layers]
@@ -174,19 +169,16 @@ def object_views(
     # what features depend on around a box
     before, after = max(c.before for c in cells), max(c.size - c.before for c in cells)
     margins = min(MARGIN, before), min(MARGIN, after)
-    on_cpu = splats.device.type == "cpu"
-    is_linear = max_memory > 0 and on_cpu
+    is_linear = max_memory > 0 or splats.device.type != "cpu"
 
-    def prepare(box: Box) -> tuple[Cameras, Tensor, Contributions | None, Tensor | None]:
+    def prepare(box: Box) -> tuple[Cameras, Tensor, LinearView | None]:
         camera, inside = crop_to_box(box, zoom, margins)
-        if not on_cpu:
-            camera = camera.to(splats.device)  # not in every step
-            return camera, inside, None, _reaching(splats, camera)
+        camera = camera.to(splats.device)  # not in every step
         kept = is_linear and not full
-        return camera, inside, contributions(splats, camera, mask) if kept else None, None
+        return camera, inside, linear_view(splats, camera, mask) if kept else None
 
     prepared = per_view(prepare, boxes, "preparing the views", splats.device)
-    for camera, inside, linear, near in prepared:
+    for camera, inside, linear in prepared:
         linear = None if full else linear
         covered = linear.coverage if linear else coverage(splats, camera, mask)
         own = covered * inside.to(covered.device)
@@ -195,7 +187,7 @@ def object_views(
             used += linear.nbytes if linear else 0
             full = used > max_memory
             linear = None if full else linear
-            views.append(ObjectView(camera, masks, covered > COVERED, linear, near))
+            views.append(ObjectView(camera, masks, covered > COVERED, linear))
     if not views:
         raise StyleSplatError(
             f"Cannot stylise {target.name}: it is hardly visible in the {len(boxes)} views that "
@@ -208,13 +200,6 @@ def object_views(
             "rasterised in every step, which takes longer. Pass a larger max_memory to keep more."
         )
     return views
-
-
-@torch.no_grad()
-def _reaching(splats: Splats, camera: Cameras) -> Int[Tensor, " M"]:
-    """The Gaussians that reach an image."""
-    radii = rasterize(splats, camera, sh_degree=0)[2]["radii"][0]
-    return (radii > 0).all(dim=-1).nonzero()[:, 0]
 
 
 def stage_views(

@@ -1,0 +1,123 @@
+"""Laying a canvas and cropping a scene on a GPU; on any machine, see `fake_cuda.py`."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+
+from balls import CAMERAS, FAST, RED, SPLATS, ball, enlarged, same
+from balls import STRIPED_SCENE as SCENE
+from fake_cuda import cuda  # noqa: F401  (a fixture)
+from stylesplat.rendering.linear import linear_view
+from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.visibility import in_view, pixel_bounds, visible
+from stylesplat.selection.soft_picks import own_shares
+from stylesplat.stylization import paint as cutting
+from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
+from stylesplat.stylization.confine import confine_canvas
+from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.paint import crop_scene
+from stylesplat.stylization.target import PaintTarget, paint_context
+from stylesplat.stylization.views import find_boxes
+
+LARGER = enlarged(CAMERAS[::4], 2)
+ELSEWHERE = 20  # Gaussians that no camera sees, before all others
+SOLID = SPLATS.map(torch.clone)
+SOLID.opacities.fill_(6.0)
+
+
+class Transfers(TorchFunctionMode):
+    """Notes how many rows each tensor has that leaves the device."""
+
+    def __init__(self) -> None:
+        self.rows: list[int] = []
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        result = func(*args, **(kwargs or {}))
+        if func in (Tensor.to, Tensor.cpu) and args[0].is_cuda and not result.is_cuda:
+            self.rows.append(len(result) if result.ndim else 1)
+        return result
+
+
+def test_what_is_visible(cuda: str):  # noqa: F811
+    splats, camera = SPLATS.to(cuda), CAMERAS[0]
+    low, high = pixel_bounds(SPLATS, camera)
+    found_low, found_high = pixel_bounds(splats, camera)
+    assert (found_low.cpu() - low).abs().max() <= 1 and (found_high.cpu() - high).abs().max() <= 1
+    pixels = torch.zeros(camera.size[::-1], dtype=torch.bool)
+    pixels[:, : camera.size[0] // 2] = True
+    near, there = in_view(SPLATS, camera, pixels), in_view(splats, camera, pixels.to(cuda))
+    assert torch.equal(there.rows.cpu(), near.rows) and 0 < len(near.rows) < len(SPLATS)
+    assert torch.equal(visible(there, camera).rows.cpu(), visible(near, camera).rows)
+
+
+def test_linear_views(cuda: str):  # noqa: F811
+    camera, pixels = CAMERAS[0], torch.zeros(CAMERAS[0].size[::-1], dtype=torch.bool)
+    pixels[10:] = True
+    view = linear_view(SPLATS, camera, RED)
+    found = linear_view(SPLATS.to(cuda), camera, RED.to(cuda))
+    assert set(found.gaussians.tolist()) == set(view.gaussians.tolist())
+    torch.testing.assert_close(found.coverage.cpu(), view.coverage, atol=1e-3, rtol=0)
+    for some in (None, pixels):
+        sums = [torch.zeros(len(SPLATS)) for _ in range(2)]
+        sums[0][view.gaussians] = view.weights(some)
+        there = found.weights(some if some is None else some.to(cuda))
+        sums[1][found.gaussians.cpu()] = there.cpu()
+        torch.testing.assert_close(sums[1], sums[0], atol=1e-2, rtol=1e-2)
+    image = found.render(SPLATS.to(cuda)).cpu()
+    torch.testing.assert_close(image, view.render(SPLATS), atol=2e-3, rtol=0)
+
+
+def test_own_shares(cuda: str):  # noqa: F811
+    found = own_shares(SPLATS.to(cuda), RED.to(cuda), CAMERAS[:4]).cpu()
+    torch.testing.assert_close(found, own_shares(SPLATS, RED, CAMERAS[:4]), atol=0.02, rtol=0)
+
+
+@pytest.mark.usefixtures("quick_painting")
+def test_the_canvas(cuda: str):  # noqa: F811
+    """It covers the object, shows nowhere else, and the scene stays on the device meanwhile."""
+
+    def laid(device: str) -> Canvas:
+        splats, mask = SOLID.to(device), RED.to(device)
+        boxes = find_boxes(splats, LARGER, mask)
+        canvas = lay_canvas(splats, mask, boxes, length=30.0, max_discs=400, seed=0)
+        assert canvas is not None
+        canvas = fit_canvas(canvas, boxes, seed=0)
+        return confine_canvas(canvas, boxes, LARGER, painted=canvas.splats)[0]
+
+    with Transfers() as transfers:
+        found = laid(cuda)
+    expected = laid("cpu")
+    assert int(found.is_disc.sum()) == pytest.approx(int(expected.is_disc.sum()), rel=0.1)
+    assert transfers.rows and not {len(SOLID), len(found.parents)} & {*transfers.rows}
+    assert found.splats.device.type == "cuda"
+    splats, is_disc = found.splats.to("cpu"), found.is_disc.cpu()
+    for name, before in SOLID.tensors().items():
+        assert torch.equal(splats.tensors()[name][: len(SOLID)][~RED], before[~RED]), name
+    for camera in (LARGER[0], LARGER[1]):
+        before, covered = (coverage(s, camera, m) for s, m in ((SOLID, RED), (splats, is_disc)))
+        usual = coverage(expected.splats, camera, expected.is_disc)
+        shares = [float(each[before > 0.98].mean()) for each in (covered, usual)]
+        assert shares[0] == pytest.approx(shares[1], abs=0.05) and shares[1] > 0.5
+        assert covered[before == 0].max() < 1e-3
+
+
+def test_crops_of_large_scenes(
+    cuda: str,  # noqa: F811
+    network: FeatureNetwork,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    monkeypatch.setattr(cutting, "LARGE", 0)
+    means = SCENE.means.clone()
+    means[:ELSEWHERE, 2] += 1e4
+    scene, rows = replace(SCENE, means=means), {}
+    for device in ("cpu", cuda):
+        context = paint_context(scene.to(device), CAMERAS[:3], network.to(device))
+        target = PaintTarget("ball", ball(0).to(device), (), FAST)
+        part, own, rows[device] = crop_scene(context, target)
+        assert same(part.splats.to("cpu"), scene[rows[device].cpu()])
+        assert torch.equal(own.mask.cpu(), ball(0)[rows[device].cpu()])
+    assert torch.equal(rows[cuda].cpu(), rows["cpu"]) and int(rows["cpu"].min()) == ELSEWHERE
