@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from still_life.photos import dome_cameras, photograph, surface_points
+from still_life.photos import arrange, dome_cameras, photograph, surface_points
 from stylesplat.figures.capture_picture import capture_picture
 from stylesplat.figures.grid import Row, draw_grid
 from stylesplat.io.atomic import atomic_path
@@ -41,7 +41,7 @@ def main() -> None:
 
 
 def _photographed(cameras: Cameras) -> Capture:
-    views = list(photograph(cameras, 0))
+    views = list(photograph(cameras, arrange(0)))
     points, colors = surface_points(cameras, views, POINTS * len(views))
     content = points.norm(dim=1) < 3  # not the ground far below
     photos = [view.photo for view in views]

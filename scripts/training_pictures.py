@@ -17,7 +17,7 @@ from sklearn.datasets import load_sample_images
 from tqdm import tqdm
 
 from still_life.paintings import paint
-from still_life.photos import DISTANCE, TARGET, photograph
+from still_life.photos import DISTANCE, TARGET, arrange, photograph
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.splats import SH_C0, Splats
@@ -184,7 +184,7 @@ def _renders(rng: np.random.Generator, count: int) -> Iterator[Picture]:
         K = torch.tensor([[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1]])
         viewmats = look_at(position[None], target, torch.tensor([0.0, 0.0, 1.0]))
         camera = Cameras(viewmats, K[None].float(), torch.tensor([[SIZE, SIZE]]), ("render",))
-        (view,) = photograph(camera, seed=number + 1)
+        (view,) = photograph(camera, arrange(number + 1))
         yield view.photo.numpy() / 255
 
 

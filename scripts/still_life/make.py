@@ -23,7 +23,7 @@ from stylesplat.io.label_maps import write_label_map
 from .label_faults import corrupt_label_maps
 from .nerfstudio import write_transforms
 from .paintings import PAINTINGS
-from .photos import OBJECT_NAMES, dome_cameras, photograph, surface_points
+from .photos import OBJECT_NAMES, arrange, dome_cameras, photograph, surface_points
 
 ARCHIVE = Path(__file__).parents[2] / "src/stylesplat/demo/still_life.zip"
 POINTS = 40_000  # with fewer, training takes half as long again to be as sharp
@@ -67,7 +67,7 @@ def write_capture(
         height: Of a photo, in pixels.
     """
     cameras = dome_cameras(views, width, height)
-    traced = list(photograph(cameras, seed))
+    traced = list(photograph(cameras, arrange(seed)))
     exact = [view.labels for view in traced]
     for part in ("images", "styles"):
         (folder / part).mkdir(parents=True)

@@ -74,9 +74,8 @@ def dome_cameras(views: int, width: int, height: int) -> Cameras:
     )
 
 
-def photograph(cameras: Cameras, seed: int) -> Iterator[View]:
-    """Render the still life of a seed from each camera, lazily."""
-    layout = arrange(seed)
+def photograph(cameras: Cameras, layout: Float[np.ndarray, "5 5"]) -> Iterator[View]:
+    """Render objects, as `arrange` has placed them, from each camera, lazily."""
     for viewmat, K, (width, height) in zip(
         cameras.viewmats.double(), cameras.Ks.double(), cameras.sizes.tolist(), strict=True
     ):

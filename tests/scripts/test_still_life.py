@@ -1,5 +1,6 @@
 """The script that made the demo's capture: exact photos, and label maps with mistakes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import torch
 import stylesplat as ss
 from still_life.label_faults import FaultConfig, corrupt_label_maps
 from still_life.make import write_capture
+from still_life.photos import dome_cameras, photograph
+from still_life.turntable import turned_layouts, turntable
 from stylesplat.scene.projection import project
 
 NO_FAULTS = {"border": 0.0, "missing": 0.0, "merged": 0.0, "fragments": 0.0}
@@ -62,3 +65,14 @@ def test_faults_are_those_that_the_settings_ask_for():
     patched = corrupted(fragments=1.0)
     changed = patched != exact
     assert changed.any() and (exact[changed] > 0).all() and (patched[changed] > 0).all()
+
+
+def test_turning_the_objects_is_walking_around_them():
+    pictures, viewmats = turntable(5, 32, 24)
+    turned = [view.labels > 0 for view in pictures]
+    walked = dome_cameras(5, 32, 24)
+    walked = replace(walked, viewmats=viewmats.float())
+    views = photograph(walked, turned_layouts(5)[0])
+    for one, other in zip(turned, (view.labels > 0 for view in views), strict=True):
+        assert one.any() and (one == other).float().mean() > 0.99
+    assert not torch.equal(turned[0], turned[2])

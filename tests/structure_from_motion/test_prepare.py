@@ -161,8 +161,10 @@ def test_photos_without_background(tmp_path: Path, level: int | None):
         alpha = np.where(masked.any(axis=2, keepdims=True), 255, 0).astype(np.uint8)
         pixels = np.dstack([masked, alpha]) if level is None else masked
         save(tmp_path / "in" / f"{index}.png", pixels)
-    with pytest.raises(StyleSplatError, match=r"4 of 4 photos .* background"):
-        prepare(tmp_path / "in", tmp_path / "out")
+    save(tmp_path / "in" / "whole.jpg", view(200))
+    prepared = prepare(tmp_path / "in", tmp_path / "out")
+    assert prepared.cut_outs and len(prepared.names) == 4
+    assert prepared.left_out == {"whole.jpg": "it has a background, which most photos lack"}
 
 
 def test_sources_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from tyro.conf import Positional
 
 import stylesplat as ss
+from stylesplat.cli.arguments import parse_place
 from stylesplat.cli.options import (
     CONTINUES,
     MakingCommand,
@@ -44,6 +45,12 @@ class Sfm(MakingCommand):
     matching: Literal["auto", "exhaustive", "sequential", "similar"] = "auto"
     """Which photos are compared: all with all, each with the next ones, or those that look alike;
     auto goes by their number and order."""
+    masks: Path | None = None
+    """Folder of masks named like the photos, or COCO JSON: poses come from what they show, all that
+    is black is ignored. For an object on a turntable."""
+    object: str | None = None
+    """VIEW:x0,y0,x1,y1, a box around such an object in one photo, in that photo's pixels: it is
+    followed into the others."""
     cameras: Literal["auto", "one", "several"] = "auto"
     """One lens for all photos of a size and a camera, one for all of a size, or one for each."""
     seed: int = 0
@@ -57,6 +64,8 @@ class Sfm(MakingCommand):
             self.source,
             self.output,
             frames=self.frames,
+            masks=self.masks,
+            box=self.object and parse_place(self.object, "VIEW:x0,y0,x1,y1"),
             matching=self.matching,
             cameras=self.cameras,
             seed=self.seed,

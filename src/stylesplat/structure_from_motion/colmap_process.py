@@ -135,13 +135,18 @@ def _extract_features(task: dict[str, Any]) -> None:
     options.max_image_size = task["max_size"]
     options.num_threads = task["threads"]
     options.sift.max_num_features = task["max_features"]
+    reading = pycolmap.ImageReaderOptions(mask_path=task["masks"] or "")
     done, batch = task["done"], PHOTOS_PER_THREAD * task["threads"]
     for group in task["groups"]:
         options.sift.first_octave = _first_octave(task, group["sample"], options)
         for start in range(0, len(group["names"]), batch):
             names = group["names"][start : start + batch]
             pycolmap.extract_features(
-                task["database"], task["photos"], names, extraction_options=options
+                task["database"],
+                task["photos"],
+                names,
+                reader_options=reading,
+                extraction_options=options,
             )
             done += len(names)
             print(done, flush=True)
@@ -160,7 +165,15 @@ def _first_octave(
             continue
         shrink = min(1.0, task["max_size"] / max(bitmap.width, bitmap.height))
         bitmap.rescale(int(shrink * bitmap.width), int(shrink * bitmap.height))
-        counts.append(len(extractor.extract(bitmap)[0]))
+        features = extractor.extract(bitmap)[0]
+        if task["masks"]:
+            mask = pycolmap.Bitmap.read(Path(task["masks"]) / f"{file}.png", as_rgb=False)
+            assert mask is not None, "write_masks wrote it"
+            mask.rescale(bitmap.width, bitmap.height)
+            shown = mask.to_array() > 0
+            counts.append(sum(bool(shown[int(each.y), int(each.x)]) for each in features))
+        else:
+            counts.append(len(features))
     return 0 if counts and median(counts) >= FEW else -1
 
 
@@ -169,6 +182,7 @@ def _match_pairs(task: dict[str, Any]) -> None:
     pairing = pycolmap.ImportedPairingOptions(match_list_path=task["list"])
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = task["seed"]
+    verification.filter_stationary_matches = task["moves"]
     done = task["done"]
     for start in range(0, len(task["pairs"]), PAIRS):
         pairs = task["pairs"][start : start + PAIRS]

@@ -19,6 +19,8 @@ MOSTLY_PLANAR = 0.75  # share of the matched pairs; fox has 5 %
 MIN_ANGLE = 3.0  # degrees between the rays to a typical point; with less, depth is a guess
 SAMPLED_POINTS = 1000
 MIN_INLIERS = 30  # matches that a pose needs, COLMAP's abs_pose_min_num_inliers
+# Share of the pairs with two motions, from which something turns before what stands still
+MANY_MOTIONS = 0.3
 WALK = "Walk around what you want to show, so that each photo is taken from another place"
 
 
@@ -71,6 +73,17 @@ def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, t
             f"pairs match. {WALK}, at small steps, each sharing two thirds of its picture with "
             "the next."
         )
+
+
+def two_motions(share: float) -> str | None:
+    """What to do where an object turns before a still background; None where none does."""
+    if share < MANY_MOTIONS:
+        return None
+    return (
+        f"In {share:.0%} of the pairs of photos much stays in its place while the rest moves: an "
+        "object that turns before a still background. Poses can only fit one of the two. Draw a "
+        "box around the object in one photo, --object VIEW:x0,y0,x1,y1, or give its --masks."
+    )
 
 
 def triangulation_angle(model: pycolmap.Reconstruction) -> float:

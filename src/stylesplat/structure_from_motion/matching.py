@@ -53,6 +53,7 @@ def match_pairs(workspace: Workspace, *, ordered: bool) -> MatchTable:
             done=len(pairs) - len(missing),
             pairs=[(workspace.files[one], workspace.files[other]) for one, other in missing],
             list=str(workspace.folder / "pairs.txt"),
+            moves=workspace.masks is not None,
         )
     with workspace.open_database() as database:
         names = {i.image_id: workspace.name_of[i.name] for i in database.read_all_images()}

@@ -63,6 +63,8 @@ class PreparedPhotos:
     """By name, relative to what is typical among its neighbours: 1 is typical, less is blurred."""
     left_out: Mapping[str, str] = field(default_factory=dict)
     """By the user's own name why a photo was left out, in a few words."""
+    cut_outs: bool = False
+    """Whether their backgrounds are transparent or of one colour."""
 
 
 def find_sources(folder: Path, *, skip: Path) -> SourceFiles:
@@ -159,17 +161,17 @@ class _Candidate:
 
 
 def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
-    """Leave out the photos of a folder that are unreadable, masked, blurred or near duplicates."""
+    """Leave out the photos of a folder that are unreadable, blurred or near duplicates, and those
+    with a background if most have none, or the other way round.
+    """
     left_out = {**files.left_out, **dict.fromkeys(files.videos, "a video among photos")}
     photos = _measure(source, files.photos, left_out)
-    masked = [photo.name for photo in photos if lacks_background(photo.small)]
-    if len(masked) > MAX_MASKED * len(photos):
-        raise StyleSplatError(
-            f"{len(masked)} of {len(photos)} photos of {source} have a background that is "
-            "transparent or of one colour. The background is needed to find the cameras; give the "
-            "photos as they were taken."
-        )
-    left_out |= dict.fromkeys(masked, "its background is transparent or of one colour")
+    masked = {photo.name for photo in photos if lacks_background(photo.small)}
+    if cut_outs := len(masked) > MAX_MASKED * len(photos):
+        others = {photo.name for photo in photos} - masked
+        left_out |= dict.fromkeys(others, "it has a background, which most photos lack")
+    else:
+        left_out |= dict.fromkeys(masked, "its background is transparent or of one colour")
     photos = [photo for photo in photos if photo.name not in left_out]
     series = is_series([photo.name for photo in photos])
     measured = [photo.sharpness for photo in photos]
@@ -195,6 +197,7 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
         origins={name: photo.name for name, photo in written.items()},
         sharpness={name: sharp[photo.name] for name, photo in written.items()},
         left_out=left_out,
+        cut_outs=cut_outs,
     )
 
 

@@ -27,7 +27,7 @@ from stylesplat.structure_from_motion.video_keyframes import (
 )
 
 RECORD = ".prepared.json"  # in the folder of prepared photos
-VERSION = 3  # of how photos are selected and written; those of another version are made again
+VERSION = 4  # of how photos are selected and written; those of another version are made again
 
 
 def check_source(source: Path) -> None:

@@ -3,19 +3,33 @@
 import shutil
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
 from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.io.files import inside
+from stylesplat.io.images import image_sizes
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.failures import (
     check_features,
     check_matches,
     check_models,
+    two_motions,
     why_unregistered,
 )
 from stylesplat.structure_from_motion.matching import match_pairs
+from stylesplat.structure_from_motion.object_features import (
+    Box,
+    Masks,
+    read_matches,
+    region_of,
+    share_of_two_motions,
+    spread_box,
+    write_masks,
+)
 from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
 from stylesplat.structure_from_motion.undistort import reliable_points
 from stylesplat.structure_from_motion.workspace import (
@@ -41,26 +55,43 @@ class Reconstruction:
 
 
 def reconstruct(
-    photos: Path, prepared: PreparedPhotos, work: Path, *, config: SfmConfig
+    photos: Path,
+    prepared: PreparedPhotos,
+    work: Path,
+    *,
+    config: SfmConfig,
+    masks: Masks | None = None,
+    box: tuple[str, Box] | None = None,
 ) -> Reconstruction:
     """Extract features, match them and map the photos.
 
-    An interrupted call loses nothing that its database holds: the next one with the same photos
-    and settings continues.
+    Of masks, one for each photo, features outside are ignored; a box around an object in a photo
+    is spread to masks of all. An interrupted call loses nothing that its database holds: the next
+    one with the same photos and settings continues.
     """
     names, times = prepared.names, [time.perf_counter()]
     with changing(work):
-        workspace = open_workspace(work, photos, names, config)
+        if box is not None:
+            masks = _masks_of(box, photos, prepared, work / "object", config)
+        folder = None if masks is None else write_masks(masks, photos, names, work / "masks")
+        workspace = open_workspace(work, photos, names, config, folder)
         extract_features(workspace)
         counts = feature_counts(workspace)
         check_features(counts, len(names))
         times.append(time.perf_counter())
         table = match_pairs(workspace, ordered=prepared.ordered)
         check_matches(table)
+        sides = [max(image_sizes(inside(photos, name))[0]) for name in names]
+        motions = 0.0 if folder else share_of_two_motions(*read_matches(workspace), sides)
         times.append(time.perf_counter())
         models = _map_photos(workspace)
         times.append(time.perf_counter())
-    check_models(models, table, len(names))
+    try:
+        check_models(models, table, len(names))
+    except StyleSplatError as error:
+        if why := two_motions(motions):
+            raise StyleSplatError(why) from error
+        raise
     model = models[0]
     return Reconstruction(
         model=model,
@@ -73,12 +104,32 @@ def reconstruct(
             "compared_pairs": table.compared,
             "matched_pairs": table.matched,
             "models": len(models),
+            "pairs_with_two_motions": round(motions, 3),
             "seconds": {
                 stage: round(end - start, 2)
                 for stage, start, end in zip(STAGES, times, times[1:], strict=False)
             },
         },
     )
+
+
+def _masks_of(
+    box: tuple[str, Box], photos: Path, prepared: PreparedPhotos, work: Path, config: SfmConfig
+) -> Masks:
+    """Masks of the object that a box in one photo is around."""
+    workspace = open_workspace(work, photos, prepared.names, config)
+    extract_features(workspace)
+    match_pairs(workspace, ordered=prepared.ordered)
+    places, matches = read_matches(workspace)
+    sizes = [image_sizes(inside(photos, name))[0] for name in prepared.names]
+    first = prepared.names.index(box[0])
+    shares = spread_box(places, matches, [max(size) for size in sizes], first, box[1])
+    if not (shares[first] > 0).any():
+        raise StyleSplatError(
+            f"The box in {box[0]} shows nothing that can be found again. Draw a larger one."
+        )
+    regions = [partial(region_of, *each) for each in zip(places, shares, sizes, strict=True)]
+    return dict(zip(prepared.names, regions, strict=True))
 
 
 def _map_photos(workspace: Workspace) -> list[pycolmap.Reconstruction]:

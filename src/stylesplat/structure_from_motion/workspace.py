@@ -1,5 +1,6 @@
 """The folder in which COLMAP works: its database, and copies of the photos under numbers."""
 
+import hashlib
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,9 @@ from stylesplat.structure_from_motion.colmap_process import FATAL, is_disk_full,
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.photo_files import CameraGroup, group_by_camera
 
+# Photos of one object alone do not tell OPENCV's distortion: the test's turntable fell to pieces
+OBJECT_LENS = "SIMPLE_RADIAL"
+UNMASKED = 4  # times more features are found where most are ignored: an object fills a quarter
 SAMPLE = 3  # photos of a camera that decide at which size features of its photos are found
 
 
@@ -35,6 +39,8 @@ class Workspace:
     """The same, as the database names them."""
     groups: tuple[CameraGroup, ...]
     config: SfmConfig
+    masks: Path | None = None
+    """The folder of black and white pictures, by `mask_file`, of which features are taken."""
 
     @property
     def database(self) -> Path:
@@ -83,12 +89,16 @@ class Workspace:
 
 
 def open_workspace(
-    folder: Path, photos: Path, names: Sequence[str], config: SfmConfig
+    folder: Path,
+    photos: Path,
+    names: Sequence[str],
+    config: SfmConfig,
+    masks: Path | None = None,
 ) -> Workspace:
     """Continue an earlier call for the same photos and settings, or start a new database."""
-    files = tuple(f"{row:06}{Path(name).suffix.lower()}" for row, name in enumerate(names))
+    files = numbered_files(names)
     groups = group_by_camera(photos, names, config.cameras)
-    workspace = Workspace(folder, tuple(names), files, groups, config)
+    workspace = Workspace(folder, tuple(names), files, groups, config, masks)
     stats = [(photos / name).stat() for name in names]
     basis = {
         "photos": [[n, s.st_size, s.st_mtime_ns] for n, s in zip(names, stats, strict=True)],
@@ -97,6 +107,7 @@ def open_workspace(
         "cameras": config.cameras,
         "seed": config.seed,
         "pycolmap": pycolmap.__version__,
+        "masks": None if masks is None else _digest([masks / mask_file(file) for file in files]),
     }
     if workspace.database.exists() and workspace.basis.exists():  # else it is unfinished
         if _is_usable(workspace, basis):
@@ -105,6 +116,23 @@ def open_workspace(
     _create_database(workspace, photos)
     write_json(basis, workspace.basis)  # last, so that half a database is not used
     return workspace
+
+
+def numbered_files(names: Sequence[str]) -> tuple[str, ...]:
+    """The names of photos in a database."""
+    return tuple(f"{row:06}{Path(name).suffix.lower()}" for row, name in enumerate(names))
+
+
+def mask_file(file: str) -> str:
+    """The name that COLMAP expects of the mask of a photo."""
+    return f"{file}.png"
+
+
+def _digest(paths: Sequence[Path]) -> str:
+    state = hashlib.sha256()
+    for path in paths:
+        state.update(path.read_bytes())
+    return state.hexdigest()
 
 
 def _is_usable(workspace: Workspace, basis: dict[str, Any]) -> bool:
@@ -137,7 +165,10 @@ def _create_database(workspace: Workspace, photos: Path) -> None:
     except OSError as error:
         raise cannot_write(workspace.folder, error) from error
     groups = [
-        {"names": [workspace.files[row] for row in group.rows], "model": group.model}
+        {
+            "names": [workspace.files[row] for row in group.rows],
+            "model": group.model if workspace.masks is None else OBJECT_LENS,
+        }
         for group in workspace.groups
     ]
     workspace.run("import_photos", "reading photos", len(workspace.files), "photo", groups=groups)
@@ -162,7 +193,9 @@ def extract_features(workspace: Workspace) -> None:
             done=len(done),
             groups=groups,
             max_size=workspace.config.max_size,
-            max_features=workspace.config.max_features,
+            max_features=workspace.config.max_features
+            * (1 if workspace.masks is None else UNMASKED),
+            masks=None if workspace.masks is None else str(workspace.masks),
         )
 
 

@@ -5,12 +5,15 @@ import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, fields, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import av
 import cv2
+import numpy as np
+from jaxtyping import Bool
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice, printable, some
@@ -19,14 +22,22 @@ from stylesplat.io.atomic import atomic_folder, changing, partial_of, refuse_occ
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.sfm_file import SFM_FILE, SfmRecord, write_sfm
-from stylesplat.io.images import write_image
+from stylesplat.io.files import inside
+from stylesplat.io.images import image_sizes, write_image
 from stylesplat.io.kinds import refuse_other_than_photos
+from stylesplat.io.label_maps import DrawnLabels
+from stylesplat.masks.import_masks import check_mask_source, import_label_maps
 from stylesplat.progress import say
+from stylesplat.scene.arguments import Places, check_box, parse_places
+from stylesplat.scene.cameras import find_name
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame
+from stylesplat.scene.labels import BACKGROUND
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
+from stylesplat.structure_from_motion.failures import two_motions
 from stylesplat.structure_from_motion.image_measures import SIDE
+from stylesplat.structure_from_motion.object_features import Box, Masks, cut_out_mask
 from stylesplat.structure_from_motion.photo_folder import PreparedPhotos, find_sources
 from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct
@@ -45,21 +56,29 @@ def sfm(
     output: Path | str,
     *,
     frames: int = 100,
+    masks: Path | str | None = None,
+    box: Places | None = None,
     overwrite: bool = False,
     **settings: Any,
 ) -> Capture:
     """Find the cameras of photos or of a video, by structure from motion with COLMAP.
 
-    Near-duplicates and very blurred photos are left out. The world gets a frame that people can
-    work in: up is -y, the content is around the origin, and the median distance of the cameras
-    from it is 1. What is done so far is kept in a folder beside `output`, from where an interrupted
-    call goes on.
+    Near-duplicates and very blurred photos are left out. Photos of an object that turns before a
+    still background are posed by `masks` of it or a `box` around it; what lies outside is ignored.
+    Cut-outs, whose surroundings are transparent or plain, are posed by what they show.
+
+    The world gets a frame that people can work in: up is -y, the content is around the origin, and
+    the median distance of the cameras from it is 1. What is done so far is kept in a folder beside
+    `output`, from where an interrupted call goes on.
 
     Args:
         source: A folder of photos, sub-folders included, or a video.
         output: The folder of the capture to make: photos without distortion, poses and points in
             COLMAP's layout, and `sfm.json`, which says what became of each photo.
         frames: About how many frames of a video to take.
+        masks: A folder of pictures named like the photos, or COCO JSON; black is ignored.
+        box: A photo and a rectangle around the object in it, `(view, x0, y0, x1, y1)` in its
+            pixels, from where the object is followed into the other photos.
         overwrite: Whether `output` may hold an earlier result; its label maps are kept.
         settings: Fields of `SfmConfig` to change, such as `matching="sequential"`.
 
@@ -77,6 +96,10 @@ def sfm(
     """
     for name in settings:
         check_choice(name, "setting", [field.name for field in fields(SfmConfig)])
+    if masks is not None and box is not None:
+        raise StyleSplatError("Both masks and a box say what to pose. Give one of them.")
+    if masks is not None:
+        check_mask_source(Path(masks))
     config, source, output = SfmConfig(**settings), Path(source), Path(output).resolve()
     refuse_other_than_photos(source)
     if output.is_relative_to(source.resolve()):
@@ -91,11 +114,19 @@ def sfm(
         refuse_occupied(output, marker=SFM_FILE, overwrite=overwrite)
         digest = source_digest(source)
         prepared = prepare(source, photos, frames=frames)
-        found = reconstruct(photos, prepared, work, config=config)
+        found = reconstruct(
+            photos,
+            prepared,
+            work,
+            config=config,
+            masks=_masks_of(source, prepared, masks),
+            box=None if box is None else _place_box(box, photos, prepared),
+        )
         frame = move_to_working_frame(found.model)
         with atomic_folder(output, overwrite=overwrite, marker=SFM_FILE) as new:
             write_colmap(found.model, photos, new)
             record = _record(source, digest, prepared, found, frame, config)
+            record.settings |= {"masks": None if masks is None else str(masks), "box": box}
             write_sfm(record, new)
             report = _checked(new, output)
             if (output / OBJECT_MASK).is_dir():  # of an earlier capture; they may be handwork
@@ -109,9 +140,42 @@ def sfm(
         for why in dict.fromkeys(reasons.values()):
             names = [name for name, other in reasons.items() if other == why]
             say(f"{what}: {some(names, LISTED)}: {why}.")
+    if why := two_motions(found.numbers["pairs_with_two_motions"]):
+        say(why)
     for line in advices(report, known={"posed"}):
         say(line)
     return load(output)
+
+
+def _masks_of(source: Path, prepared: PreparedPhotos, masks: Path | str | None) -> Masks | None:
+    """What to find features in, by photo; None where that is everything."""
+    origins = prepared.origins
+    if masks is not None:
+        found = import_label_maps(Path(masks), [origins[name] for name in prepared.names]).maps
+        drawn = {name: found[own] for name, own in origins.items() if own in found}
+        return {name: partial(_shown, each) for name, each in drawn.items()}
+    if prepared.cut_outs:
+        return {name: partial(cut_out_mask, inside(source, origins[name])) for name in origins}
+    return None
+
+
+def _shown(drawn: DrawnLabels) -> Bool[np.ndarray, "H W"]:
+    return drawn.read().numpy() != BACKGROUND
+
+
+def _place_box(box: Places, photos: Path, prepared: PreparedPhotos) -> tuple[str, Box]:
+    """The name that the photo of a box has in the capture, and the box."""
+    placed = parse_places(box, 4, "box")
+    if len(placed) != 1:
+        raise StyleSplatError(f"There are {len(placed)} boxes. Draw one, in the clearest photo.")
+    view, corners = placed[0]
+    own = [prepared.origins[name] for name in prepared.names]
+    if view in prepared.left_out:
+        raise StyleSplatError(
+            f"The photo {view} is left out: {prepared.left_out[view]}. Draw the box in another."
+        )
+    name = prepared.names[find_name(view, own)]
+    return name, check_box(corners, image_sizes(inside(photos, name))[1], view)
 
 
 def source_digest(source: Path) -> str:

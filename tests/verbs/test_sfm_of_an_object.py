@@ -1,0 +1,108 @@
+"""Poses of an object that turns before a still background, and of cut-outs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import stylesplat as ss
+from capture_files import CORNER_HEIGHT, CORNER_WIDTH, WALL, corner, places_around, write_photos
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.sfm_file import read_sfm
+
+COUNT = 10
+ROWS, COLUMNS = np.mgrid[:CORNER_HEIGHT, :CORNER_WIDTH]
+OBJECT = ((ROWS - 120) / 85) ** 2 + ((COLUMNS - 160) / 95) ** 2 < 1
+BOX = (60, 30, 260, 210)
+ROOM = WALL[:CORNER_HEIGHT, :CORNER_WIDTH, 0]
+
+
+def turning(surroundings: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: np.where(OBJECT, each, surroundings) for name, each in corner(COUNT).items()}
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sfm") / "turntable"
+    write_photos(folder, turning(ROOM))
+    for name in turning(ROOM):
+        (folder / "masks").mkdir(exist_ok=True)
+        Image.fromarray(OBJECT).save(folder / "masks" / f"{Path(name).stem}.png")
+    return folder
+
+
+def assert_posed(capture: ss.Capture) -> None:
+    assert len(capture) == COUNT
+    steps = capture.cameras.positions.diff(dim=0).norm(dim=1)
+    truth = torch.from_numpy(places_around(COUNT)).diff(dim=0).norm(dim=1)
+    ratio = steps / truth.float()
+    assert (ratio / ratio.median() - 1).abs().max() < 0.05
+    record = read_sfm(capture.path or Path())
+    assert record is not None and record.numbers["reprojection_error"] < 1
+
+
+def test_two_motions_are_told_with_the_remedy(photos: Path, tmp_path: Path, said: list[str]):
+    try:
+        ss.sfm(photos, tmp_path / "capture")
+    except StyleSplatError as error:
+        said.append(str(error))
+    assert any("still background" in line and "--object" in line for line in said)
+
+
+def test_a_box_is_followed_into_all_photos(photos: Path, tmp_path: Path, said: list[str]):
+    assert_posed(ss.sfm(photos, tmp_path / "capture", box=("04", *BOX)))
+    assert not any("still background" in line for line in said)
+
+
+def test_masks_say_what_is_posed(photos: Path, tmp_path: Path):
+    assert_posed(ss.sfm(photos, tmp_path / "capture", masks=photos / "masks"))
+
+
+@pytest.mark.parametrize("level", [None, 255])
+def test_cut_outs_are_posed_by_what_they_show(tmp_path: Path, level: int | None):
+    folder = tmp_path / "cut-outs"
+    write_photos(folder, turning(np.full_like(ROOM, level or 0)))
+    if level is None:  # transparent
+        for path in [*folder.glob("*.jpg")]:
+            pixels = np.dstack([np.asarray(Image.open(path)), 255 * OBJECT.astype(np.uint8)])
+            Image.fromarray(pixels).save(path.with_suffix(".png"))
+            path.unlink()
+    assert_posed(ss.sfm(folder, tmp_path / "capture"))
+
+
+@pytest.mark.parametrize(
+    ("masks", "names", "message"),
+    [
+        (np.ones_like(OBJECT), COUNT, "every pixel of each photo"),
+        (np.zeros_like(OBJECT), COUNT, "no pixel of each photo"),
+        (OBJECT[:, :200], COUNT, "00.jpg is 200x240, which is not the shape of the photo"),
+        (OBJECT, COUNT - 2, r"no mask of 08.jpg, 09.jpg \(2 of 10 photos\)"),
+        (OBJECT, 0, "No mask in .* belongs to a photo"),
+    ],
+)
+def test_masks_that_do_not_fit(
+    photos: Path, tmp_path: Path, masks: np.ndarray, names: int, message: str
+):
+    folder = tmp_path / "drawn"
+    folder.mkdir()
+    for row in range(COUNT):
+        name = f"{row:02}" if row < names else f"other{row}"
+        Image.fromarray(masks).save(folder / f"{name}.png")
+    with pytest.raises(StyleSplatError, match=message):
+        ss.sfm(photos, tmp_path / "capture", masks=folder)
+
+
+@pytest.mark.parametrize(
+    ("box", "message"),
+    [
+        (("77.jpg", *BOX), "No view is called '77.jpg'"),
+        (("04.jpg", 900, 30, 990, 90), "reaches outside 04.jpg"),
+        (("04.jpg", 0, 0, 2, 2), "shows nothing that can be found again"),
+        ([("04.jpg", *BOX), ("05.jpg", *BOX)], "There are 2 boxes"),
+    ],
+)
+def test_boxes_that_hold_no_object(photos: Path, tmp_path: Path, box, message: str):
+    with pytest.raises(StyleSplatError, match=message):
+        ss.sfm(photos, tmp_path / "capture", box=box)
