@@ -121,7 +121,7 @@ def launched(width: int = 800, height: int = 600, *flags: str) -> Iterator[Page]
         command = [PROGRAM, *FLAGS, *flags, f"--user-data-dir={profile}", "about:blank"]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         try:
-            with connect(_address(process), max_size=None) as socket:
+            with connect(_address(process), max_size=None, ping_interval=None) as socket:
                 page = Page(socket)
                 for domain in ("Page", "Runtime", "Log"):
                     page.call(f"{domain}.enable")

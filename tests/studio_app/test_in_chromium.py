@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS, SPLATS, enlarged
-from browser import Tab, needs_chromium, studio_tab, until
+from browser import QUICK, Tab, needs_chromium, studio_tab, until
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.shares import coverage
@@ -18,6 +18,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.gallery import MOST_BYTES
 from stylesplat.studio_app.pictures import camera_of
 from stylesplat.studio_app.studio import StudioServer, studio
+from stylesplat.stylization.style import Style
 
 pytestmark = needs_chromium
 
@@ -79,7 +80,37 @@ def test_the_whole_way(opened: StudioServer, tab: Tab, tmp_path: Path):
     saves_and_exports(opened, tab, tmp_path / "downloads" / "balls.ply")
     tab.open(opened.url)
     assert_shows(tab, painted)  # the same in another tab
+    assert "Settings (1)" in tab.text(), "a reload keeps them"
     assert not tab.page.complaints(), json.dumps(tab.page.complaints(), indent=1)
+
+
+def test_a_variant_is_swapped_by_its_thumbnail(opened: StudioServer, tab: Tab, tmp_path: Path):
+    session, queue = opened.session, opened.server.actions.queue
+    adds_pictures(tab, tmp_path)
+    pictures = opened.server.actions.gallery.pictures
+
+    def paint(name: str, title: str) -> None:
+        style = Style(pictures[title].path, config=QUICK)
+        session.ask(lambda: queue.paint((name,), style, title))
+        until(lambda: session.state.note == f"Painted {name} like {title}", "strokes")
+
+    paint("3", "stripes")
+    paint("7", "stripes")
+    paint("3", "plain")
+    tab.click(*tab.middle_of("3"))
+    until(lambda: session.state.picked == ("3",), "a pick")
+    before = settled(tab)
+    tab.press_button("3: stripes")
+    until(lambda: session.state.note == "Switched 3 to stripes", "the other variant")
+    assert_changed(changed(tab, before) - before, opened)
+    pressed = "document.querySelector('[aria-label=Variants] [aria-pressed=true]').innerText"
+    assert tab.page.evaluate(pressed).startswith("stripes\nquality draft")
+    tab.press_button("Compare with 3: plain")
+    until(lambda: tab.page.evaluate("studio.compared") == "split", "the handle")
+    assert tab.page.evaluate("document.querySelector('.cut span').innerText") == "3: plain"
+    tab.press_button("After")
+    tab.press_button("Undo: Switched 3 to stripes")
+    assert_shows(tab, before)
 
 
 def changed(tab: Tab, from_: np.ndarray) -> np.ndarray:

@@ -277,7 +277,7 @@ class Actions:
     def _with_variant(self, state: StudioState, number: int) -> StudioState:
         variant, layer = self.variants[number]
         layers.refuse_locked(state, layer.name)
-        return layers.replace_layer(state, layer, f"{layer.object}: {variant.title}")
+        return layers.replace_layer(state, layer, f"Switched {layer.object} to {variant.title}")
 
     def _painted(self, name: str, title: str) -> None:
         layer = find_layer(self.session.state.scene, name)

@@ -1,6 +1,13 @@
 // What is chosen in this browser, and nowhere else
 
-import { signal } from "./libraries/signals.js";
+import { effect, signal } from "./libraries/signals.js";
+
+// A choice that a reload of the page keeps
+function kept(name, value) {
+  const choice = signal(JSON.parse(sessionStorage.getItem(name)) ?? value);
+  effect(() => sessionStorage.setItem(name, JSON.stringify(choice.value)));
+  return choice;
+}
 
 export const tool = signal("object"); // or wand, ball, brush, lasso, rectangle, box, strokes
 export const radius = signal(0); // of the ball, in world units
@@ -9,7 +16,7 @@ export const brush = signal(0.03); // its radius, as a share of the picture's he
 export const mode = signal("after"); // or split, before
 export const showPhotos = signal(false);
 export const background = signal([0.086, 0.086, 0.094]);
-export const settings = signal({}); // of paintings, where they are not the defaults
+export const settings = kept("settings", {}); // of paintings, where they are not the defaults
 export const regions = signal({}); // the parts of style pictures to use, by number
 export const dialog = signal(null); // keep, settings, part, view, help
 export const part = signal(null); // the style picture whose part is being chosen

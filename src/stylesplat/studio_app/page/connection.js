@@ -22,7 +22,7 @@ export function act(what, fields = {}) {
 
 export function note(text, failure = false) {
   const entry = { number: ++number, text, failure };
-  notes.value = [...notes.value.slice(-3), entry];
+  notes.value = [...notes.value.filter((each) => each.text !== text).slice(-3), entry];
   setTimeout(() => dismiss(entry.number), 1000 * SECONDS * (failure ? 3 : 1));
 }
 

@@ -118,9 +118,10 @@ export function Layers() {
     ${!layers.length && html`<p class="hint">Nothing is painted. Pick an object, then click a style.</p>`}
     <ul>${layers.map((layer, row) => html`<${Layer} key=${layer.name} layer=${layer} first=${row === 0} last=${row === layers.length - 1} picked=${chosen.includes(layer.object)} />`)}</ul>
     ${variants.length > 0 && html`<section aria-label="Variants"><h3>Variants${chosen.length ? ` of ${chosen.join(", ")}` : ""}</h3>
-      <ul class="cards">${variants.map((each) => html`<li key=${each.number}>
+      <ul class="cards wide">${variants.map((each) => html`<li key=${each.number}>
         <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { number: each.number })}>
-          <img src=${each.thumbnail} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span></button>
+          <img src=${each.thumbnail} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span>
+          <span class="name quiet">${each.settings}</span></button>
         <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></li>`)}</ul></section>`}
     <section aria-label="Snapshots"><h3>Snapshots</h3>
       ${now.snapshots.map((name, number) => html`<div class="line" key=${number}><span>${name}</span>

@@ -46,6 +46,10 @@ export class Viewport {
     });
     new ResizeObserver(() => this.moved()).observe(root);
     effect(() => this.compare(mode.value, Boolean(state.value?.layers.length)));
+    effect(() => {
+      const variant = state.value?.variants[state.value.compared];
+      find(".cut span").textContent = variant ? `${variant.object}: ${variant.title}` : "before";
+    });
     effect(() => state.value?.painting || this.overlay.setPattern(null));
     effect(() => state.value && this.overlay.tintAgain());
     effect(() => settings.value && this.overlay.draw());
