@@ -97,15 +97,15 @@ FOLDERS = ("cam0/001.jpg", "cam1/001.jpg", "cam1/002.jpg")
     ("changes", "expected"),
     [
         ({"category_id": 0}, "the id 0 is not within 1 to 16777215"),
-        ({"category_id": 1.5}, "no number"),
-        ({"category_id": "1" * 99}, "no number"),
+        ({"category_id": 1.5}, "category_id"),
+        ({"category_id": "1" * 99}, "category_id|is not within"),
         ({"category_id": [1]}, "category_id"),
         ({"image_id": 77}, "there is no image 77"),
         ({"segmentation": [[1, 2, 3, 4]]}, "Polygons are not understood"),
         ({"segmentation": {"size": [6, 8], "counts": [3, 4]}}, "do not hold the pixels of 6x8"),
         ({"segmentation": {"size": [10**9, 10**9], "counts": [3]}}, "Expected `int` <= "),
         ({"add": {"images": 5}}, "images"),
-        ({"add": {"annotations": [{"image_id": 5, "segmentation": {}}]}}, "no number"),
+        ({"add": {"annotations": [{"image_id": 5, "segmentation": {}}]}}, "no category_id"),
     ],
     ids=str,
 )

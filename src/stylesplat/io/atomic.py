@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 REPLACING = "`--overwrite` (in Python overwrite=True)"  # how a user allows a replacement
 PARTIAL = ".partial"  # suffix of the folder that keeps the work of an interrupted run
-MARK = "[0-9a-f]{12}"  # what makes the name of a draft unique
 DRAFT = ".stylesplat."  # begins the name of a draft inside the folder that it will replace
 MAX_NAME_BYTES = 255  # of one part of a path, on all common file systems
 PATIENCE = 10.0  # seconds to wait for another process: `select` takes as long, `train` longer

@@ -49,9 +49,7 @@ def write_cameras(cameras: Cameras, path: Path) -> None:
     ]
     content = {"dtype": str(dtype).removeprefix("torch."), "cameras": rows}
     fitting(content, _File, f"Cannot write {path}", "Change the cameras.")
-    fault = _fault(cameras)
-    if fault:
-        raise StyleSplatError(f"Cannot write {path}: {fault}. Change the cameras.")
+    _refuse_faulty(cameras, f"Cannot write {path}", "Change the cameras.")
     write_json(content, path)
 
 
@@ -64,18 +62,18 @@ def read_cameras(path: Path) -> Cameras:
         sizes=torch.tensor([each.size for each in content.cameras]),
         names=tuple(each.name for each in content.cameras),
     )
-    fault = _fault(cameras)
-    if fault:
-        raise StyleSplatError(f"Cannot read {path}: {fault}. {REMEDY}")
+    _refuse_faulty(cameras, f"Cannot read {path}", REMEDY)
     return cameras
 
 
-def _fault(cameras: Cameras) -> str | None:
-    if len(set(cameras.names)) < len(cameras):
-        return "two cameras have the same name"
-    if int(cameras.sizes.prod(dim=1).max()) > MAX_PIXELS:
-        return f"a camera has more than {MAX_PIXELS} pixels"
+def _refuse_faulty(cameras: Cameras, what: str, remedy: str) -> None:
+    fault = None
     rigid = are_rigid(cameras.viewmats, 2 * ROTATION_TOLERANCE)  # twice: they were rounded since
-    if not rigid.all():
-        return f"the pose of {cameras.names[int(rigid.int().argmin())]} is no rotation and shift"
-    return None
+    if len(set(cameras.names)) < len(cameras):
+        fault = "two cameras have the same name"
+    elif int(cameras.sizes.prod(dim=1).max()) > MAX_PIXELS:
+        fault = f"a camera has more than {MAX_PIXELS} pixels"
+    elif not rigid.all():
+        fault = f"the pose of {cameras.names[int(rigid.int().argmin())]} is no rotation and shift"
+    if fault:
+        raise StyleSplatError(f"{what}: {fault}. {remedy}")

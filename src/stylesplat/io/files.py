@@ -147,8 +147,9 @@ def real_place(path: Path) -> Path:
 
 
 def reason(error: Exception) -> str:
-    """The first line of an exception's message, or its class if it has none."""
-    return str(error).partition("\n")[0] or type(error).__name__
+    """The first line of an exception's message that says something, or its class."""
+    lines = (line.strip() for line in str(error).splitlines())
+    return next(filter(None, lines), type(error).__name__)
 
 
 def cannot_write(path: Path, error: OSError) -> StyleSplatError:

@@ -56,18 +56,20 @@ def json_object(content: bytes, path: Path | str) -> dict[str, Any]:
     return found
 
 
-def read_json_as(path: Path | str, kind: type[T], remedy: str, *, most: int = MAX_JSON) -> T:
-    """Read a JSON file as a type of msgspec; `remedy` ends the message if it does not fit."""
-    return fitting(read_json(path, most=most), kind, f"Cannot read {path}", remedy)
+def read_json_as(
+    path: Path | str, kind: type[T], remedy: str, *, most: int = MAX_JSON, strict: bool = True
+) -> T:
+    """Read a JSON file as a type of msgspec; see `fitting`."""
+    return fitting(read_json(path, most=most), kind, f"Cannot read {path}", remedy, strict=strict)
 
 
-def fitting(value: Any, kind: Any, what: str, remedy: str) -> Any:
-    """Convert plain values to a type of msgspec.
+def fitting(value: Any, kind: Any, what: str, remedy: str, *, strict: bool = True) -> Any:
+    """Convert plain values to a type of msgspec; unless `strict`, "3" and 3.0 are integers too.
 
     The StyleSplatError for a value that does not fit begins with `what` and ends with `remedy`.
     """
     try:
-        return msgspec.convert(value, kind)
+        return msgspec.convert(value, kind, strict=strict)
     except (msgspec.ValidationError, RecursionError, OverflowError, UnicodeError) as error:
         raise StyleSplatError(f"{what}: {error}. {remedy}") from error
 

@@ -14,28 +14,26 @@ from stylesplat.io.json_files import MAX_BYTES, fitting, read_json_as
 from stylesplat.scene.labels import MAX_ID, Mask
 
 REMEDY = "Export images, annotations and RLE masks."
-MAX_DIGITS = 9  # of an id; MAX_ID has 8
 MAX_BITS = 40  # of a run's letters; 8 letters of 5, more than MAX_PIXELS needs
-Id = int | float | str  # some programs write 3.0 or "3"
 Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_SIDE)]
 Run = Annotated[int, msgspec.Meta(ge=0, le=MAX_PIXELS)]
 
 
 class CocoImage(msgspec.Struct):
-    id: Id
+    id: int | str
     file_name: str
 
 
 class CocoCategory(msgspec.Struct):
-    id: Id
-    name: Id
+    id: int
+    name: int | float | str
 
 
 class CocoAnnotation(msgspec.Struct):
-    image_id: Id
+    image_id: int | str
     segmentation: Any  # checked when the mask is decoded: masks of other photos do not matter
-    category_id: Id | None = None
-    track_id: Id | None = None
+    category_id: int | None = None
+    track_id: int | None = None
 
 
 class CocoFile(msgspec.Struct):
@@ -59,22 +57,23 @@ def read_coco(source: Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[int,
         By photo's name without suffix the objects' ids and their run lengths, unchecked; and by
         id the names of categories.
     """
-    content = read_json_as(source, CocoFile, REMEDY, most=MAX_BYTES)
+    # Some programs write ids as 3.0 or "3"
+    content = read_json_as(source, CocoFile, REMEDY, most=MAX_BYTES, strict=False)
     files = {
         image.id: PurePosixPath(image.file_name).with_suffix("").as_posix()
         for image in content.images
     }
-    kinds = {_number(kind.id): str(kind.name) for kind in content.categories}
+    kinds = {kind.id: str(kind.name) for kind in content.categories}
     tracked = any(each.track_id is not None for each in content.annotations)
     names: dict[int, str] = {}
     found: dict[str, list[tuple[int, Any]]] = {}
     for each in content.annotations:
-        number = _number(each.track_id if tracked else each.category_id)
+        number = each.track_id if tracked else each.category_id
         fault = None
         if each.image_id not in files:
             fault = f"there is no image {each.image_id!r}"
         elif number is None:
-            fault = "an annotation has no track_id or category_id, or it is no number"
+            fault = f"an annotation has no {'track_id' if tracked else 'category_id'}"
         elif not 0 < number <= MAX_ID:
             fault = f"the id {number} is not within 1 to {MAX_ID}; 0 is background"
         if number is None or fault:
@@ -114,13 +113,6 @@ def decode_rle(rle: Any, source: Path) -> Mask:
 def _run_lengths(rle: Any, source: Path) -> RunLengths:
     what, remedy = f"Cannot read a mask in {source}", "Polygons are not understood: export RLE."
     return fitting(rle, RunLengths, what, remedy)
-
-
-def _number(id: Id | None) -> int | None:
-    """An id as a number; None if it is none."""
-    if isinstance(id, str):
-        return int(id) if id.isascii() and id.isdecimal() and len(id) <= MAX_DIGITS else None
-    return int(id) if id is not None and id == id // 1 else None
 
 
 def _unpack(text: str) -> list[int]:

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.files import reason
 from stylesplat.io.json_files import read_json
 from stylesplat.progress import say
 
@@ -150,7 +151,5 @@ def _short_errors(failure: str, remedy: str) -> Iterator[None]:
     except StyleSplatError:
         raise
     except Exception as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        fact = lines[0].rstrip(".:") if lines else type(error).__name__
         remedy = INSTALL if isinstance(error, ImportError) else remedy
-        raise StyleSplatError(f"{failure}: {fact}. {remedy}") from error
+        raise StyleSplatError(f"{failure}: {reason(error).rstrip('.:')}. {remedy}") from error

@@ -46,7 +46,7 @@ def written(folder: Path) -> Path:
 def test_nothing_is_read_outside_the_folder(tmp_path: Path, uri: str):
     path = written(tmp_path / "folder")
     (tmp_path / "secret.bin").write_bytes(glb_parts(path)[1])
-    with pytest.raises(StyleSplatError, match=r"a\.gltf as glTF: its buffer .* outside its folder"):
+    with pytest.raises(StyleSplatError, match=r"a\.gltf as splats: .* outside its folder"):
         read_splats(as_gltf(path, uri.format(at=tmp_path)))
 
 
@@ -132,7 +132,7 @@ def test_json_that_would_take_much_memory(tmp_path: Path, deep: str):
     with pytest.raises(StyleSplatError, match="its JSON has 1048577 parts, more than 1048576"):
         read_splats(path)
     path.write_text('{"asset":{"version":"2.0"},"extras":' + deep * 10**5)
-    with pytest.raises(StyleSplatError, match=r"Cannot read .*as glTF"):
+    with pytest.raises(StyleSplatError, match=r"Cannot read .*as splats"):
         read_splats(path)
 
 

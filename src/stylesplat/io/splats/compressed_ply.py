@@ -7,10 +7,9 @@ import numpy as np
 import torch
 
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import reading
 from stylesplat.io.ply import PlyElement, parse_header
 from stylesplat.io.splats.packing import morton_order
-from stylesplat.io.splats.splat_ply import BANDS, check_splats
+from stylesplat.io.splats.splat_ply import BANDS
 from stylesplat.scene.splats import Splats
 
 CHUNK = 256  # Gaussians that share their bounds
@@ -23,18 +22,14 @@ def is_compressed(content: bytes) -> bool:
     return b"\nelement chunk " in header and b"packed_position" in header
 
 
-def read_compressed_ply(path: Path | str, content: bytes) -> Splats:
+def read_compressed_ply(content: bytes) -> Splats:
     """Read the content of a compressed PLY file; what follows the Gaussians is ignored."""
-    with reading(path, "Export it again."):
-        _, elements, size = parse_header(content)
-        _check_elements({element.name: element for element in elements})
-        size += sum(element.rows * np.dtype(element.columns).itemsize for element in elements)
-        if size > len(content):
-            raise ValueError(
-                f"its header announces a file of {size} bytes, it holds {len(content)}"
-            )
-        data = gsply.decompress_from_bytes(content[:size])
-    return from_gsply(data, path)
+    _, elements, size = parse_header(content)
+    _check_elements({element.name: element for element in elements})
+    size += sum(element.rows * np.dtype(element.columns).itemsize for element in elements)
+    if size > len(content):
+        raise ValueError(f"its header announces a file of {size} bytes, it holds {len(content)}")
+    return from_gsply(gsply.decompress_from_bytes(content[:size]))
 
 
 def _check_elements(elements: dict[str, PlyElement]) -> None:
@@ -62,7 +57,7 @@ def write_compressed_ply(splats: Splats, path: Path | str) -> None:
         draft.write_bytes(content)
 
 
-def from_gsply(data: gsply.GSData, path: Path | str) -> Splats:
+def from_gsply(data: gsply.GSData) -> Splats:
     """Splats from gsply's container, which has PLY's conventions."""
     count = len(data.means)
     higher = np.zeros((count, 0, 3), np.float32) if data.shN is None else data.shN
@@ -70,8 +65,7 @@ def from_gsply(data: gsply.GSData, path: Path | str) -> Splats:
     means, quats, scales, opacities, sh0, shN = (
         torch.from_numpy(np.ascontiguousarray(values, np.float32)) for values in columns
     )
-    splats = Splats(means, quats, scales, opacities.reshape(count), sh0.reshape(count, 1, 3), shN)
-    return check_splats(splats, path)
+    return Splats(means, quats, scales, opacities.reshape(count), sh0.reshape(count, 1, 3), shN)
 
 
 def to_gsply(splats: Splats) -> gsply.GSData:

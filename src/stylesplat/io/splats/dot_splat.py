@@ -8,22 +8,18 @@ from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import read_bytes, reading
-from stylesplat.io.splats.packing import unit_quats
-from stylesplat.io.splats.splat_ply import check_splats
-from stylesplat.scene.splats import SH_C0, Splats
+from stylesplat.io.files import read_bytes
+from stylesplat.io.splats.packing import SMALLEST, unit_quats
+from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 
 ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
-SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
 HALF_STEP = 0.5 / 255  # an opacity of 0 or 1 has no logit
 
 
 def read_dot_splat(path: Path | str) -> Splats:
-    content = read_bytes(path)
-    with reading(path, "Export it again."):
-        rows = np.frombuffer(content, ROW)  # a ValueError if its size is no multiple of a row's
+    rows = np.frombuffer(read_bytes(path), ROW)  # a ValueError if no whole number of rows
     sh0, opacities = from_rgba(rows["rgba"])
-    splats = Splats(
+    return Splats(
         means=to_floats(rows["mean"]),
         quats=(to_floats(rows["quat"]) - 128) / 128,
         scales=to_floats(rows["scale"]).log(),
@@ -31,7 +27,6 @@ def read_dot_splat(path: Path | str) -> Splats:
         sh0=sh0,
         shN=torch.zeros(len(rows), 0, 3),
     )
-    return check_splats(splats, path)
 
 
 def from_rgba(
@@ -39,14 +34,13 @@ def from_rgba(
 ) -> tuple[Float[Tensor, "N 1 3"], Float[Tensor, " N"]]:
     """The constant band of colour, and the logits of opacities."""
     rgba = to_floats(pixels) / 255
-    sh0 = ((rgba[:, :3] - 0.5) / SH_C0)[:, None]
-    return sh0, rgba[:, 3].clamp(HALF_STEP, 1 - HALF_STEP).logit()
+    return sh0_from_rgb(rgba[:, None, :3]), rgba[:, 3].clamp(HALF_STEP, 1 - HALF_STEP).logit()
 
 
 def write_dot_splat(splats: Splats, path: Path | str) -> None:
     """Write a .splat file, the largest and most opaque Gaussians first."""
     alphas, order = torch.sigmoid(splats.opacities), dot_splat_order(splats)
-    colors = 0.5 + SH_C0 * splats.sh0[:, 0]
+    colors = rgb_from_sh0(splats.sh0[:, 0])
     rows = np.empty(len(splats), ROW)
     rows["mean"] = splats.means[order].numpy()
     rows["scale"] = splats.scales[order].exp().clamp(min=SMALLEST).numpy()

@@ -20,7 +20,6 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import reading
 from stylesplat.io.splats.gltf_file import (
     BYTE,
     DISPLAYED,
@@ -39,16 +38,15 @@ from stylesplat.io.splats.gltf_file import (
     open_gltf,
     padded_json,
 )
-from stylesplat.io.splats.packing import unit_quats
+from stylesplat.io.splats.packing import SMALLEST, unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, check_splats, of_degree, refuse_faulty
-from stylesplat.io.splats.spz import LARGEST_RATIO, pack_spz, spz_within
+from stylesplat.io.splats.spz import LARGEST_RATIO, pack_spz, unpack_spz
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats
-from stylesplat.scene.splats import SH_C0, Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 
 SPZ = (f"{SPLATTING}_compression_spz_2", f"{SPLATTING}_compression_spz")  # now, and before
 SMALLEST_ROW = 12  # bytes of a Gaussian whose attributes all share three numbers
-SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
 LARGEST = 1 - 2.0**-25  # of an opacity: 1 has no logit, and float32 has no number between
 # glTF's x left, y up, z forward to our (COLMAP's) x right, y down, z forward, and back
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
@@ -71,18 +69,15 @@ def read_gltf(path: Path | str) -> Splats:
     back as it was, and one that PlayCanvas made of a PLY has that PLY's frame. Several sets of
     splats become one.
     """
-    with reading(path, "Export it again.", what=" as glTF"):
-        gltf = open_gltf(Path(path))
-        parts, count = list[Splats](), 0
-        for primitive, frame in _placed_splats(gltf):
-            part = check_splats(_splats(gltf, primitive), path)
-            parts.append(part if frame is None else check_splats(move_splats(part, frame), path))
-            count += len(part)
-            if count * SMALLEST_ROW > gltf.size * (
-                1 if _spz_view(primitive) is None else LARGEST_RATIO
-            ):
-                size = f"{gltf.size} bytes cannot hold"
-                raise ValueError(f"it shows {count} Gaussians, which {size}")
+    gltf = open_gltf(Path(path))
+    parts, count = list[Splats](), 0
+    for primitive, frame in _placed_splats(gltf):
+        part = check_splats(_splats(gltf, primitive), path)
+        parts.append(part if frame is None else move_splats(part, frame))
+        count += len(part)
+        ratio = 1 if _spz_view(primitive) is None else LARGEST_RATIO
+        if count * SMALLEST_ROW > gltf.size * ratio:
+            raise ValueError(f"it shows {count} Gaussians, which {gltf.size} bytes cannot hold")
     degree = max(part.sh_degree for part in parts)
     return Splats.cat([of_degree(part, degree) for part in parts])
 
@@ -100,7 +95,7 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
         )
     view = _spz_view(primitive)
     if view is not None:  # its numbers are in the axes of the primitive, unlike those of a `.spz`
-        return spz_within(bytes(gltf.view(view, "SPZ")[0]), gltf.path)
+        return unpack_spz(bytes(gltf.view(view, "SPZ")[0]))
     unread = [name for name in splatting.extensions if "compression" in name]
     if unread:
         fault = f"its splats are compressed ({unread[0]:.60}), which is not read here"
@@ -270,7 +265,7 @@ def _columns(splats: Splats, path: Path) -> dict[str, Shaped[Tensor, "N D"]]:
         )
     opacities = splats.opacities.sigmoid()[:, None]
     # Linear colours and alpha for programs that draw points; sRGB's decoding, from its standard
-    shown = (SH_C0 * splats.sh0[:, 0] + 0.5).clamp_(0, 1)
+    shown = rgb_from_sh0(splats.sh0[:, 0]).clamp_(0, 1)
     linear = torch.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
     points = torch.cat([linear, opacities], dim=1)
     bands = (splats.sh0[:, 0], *splats.shN.unbind(dim=1))
@@ -296,7 +291,7 @@ def _document(
     columns = _columns(splats, path)
     if spz:
         packed = pack_spz(splats, path, version=VERSION_INSIDE)
-        columns = _columns(spz_within(packed, path), path)
+        columns = _columns(unpack_spz(packed), path)
         columns["COLOR_0"] = (columns["COLOR_0"].float() / 257).round_().to(torch.uint8)
         del columns[attribute("OPACITY")], columns[harmonics(0)[0]]
         parts = [packed + bytes(-len(packed) % 4)]

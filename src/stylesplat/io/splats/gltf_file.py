@@ -2,7 +2,7 @@
 
 The format is Khronos' (https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html). pygltflib reads
 all of a file and follows its links before anything can be checked, so this reader is our own. What
-does not fit is a ValueError, which `read_gltf` turns into a StyleSplatError that names the file.
+does not fit is a ValueError, which `read_splats` turns into a StyleSplatError that names the file.
 """
 
 import base64

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from stylesplat.io.files import read_bytes, reading
-from stylesplat.io.splats.dot_splat import SMALLEST, from_rgba, to_floats
-from stylesplat.io.splats.splat_ply import BANDS, check_splats, of_degree
+from stylesplat.io.files import read_bytes
+from stylesplat.io.splats.dot_splat import from_rgba, to_floats
+from stylesplat.io.splats.packing import SMALLEST
+from stylesplat.io.splats.splat_ply import BANDS, of_degree
 from stylesplat.scene.splats import Splats
 
 # Version, sections, Gaussians, level of compression, bounds of higher bands in bytes
@@ -31,24 +32,22 @@ SH_RANGE = 1.5  # of higher bands in bytes, where the header names none
 def read_ksplat(path: Path | str) -> Splats:
     """Read all sections, one after the other, with the bands that the richest of them has."""
     content = read_bytes(path)
-    with reading(path, "Export it again."):
-        major, minor, sections, count, level, *bounds = HEADER.unpack_from(content)
-        if major == minor == 0:
-            raise ValueError("it is of version 0.0, or no .ksplat")
-        if level >= len(LEVELS):
-            raise ValueError(f"its level of compression is {level}, not 0 to 2")
-        start = HEADER.size + sections * SECTION.size
-        parts = list[Splats]()
-        for index in range(sections):
-            section = SECTION.unpack_from(content, HEADER.size + index * SECTION.size)
-            part, start = _read_section(content, start, section, level, bounds)
-            parts.append(part)
-        total = sum(map(len, parts))
-        if total != count:
-            raise ValueError(f"its sections hold {total} Gaussians instead of {count}")
-        degree = max((part.sh_degree for part in parts), default=0)
-        splats = Splats.cat([of_degree(part, degree) for part in parts])
-    return check_splats(splats, path)
+    major, minor, sections, count, level, *bounds = HEADER.unpack_from(content)
+    if major == minor == 0:
+        raise ValueError("it is of version 0.0, or no .ksplat")
+    if level >= len(LEVELS):
+        raise ValueError(f"its level of compression is {level}, not 0 to 2")
+    start = HEADER.size + sections * SECTION.size
+    parts = list[Splats]()
+    for index in range(sections):
+        section = SECTION.unpack_from(content, HEADER.size + index * SECTION.size)
+        part, start = _read_section(content, start, section, level, bounds)
+        parts.append(part)
+    total = sum(map(len, parts))
+    if total != count:
+        raise ValueError(f"its sections hold {total} Gaussians instead of {count}")
+    degree = max((part.sh_degree for part in parts), default=0)
+    return Splats.cat([of_degree(part, degree) for part in parts])
 
 
 def _read_section(

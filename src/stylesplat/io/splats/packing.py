@@ -1,4 +1,4 @@
-"""What compressed formats of splats share: an order, small rotations, codebooks, clusters."""
+"""What formats of splats share: bounds, an order, small rotations, codebooks, clusters."""
 
 import math
 import warnings
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from stylesplat.progress import track
 
+SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
 MORTON_BITS = 21  # of each coordinate: three of them fill a signed integer of 64 bits
 # Shifts and masks that spread the bits of a coordinate three apart
 SPREADS = (

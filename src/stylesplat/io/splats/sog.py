@@ -21,7 +21,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import inside, read_bytes, reading, reason
+from stylesplat.io.files import inside, read_bytes, reason
 from stylesplat.io.json_files import PhotoName, json_object, strict_json
 from stylesplat.io.kinds import SOG_META
 from stylesplat.io.splats.packing import (
@@ -34,7 +34,7 @@ from stylesplat.io.splats.packing import (
     smallest_three,
     tree_kmeans,
 )
-from stylesplat.io.splats.splat_ply import BANDS, check_splats, refuse_faulty
+from stylesplat.io.splats.splat_ply import BANDS, refuse_faulty
 from stylesplat.scene.splats import Splats
 
 VERSION = 2
@@ -55,7 +55,6 @@ MAX_GROWTH = 4  # of what is unpacked: pictures are compressed already
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # of every entry, so that the same splats make the same file
 WEBP_HEADER = 2**12  # bytes at the start of a WebP picture, which name the kind of its pixels
 MAX_SIDE = 2**14 - 1  # of a WebP picture
-AGAIN = "Export it again, as version 2."
 Reader = Callable[[str], bytes]
 """Reads a file of the SOG by its name."""
 Texels = UInt8[np.ndarray, "M D"]
@@ -114,17 +113,15 @@ def read_sog(path: Path | str) -> Splats:
     Counts are checked against the size of the files before memory is allocated for them.
     """
     path = Path(path)
-    with reading(path, AGAIN):
-        member = _folder_reader(path) if path.name == SOG_META else _bundle_reader(path)
-        content = json_object(member(SOG_META), path)
-        version = content.get("version", 1)
-        if version != VERSION:
-            raise ValueError(f"it is SOG of version {version!s:.20}, only {VERSION} is read here")
-        meta = msgspec.convert(content, _Meta)
-        parts = (meta.means, meta.quats, meta.scales, meta.sh0, meta.shN)
-        files = {name: member(name) for part in parts if part for name in part.files}
-        splats = _decode(meta, files)
-    return check_splats(splats, path)
+    member = _folder_reader(path) if path.name == SOG_META else _bundle_reader(path)
+    content = json_object(member(SOG_META), path)
+    version = content.get("version", 1)
+    if version != VERSION:
+        raise ValueError(f"it is SOG of version {version!s:.20}, only {VERSION} is read here")
+    meta = msgspec.convert(content, _Meta)
+    parts = (meta.means, meta.quats, meta.scales, meta.sh0, meta.shN)
+    files = {name: member(name) for part in parts if part for name in part.files}
+    return _decode(meta, files)
 
 
 def _decode(meta: _Meta, files: Mapping[str, bytes]) -> Splats:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.atomic import refuse_file
-from stylesplat.io.files import is_there, read_bytes
+from stylesplat.io.files import is_there, read_bytes, reading
 from stylesplat.io.kinds import SOG_META, wrong_kind
 from stylesplat.io.ply import MAX_HEADER
 from stylesplat.io.splats.compressed_ply import (
@@ -22,7 +22,13 @@ from stylesplat.io.splats.gltf import VERSION_INSIDE, read_gltf, write_glb, writ
 from stylesplat.io.splats.ksplat import read_ksplat
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.sog import read_sog, write_sog
-from stylesplat.io.splats.splat_ply import needed_degree, of_degree, read_splat_ply, write_splat_ply
+from stylesplat.io.splats.splat_ply import (
+    check_splats,
+    needed_degree,
+    of_degree,
+    read_splat_ply,
+    write_splat_ply,
+)
 from stylesplat.io.splats.spz import read_spz, write_spz
 from stylesplat.scene.splats import Splats
 
@@ -41,10 +47,11 @@ MAX_DEGREE = 3
 
 def _read_ply(path: Path) -> Splats:
     if is_compressed(read_bytes(path, first=MAX_HEADER)):
-        return read_compressed_ply(path, read_bytes(path))
+        return read_compressed_ply(read_bytes(path))
     return read_splat_ply(path)
 
 
+# They raise any error for damaged content; `read_splats` names the file, and checks the numbers
 READERS: dict[str, Callable[[Path], Splats]] = {
     ".ply": _read_ply,
     ".spz": read_spz,
@@ -67,7 +74,8 @@ def read_splats(path: Path | str) -> Splats:
     reader = read_sog if path.name == SOG_META else READERS.get(path.suffix.lower())
     if reader is None or path.is_dir() or not is_there(path):
         raise wrong_kind(path, "splat")
-    splats = reader(path)
+    with reading(path, "Export it again.", what=" as splats"):
+        splats = check_splats(reader(path), path)
     if not len(splats):
         raise StyleSplatError(f"There are no Gaussians in {path}. Choose another file.")
     return splats

@@ -1,7 +1,6 @@
 """Splats as SPZ, Niantic's compressed format: gzip (versions 1 to 3) or zstd (version 4)."""
 
 import gzip
-import re
 import struct
 import zlib
 from dataclasses import replace
@@ -38,21 +37,19 @@ LARGEST_RATIO = 200  # of compression: real files reach 20, zeros 1000
 
 def read_spz(path: Path | str) -> Splats:
     """Read an SPZ file into PLY's axes."""
-    return _flip(spz_within(read_bytes(path), Path(path)))
+    return _flip(unpack_spz(read_bytes(path)))
 
 
-def spz_within(content: bytes, path: Path) -> Splats:
-    """Read the content of an SPZ file, perhaps embedded in another `path`, in SPZ's own axes."""
-    try:
-        _check(content)
-        with TemporaryDirectory() as folder:  # gsply reads files alone
-            unpacked = Path(folder) / "a.spz"
-            unpacked.write_bytes(content)
-            data = gsply.read_spz(unpacked)
-    except (OSError, ValueError, struct.error, zlib.error, zstandard.ZstdError) as error:
-        fault = re.sub(r": [^:]*\.spz$", "", str(error))  # gsply ends with a name
-        raise StyleSplatError(f"Cannot read {path} as SPZ: {fault}. Export it again.") from error
-    return from_gsply(data, path)
+def unpack_spz(content: bytes) -> Splats:
+    """Read the content of an SPZ file in SPZ's own axes."""
+    _check(content)
+    with TemporaryDirectory() as folder:  # gsply reads files alone
+        unpacked = Path(folder) / "a.spz"
+        unpacked.write_bytes(content)
+        try:
+            return from_gsply(gsply.read_spz(unpacked))
+        except ValueError as error:  # gsply ends with the file's name
+            raise ValueError(str(error).removesuffix(f": {unpacked}")) from error
 
 
 def write_spz(splats: Splats, path: Path | str, *, version: int = SPZ_VERSIONS[0]) -> None:
