@@ -8,7 +8,6 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import dedent
@@ -18,7 +17,7 @@ import torch
 
 from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_file import plan_batch
-from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job
+from stylesplat.batch_jobs.job_process import JobRecord, RunJob, ended_job
 from stylesplat.cli import main
 from stylesplat.cli.batch import batch_verbs
 from stylesplat.scene.capture import Capture
@@ -159,7 +158,7 @@ def interrupt(capture: Capture, config: TrainConfig, checkpoint: Path, step: int
         fit(capture, config, checkpoint=checkpoint, on_progress=stop)
 
 
-# Job files, and an executor that only pretends to work.
+# Job files, and what only pretends to run jobs.
 
 VERBS = batch_verbs()
 
@@ -183,13 +182,11 @@ def planned(folder: Path, text: str) -> dict[str, Job]:
     return {job.name: job for job in plan_batch(write_jobs(folder, text), VERBS)}
 
 
-def pretend(slots: int, begun: list[str], fails: Callable[[str], bool]) -> JobExecutor:
-    """An executor whose jobs end at once; `begun` gets their names."""
+def pretend(begun: list[str], fails: Callable[[str], bool]) -> RunJob:
+    """What runs jobs that end at once; `begun` gets their names."""
 
-    def submit(job: Job) -> Future[JobRecord]:
+    def run(job: Job) -> JobRecord:
         begun.append(job.name)
-        future: Future[JobRecord] = Future()
-        future.set_result(ended_job(job, "failed" if fails(job.name) else "done", ""))
-        return future
+        return ended_job(job, "failed" if fails(job.name) else "done", "")
 
-    return JobExecutor(slots, submit)
+    return run

@@ -85,7 +85,8 @@ def test_commands_hold_what_was_given():
     assert parsed(*STYLIZE).settings == {} and parsed(*STYLIZE).style == ()
     typed = ("--region", "1", "2", "-3", "4", "--intensity", "1")
     assert parsed(*STYLIZE, *typed).settings == {"region": (1, 2, -3, 4), "intensity": 1}
-    assert parsed("train", "a", "-o", "b", "--max_seconds", "3").settings == {"max_seconds": 3}
+    trained = parsed("train", "a", "-o", "b", "--max_seconds", "3").settings
+    assert trained == {"max_seconds": 3, "refine_poses": False}
 
     for name in ("--stroke-size", "--scale"):
         assert parsed(*STYLIZE, name, "3").settings == {"scale": 3}
@@ -93,4 +94,4 @@ def test_commands_hold_what_was_given():
     assert (mask.source, mask.box, mask.json) == (Path("masks.json"), (), False)
     render = parsed("render", "garden", "-o", "a.mp4", "--json")
     assert (render.output, render.views, render.json) == (Path("a.mp4"), "all", True)
-    assert parsed("train", "a", "-o", "b", "--refine-poses").refine_poses
+    assert parsed("train", "a", "-o", "b", "--refine-poses").settings["refine_poses"]

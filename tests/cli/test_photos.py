@@ -9,16 +9,16 @@ from PIL import Image
 
 from capture_files import corner, save_noise, sfm_record, write_capture, write_photos
 from processes import complaint, result, run
-from stylesplat.cli.sfm import (
-    capture_place,
-    find_earlier_capture,
-    find_photos_capture,
-    view_of_photo,
-)
+from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.sfm_file import read_sfm, write_sfm
 from stylesplat.io.scene_folder import open as open_scene
-from stylesplat.verbs.sfm import source_digest
+from stylesplat.structure_from_motion.earlier_capture import (
+    capture_place,
+    find_earlier_capture,
+    source_digest,
+    view_of_photo,
+)
 
 
 @pytest.fixture

@@ -58,7 +58,7 @@ def test_train_writes_a_scene(capture: Path, tmp_path: Path, capsys):
 )
 def test_the_result_is_judged(psnr: float, steps: int, verdict: str):
     found = {"psnr": psnr, "steps": steps, "gaussians": 5}
-    lines = Train(Path("photos"), Path("scene")).words(found)
+    lines = Train(Path("photos"), Path("scene")).outcome(found)
     assert f"{psnr} dB" in next(lines) and re.search(verdict, next(lines))
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta
 
 Content = Literal["capture", "splat", "scene", "files"]
@@ -34,7 +33,8 @@ class JobVerb:
     """Parses arguments, and returns what is wrong with them."""
 
 
-class Needs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+@dataclass(frozen=True)
+class Needs:
     """Resources of a job, as the job file names them."""
 
     cpus: Annotated[int, Meta(ge=1, le=4096)] | None = None

@@ -3,21 +3,22 @@
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
+from dataclasses import dataclass
 from hashlib import sha256
 from itertools import product, zip_longest
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import msgspec
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import Meta
 
 from stylesplat.batch_jobs.job import Content, Job, JobVerb, Needs, OptionValue
 from stylesplat.errors import StyleSplatError, brief, some, within
 from stylesplat.io.files import is_there, read_bytes
 from stylesplat.io.kinds import SPLATS, Kind, kind_of, wrong_kind
 from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
+from stylesplat.stylization.config import convert_settings
 from stylesplat.stylization.style_image import is_material
 
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks
@@ -28,42 +29,11 @@ UNFIT = re.compile(r"[^\w.+~]+")  # characters that names of results do not have
 SET_BY_BATCH = ("json", "overwrite", "restart", "finish", "output", "file", "pick")
 SPELLINGS = {"stylise": "stylize"}
 STYLE = "style"  # the option that is OBJECT=IMAGE on the command line, and a map in a job file
-# The message of msgspec: the fact, and where it is
-MISFIT = re.compile(r"(?P<fact>.*?)(?: - at `\$(?P<place>.*)`)?")
-UNKNOWN = re.compile(r".*unknown field `(.*)`.*")
-
-Options = dict[str, Any] | None | UnsetType
 Scenes = list[str] | dict[str, str]
-
-
-class _Entry(msgspec.Struct, forbid_unknown_fields=True, rename={"import_": "import"}):
-    """A verb with its options, and what stands beside it."""
-
-    train: Options = UNSET
-    import_: Options = UNSET
-    mask: Options = UNSET
-    select: Options = UNSET
-    stylize: Options = UNSET
-    stylise: Options = UNSET
-    recolor: Options = UNSET
-    sheet: Options = UNSET
-    render: Options = UNSET
-    export: Options = UNSET
-    name: str | int | None = None
-    needs: Needs = Needs()
-    scenes: Scenes | None = None
-    then: list["_Entry"] = msgspec.field(default_factory=list)
-
-
-class _JobFile(msgspec.Struct, forbid_unknown_fields=True):
-    jobs: Annotated[list[_Entry], Meta(min_length=1)]
-    scenes: Scenes = msgspec.field(default_factory=list)
-
-
-NAMES = [
-    each.encode_name for kind in (_Entry, _JobFile, Needs) for each in msgspec.structs.fields(kind)
-]
-
+# What a file and a job may hold, and of what types; a job has a verb as well
+FILE = {"scenes": Scenes, "jobs": Annotated[list[Any], Meta(min_length=1)]}
+NEEDS = get_type_hints(Needs, include_extras=True)
+BESIDE = {"name": str | int | None, "needs": dict, "scenes": Scenes | None, "then": list}
 
 Combinations = Sequence[tuple[Sequence[str], Mapping[str, OptionValue]]]
 """Parts of names of results, and the options."""
@@ -100,39 +70,48 @@ def refuse_address(path: str | Path) -> None:
         )
 
 
+@dataclass(frozen=True)
+class _Entry:
+    """A job of the file, over whatever it works on."""
+
+    place: Place
+    verb: JobVerb
+    label: str
+    """What its results are called."""
+    combinations: Combinations
+    needs: Needs
+    scenes: dict[str, Path] | None
+    """Its own."""
+    then: list["_Entry"]
+
+
 class _Planner:
     """Reads one file, whose lines it knows."""
 
     def __init__(self, folder: Path, verbs: Mapping[str, JobVerb], text: bytes) -> None:
         self._folder, self._verbs, self._lines = folder, verbs, lines_of(text)
-        self._read = dict[Place, tuple[JobVerb, Combinations]]()
 
     def jobs(self, content: Any) -> Iterator[Job]:
-        try:
-            file = msgspec.convert(content, _JobFile)
-        except msgspec.ValidationError as error:
-            raise self._misfit(str(error)) from error
-        shared = self._scenes(file.scenes, ("scenes",))
-        for number, entry in enumerate(file.jobs):
-            place: Place = ("jobs", number)
-            own = entry.scenes
-            scenes = shared if own is None else self._scenes(own, (*place, "scenes"))
-            verb, _ = self._verb(entry, place)
+        file = self._checked(content, FILE, ())
+        shared = self._scenes(file.get("scenes", []), ("scenes",))
+        listed = enumerate(file.get("jobs", []))
+        for entry in [self._entry(each, ("jobs", number)) for number, each in listed]:
+            scenes = shared if entry.scenes is None else entry.scenes
             if not scenes:
-                raise self._error(place, f"{verb.name} has no scenes. List `scenes:`.")
+                fact = f"{entry.verb.name} has no scenes. List `scenes:`."
+                raise self._error(entry.place, fact)
             for name, path in scenes.items():
-                with within(f"line {self._line(place)}"):
+                with within(f"line {self._line(entry.place)}"):
                     kind = CONTENTS.get(kind_of(path))
                     if kind is None:
-                        wanted = verb.takes[0]
+                        wanted = entry.verb.takes[0]
                         assert wanted != "files"  # which verbs make and do not take
                         raise wrong_kind(path, wanted)
-                yield from self._expand(entry, place, name, kind, source=path)
+                yield from self._expand(entry, name, kind, source=path)
 
     def _expand(
         self,
         entry: _Entry,
-        place: Place,
         base: str,
         content: Content,
         *,
@@ -140,43 +119,57 @@ class _Planner:
         after: str | None = None,
     ) -> Iterator[Job]:
         """The jobs of an entry over one scene or result, each before those that follow it."""
-        verb, combinations = self._verb(entry, place)
-        line = self._line((*place, verb.name))
+        verb = entry.verb
+        line = self._line((*entry.place, verb.name))
         if content not in verb.takes:
             takes = " and ".join(f"{each}s" for each in verb.takes)
             raise StyleSplatError(f"line {line}: {verb.name} works on {takes}, not on {base}.")
-        label = verb.name if entry.name is None else str(entry.name)
-        for parts, values in combinations:
-            name = _result_name(base, label, *parts)
+        for parts, values in entry.combinations:
+            name = _result_name(base, entry.label, *parts)
             yield Job(name, verb, line, source, content, after, values, entry.needs)
-            for number, each in enumerate(entry.then):
-                following = (*place, "then", number)
-                made = verb.makes or content
-                yield from self._expand(each, following, name, made, after=name)
+            for each in entry.then:
+                yield from self._expand(each, name, verb.makes or content, after=name)
 
-    def _verb(self, entry: _Entry, place: Place) -> tuple[JobVerb, Combinations]:
-        """The verb of an entry, and all combinations of its options."""
-        if place in self._read:
-            return self._read[place]
-        given = msgspec.structs.asdict(entry)
-        found = {
-            name: options
-            for name in (*self._verbs, *SPELLINGS)
-            if (options := given.get(name, given.get(f"{name}_", UNSET))) is not UNSET
-        }
+    def _entry(self, content: Any, place: Place) -> _Entry:
+        verbs = (*self._verbs, *SPELLINGS)
+        entry = self._checked(content, BESIDE | dict.fromkeys(verbs, dict | None), place)
+        found = [name for name in verbs if name in entry]
         if len(found) != 1:
             got = " and ".join(found) or "none"
             raise self._error(place, f"a job has one verb, got {got}. Begin each with a dash.")
-        ((name, options),) = found.items()
-        verb = self._verbs[SPELLINGS.get(name, name)]
-        if "then" in place and entry.scenes is not None:
+        (name,) = found
+        verb, scenes = self._verbs[SPELLINGS.get(name, name)], entry.get("scenes")
+        if "then" in place and scenes is not None:
             raise self._error((*place, "scenes"), "what follows a job works on its result.")
-        if entry.then and verb.makes == "files":
+        if entry.get("then") and verb.makes == "files":
             fact = f"nothing can follow {name}: it makes files."
             raise self._error((*place, "then", 0), fact)
-        combinations = self._combinations(verb, options or {}, (*place, name))
-        self._read[place] = verb, combinations
-        return verb, combinations
+        label = entry.get("name")
+        needs = self._checked(
+            entry.get("needs", {}), get_type_hints(Needs, include_extras=True), (*place, "needs")
+        )
+        return _Entry(
+            place,
+            verb,
+            label=verb.name if label is None else str(label),
+            combinations=self._combinations(verb, entry[name] or {}, (*place, name)),
+            needs=Needs(**needs),
+            scenes=None if scenes is None else self._scenes(scenes, (*place, "scenes")),
+            then=[
+                self._entry(each, (*place, "then", number))
+                for number, each in enumerate(entry.get("then", []))
+            ],
+        )
+
+    def _checked(self, content: Any, hints: Mapping[str, Any], place: Place) -> dict[str, Any]:
+        """The values of a map of the file, of the types that the hints give."""
+        if not isinstance(content, dict):
+            raise self._error(place, "expected KEY: VALUE. docs/batch.md has examples.")
+        found = {}
+        for key, value in content.items():
+            with within(f"line {self._line((*place, key))}"):
+                found |= convert_settings({key: value}, hints)
+        return found
 
     def _combinations(self, verb: JobVerb, options: dict[str, Any], place: Place) -> Combinations:
         axes: dict[str, list[tuple[str, OptionValue]]] = {}
@@ -225,21 +218,6 @@ class _Planner:
 
     def _error(self, place: Place, fact: str) -> StyleSplatError:
         return StyleSplatError(f"line {self._line(place)}: {fact}")
-
-    def _misfit(self, message: str) -> StyleSplatError:
-        """What msgspec says of a file, with the line and the nearest known name."""
-        found = MISFIT.fullmatch(message)
-        fact, where = (found["fact"], found["place"] or "") if found else (message, "")
-        place = tuple(
-            int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", where)
-        )
-        unknown = UNKNOWN.fullmatch(fact)
-        if unknown is None:
-            return self._error(place, f"{fact[0].lower()}{fact[1:]}. docs/batch.md has examples.")
-        near = get_close_matches(unknown[1], NAMES, n=1)
-        remedy = f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(NAMES)}."
-        fact = f"there is no key {unknown[1]!r}. {remedy}"
-        return self._error((*place, unknown[1]), fact)
 
 
 def _fault(verb: JobVerb, values: Mapping[str, OptionValue]) -> str | None:

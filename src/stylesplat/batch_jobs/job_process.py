@@ -9,9 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event
@@ -76,29 +74,19 @@ class JobRecord(msgspec.Struct, frozen=True, kw_only=True):
         return "" if self.memory_gb is None else f"{self.memory_gb:.2f}"
 
 
-@dataclass(frozen=True)
-class JobExecutor:
-    """Runs up to `slots` jobs at a time."""
-
-    slots: int
-    submit: Callable[[Job], Future[JobRecord]]
+RunJob = Callable[[Job], JobRecord]
 
 
 @contextmanager
-def local_executor(output: Path, workers: int) -> Iterator[JobExecutor]:
-    """Runs jobs as processes of this machine, which end with the context."""
+def local_processes(output: Path, workers: int) -> Iterator[RunJob]:
+    """Yields what runs a job as a process of this machine, which ends with the context."""
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
     stopping, share = Event(), max(1, cores // workers)
-    pool = ThreadPoolExecutor(workers)
     try:
-        yield JobExecutor(
-            workers,
-            lambda job: pool.submit(run_job, job, output, job.needs.cpus or share, stopping),
-        )
+        yield lambda job: run_job(job, output, job.needs.cpus or share, stopping)
     finally:
         stopping.set()
-        pool.shutdown(cancel_futures=True)
 
 
 def run_job(job: Job, output: Path, threads: int, stopping: Event | None = None) -> JobRecord:

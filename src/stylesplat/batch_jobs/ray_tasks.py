@@ -3,7 +3,6 @@
 import os
 import socket
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import version
@@ -14,7 +13,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from stylesplat.batch_jobs.job import Job
-from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job, run_job
+from stylesplat.batch_jobs.job_process import JobRecord, RunJob, ended_job, run_job
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason
 from stylesplat.signals import kept_signals
@@ -24,6 +23,7 @@ RESOURCES = {"num_cpus": "CPU", "num_gpus": "GPU", "memory": "memory"}  # as nod
 HERE = ("auto", LOCAL)  # addresses that name no machine
 ANSWER = 5.0  # seconds in which a machine must accept a connection: Ray itself tries for a minute
 STORE = 100 * 2**20  # bytes of the object store of a local cluster: results are small
+MOST_TASKS = 1000  # at a time: a thread of this process waits for each
 RETRIES = 3  # times that Ray runs a job again after its node or its worker has died
 REMEDY = (
     "Use auto, HOST:6379 or ray://HOST:10001 for a cluster that `ray start --head` has started "
@@ -32,8 +32,8 @@ REMEDY = (
 
 
 @contextmanager
-def ray_executor(jobs: Sequence[Job], output: Path, address: str) -> Iterator[JobExecutor]:
-    """Runs jobs on a cluster, whose nodes share the output folder.
+def ray_tasks(jobs: Sequence[Job], output: Path, address: str) -> Iterator[RunJob]:
+    """Yields what runs a job on a cluster, whose nodes share the output folder.
 
     Raises:
         StyleSplatError: If Ray is missing, the cluster cannot be reached, or no node has the
@@ -42,20 +42,26 @@ def ray_executor(jobs: Sequence[Job], output: Path, address: str) -> Iterator[Jo
     ray, is_ours = _connect(address)
     tasks: list[Any] = []
 
-    def submit(job: Job) -> Future[JobRecord]:
+    def run(job: Job) -> JobRecord:
         resources = ray_resources(job)
         remote = ray.remote(_run_on_node).options(name=job.name, max_retries=RETRIES, **resources)
         task = remote.remote(job, output, resources["num_cpus"], version("stylesplat"))
         tasks.append(task)
-        answer: Future[JobRecord] = Future()
-        task.future().add_done_callback(lambda done: answer.set_result(_record(done, job, output)))
-        return answer
+        try:
+            record: JobRecord = ray.get(task)
+        except Exception as error:  # of Ray, or of the task
+            return ended_job(job, "failed", f"its Ray task failed: {reason(error)}.")
+        if record.status == "done" and not (output / job.name).exists():
+            fault = f"the Ray node {record.node} has written to another {output} than that of here."
+            remedy = "Use a folder that all nodes share."
+            return replace(record, status="failed", reason=f"{fault} {remedy}")
+        return record
 
     try:
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
         for job in jobs:
             refuse_oversized(job, nodes)
-        yield JobExecutor(len(jobs), submit)
+        yield run
     finally:
         for task in tasks:
             ray.cancel(task)  # which does nothing to those that are done
@@ -90,17 +96,6 @@ def _run_on_node(job: Job, output: Path, threads: int, expected: str) -> JobReco
         fault = f"the Ray node {node} has stylesplat {found}, here is {expected}. Install the same."
         return ended_job(job, "failed", fault)
     return replace(run_job(job, output, threads), node=node)
-
-
-def _record(task: "Future[JobRecord]", job: Job, output: Path) -> JobRecord:
-    error = task.exception()
-    if error is not None:
-        return ended_job(job, "failed", f"its Ray task failed: {reason(Exception(error))}.")
-    record = task.result()
-    if record.status == "done" and not (output / job.name).exists():
-        fault = f"the Ray node {record.node} has written to another {output} than that of here. "
-        return replace(record, status="failed", reason=fault + "Use a folder that all nodes share.")
-    return record
 
 
 def _connect(address: str) -> tuple[ModuleType, bool]:

@@ -2,8 +2,8 @@
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import suppress
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from functools import cache
 from hashlib import blake2b, file_digest
@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_file import refuse_address
 from stylesplat.batch_jobs.job_page import PAGE, write_job_page
-from stylesplat.batch_jobs.job_process import JobExecutor, JobRecord, ended_job, local_executor
+from stylesplat.batch_jobs.job_process import JobRecord, RunJob, ended_job, local_processes
 from stylesplat.errors import StyleSplatError, some, within
 from stylesplat.io.atomic import PARTIAL, atomic_path, changing, refuse_occupied
 from stylesplat.io.json_files import strict_json
@@ -86,8 +86,10 @@ def run_batch(
             temporary.write_text("".join(map(_line, kept)), encoding="utf-8")
         records, todo = dict(done), [job for job in jobs if job.name not in done]
         try:
-            for record in _run(todo, {*done}, output, workers, ray) if todo else ():
+            for number, record in enumerate(_run(todo, {*done}, output, workers, ray)):
                 record = replace(record, fingerprint=prints[record.job])
+                if number == 0:
+                    say(HEAD)
                 say(_row(record))
                 with path.open("a", encoding="utf-8") as file:
                     file.write(_line(record))
@@ -101,40 +103,41 @@ def run_batch(
 def run_in_order(
     todo: Sequence[Job],
     done: set[str],
-    executor: JobExecutor,
+    runner: AbstractContextManager[RunJob],
+    slots: int,
     note: Callable[[str], None] = lambda text: None,
 ) -> Iterator[JobRecord]:
-    """Run jobs, each after the one that it follows; yields the record of each that ends."""
+    """Run up to `slots` jobs at a time, each after the one that it follows; yields the records."""
     waiting, done, failed = {job.name: job for job in todo}, set(done), set[str]()
     running: dict[Future[JobRecord], str] = {}
-    while waiting or running:
-        for job in [each for each in waiting.values() if each.after in failed]:
-            failed.add(waiting.pop(job.name).name)
-            yield ended_job(job, "skipped", f"it follows {job.after}, which is not done.")
-        ready = [each for each in waiting.values() if each.after is None or each.after in done]
-        for job in ready[: executor.slots - len(running)]:
-            running[executor.submit(waiting.pop(job.name))] = job.name
-        note(some(running.values(), 2))
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            record = future.result()
-            del running[future]
-            (done if record.status == "done" else failed).add(record.job)
-            yield record
+    with ThreadPoolExecutor(slots) as pool, runner as run:
+        while waiting or running:
+            for job in [each for each in waiting.values() if each.after in failed]:
+                failed.add(waiting.pop(job.name).name)
+                yield ended_job(job, "skipped", f"it follows {job.after}, which is not done.")
+            ready = [each for each in waiting.values() if each.after is None or each.after in done]
+            for job in ready[: slots - len(running)]:
+                running[pool.submit(run, waiting.pop(job.name))] = job.name
+            note(some(running.values(), 2))
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                record = future.result()
+                del running[future]
+                (done if record.status == "done" else failed).add(record.job)
+                yield record
 
 
 def _run(
     todo: Sequence[Job], done: set[str], output: Path, workers: int, ray: str | None
 ) -> Iterator[JobRecord]:
-    if ray is None:
-        context = local_executor(output, workers)
-    else:
-        from stylesplat.batch_jobs.ray_tasks import ray_executor
+    if not todo:
+        return
+    slots, runner = workers, local_processes(output, workers)
+    if ray is not None:
+        from stylesplat.batch_jobs.ray_tasks import MOST_TASKS, ray_tasks
 
-        context = ray_executor(todo, output, ray)
-    total = len(todo) + len(done)
-    with context as executor, task("batch", total, unit="job", done=len(done)) as bar:
-        say(HEAD)
-        for record in run_in_order(todo, done, executor, bar.note):
+        slots, runner = min(len(todo), MOST_TASKS), ray_tasks(todo, output, ray)
+    with task("batch", len(todo) + len(done), unit="job", done=len(done)) as bar:
+        for record in run_in_order(todo, done, runner, slots, bar.note):
             yield record
             bar.advance()
 

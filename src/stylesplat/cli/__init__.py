@@ -63,13 +63,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from stylesplat.io.json_files import strict_json
 
         with closing(Bars()) as bars, observed(bars):
-            result = command.run()
+            answer = command.run()
             bars.close()
             if command.json:
-                print(strict_json(result), flush=True)
+                print(strict_json(answer.values), flush=True)
             else:
-                write_lines(*command.words(result))
-            command.after_answer(result)
+                write_lines(*answer.lines)
+            command.after_answer(answer.values)
     except (Exception, KeyboardInterrupt) as error:
         status = exit_status(error, command)
         if status is None:

@@ -109,10 +109,15 @@ def from_config(config: type, *names: str, **called: Sequence[str]) -> Any:
                 name=shown,
                 aliases=[f"--{each}" for each in aliases],
                 help=texts[name],
-                help_behavior_hint="" if default is None else f"(default: {default})",
+                help_behavior_hint=_hint(default),
             ),
         ]
     return TypedDict(config.__name__, options, total=False)  # pyright: ignore
+
+
+def _hint(default: Any) -> str:
+    """What help says of a default: nothing if that is obvious."""
+    return "" if default in (None, ()) or isinstance(default, bool) else f"(default: {default})"
 
 
 @REGISTRY.struct_rule
@@ -127,11 +132,12 @@ def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
     for each in sorted(fields(info.type), key=lambda each: bool(each.kw_only)):
         kind: Any = kinds[each.name]
         default = tyro.MISSING_NONPROP if each.default is MISSING else each.default
-        if default in (None, ()) or isinstance(default, bool):
+        if default is not tyro.MISSING_NONPROP and not _hint(default):
             kind = Annotated[kind, arg(help_behavior_hint="")]
         settings = next(filter(is_typeddict, get_args(kind)), None)
         if settings is not None:
-            kind, default = OmitArgPrefixes[settings], {}
+            flags = {name for name, each in get_type_hints(settings).items() if each is bool}
+            kind, default = OmitArgPrefixes[settings], dict.fromkeys(flags, False)
         options.append(StructFieldSpec(each.name, kind, default, texts.get(each.name)))
     return StructConstructorSpec(info.type, tuple(options))
 

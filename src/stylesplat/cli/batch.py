@@ -1,7 +1,7 @@
 """`stylesplat batch`, and the verbs that its jobs can run."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, fields
 from functools import partial
@@ -20,6 +20,7 @@ from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Select
 from stylesplat.cli.options import CONTINUES, NAMES, Command, Output
 from stylesplat.cli.render import Render
+from stylesplat.cli.results import Answer
 from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Recolor, Stylize
 from stylesplat.cli.train import Train
@@ -62,26 +63,24 @@ class Batch(Command):
     jobs instead; needs the extra stylesplat[ray]."""
     after_interruption: ClassVar[str] = CONTINUES
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         done = batch(self.jobs, self.output, workers=self.workers, ray=self.ray)
         ends = {status: len(done.of(status)) for status in ("done", "failed", "skipped")}
         keys = ("job", "status", "seconds", "reason")
         jobs = [{key: getattr(record, key) for key in keys} for record in done.jobs]
-        return {"output": self.output, "page": done.page, "kept": done.kept, **ends, "jobs": jobs}
+        values = {"output": self.output, "page": done.page, "kept": done.kept, **ends, "jobs": jobs}
+        kept = f", {done.kept} of them by an earlier run" if done.kept else ""
+        summary = f"{self.output}: {ends['done']} of {len(jobs)} jobs are done{kept}."
+        return Answer(values, [summary, f"Page: {done.page}"])
 
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        kept = f", {result['kept']} of them by an earlier run" if result["kept"] else ""
-        yield f"{self.output}: {result['done']} of {len(result['jobs'])} jobs are done{kept}."
-        yield f"Page: {result['page']}"
-
-    def after_answer(self, result: dict[str, Any]) -> None:
-        failed = [job for job in result["jobs"] if job["status"] == "failed"]
+    def after_answer(self, values: dict[str, Any]) -> None:
+        failed = [job for job in values["jobs"] if job["status"] == "failed"]
         if failed:
-            others = f" ({result['skipped']} behind them skipped)" if result["skipped"] else ""
+            others = f" ({values['skipped']} behind them skipped)" if values["skipped"] else ""
             faults = [f"{job['job']}: {job['reason'].rstrip('.')}" for job in failed[:NAMED]]
             rest = some([job["job"] for job in failed[NAMED:]])
             raise StyleSplatError(
-                f"{len(failed)} of {len(result['jobs'])} jobs failed{others}: "
+                f"{len(failed)} of {len(values['jobs'])} jobs failed{others}: "
                 f"{'; '.join([*faults, rest] if rest else faults)}. Mend that; the same command "
                 "runs only these again."
             )

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stylesplat.cli.options import CONTINUES, Command, Device, MakingCommand, Output
-from stylesplat.cli.results import mask_command, next_lines
+from stylesplat.cli.results import Answer, mask_command, next_lines
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
 
@@ -33,19 +33,19 @@ class Demo(MakingCommand):
     """Folder for everything that is made."""
     after_interruption: ClassVar[str] = CONTINUES
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.demo.demo_run import run_demo
 
         with changing(self.output):
-            return run_demo(self.output, overwrite=self.overwrite)
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        yield f"Report: {result['report']}"
-        yield f"Splat: {result['splat']}, which SuperSplat, Blender and other programs open."
-        yield f"Page: {result['page']}, which shows the splat in any browser, before and after."
-        yield f"Video: {result['video']}"
-        yield f"It took {result['seconds']} s."
-        yield from next_lines(mask_command(Path("MyPhotos")))
+            made = run_demo(self.output, overwrite=self.overwrite)
+        lines = [
+            f"Report: {made['report']}",
+            f"Splat: {made['splat']}, which SuperSplat, Blender and other programs open.",
+            f"Page: {made['page']}, which shows the splat in any browser, before and after.",
+            f"Video: {made['video']}",
+            f"It took {made['seconds']} s.",
+        ]
+        return Answer(made, [*lines, *next_lines(mask_command(Path("MyPhotos")))])
 
 
 @dataclass(frozen=True)
@@ -61,28 +61,28 @@ class Doctor(Command):
     """What to test; auto tests the CPU and every GPU whose gsplat is compiled, and cuda compiles
     gsplat first, which takes some minutes."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.demo.doctor import doctor
-
-        return doctor(self.device)
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
         from stylesplat.io.json_files import strict_json
 
-        system, versions = result["system"], result["versions"]
-        for name in ("stylesplat", "python", "torch", "numba", "gsplat"):
-            yield f"{name:11} {versions[name] or 'not installed'}"
-        yield f"{'processor':11} {system['processor']}, {system['threads']} threads"
-        yield f"{'memory':11} {system['memory_gib']} GiB"
-        for name, gpu in result["gpus"].items():
-            yield f"{name:11} {gpu['name']}, {gpu['memory_gib']} GiB"
-        yield f"{'kernels':11} gsplat is {result['gsplat']}"
-        yield f"{'device':8}{'  '.join(COLUMNS)}"
-        for row in result["self_test"]:
-            cells = [f"{row.get(key, '-'):>{len(title)}}" for title, key in COLUMNS.items()]
-            yield f"{row['device']:8}{'  '.join(cells)}"
-        yield from ("```json", strict_json(result), "```")
+        found = doctor(self.device)
+        return Answer(found, [*_tables(found), "```json", strict_json(found), "```"])
 
-    def after_answer(self, result: dict[str, Any]) -> None:
-        if result["problems"]:
-            raise StyleSplatError(f"Something is wrong. {'; '.join(result['problems'])}.")
+    def after_answer(self, values: dict[str, Any]) -> None:
+        if values["problems"]:
+            raise StyleSplatError(f"Something is wrong. {'; '.join(values['problems'])}.")
+
+
+def _tables(found: dict[str, Any]) -> Iterator[str]:
+    system, versions = found["system"], found["versions"]
+    for name in ("stylesplat", "python", "torch", "numba", "gsplat"):
+        yield f"{name:11} {versions[name] or 'not installed'}"
+    yield f"{'processor':11} {system['processor']}, {system['threads']} threads"
+    yield f"{'memory':11} {system['memory_gib']} GiB"
+    for name, gpu in found["gpus"].items():
+        yield f"{name:11} {gpu['name']}, {gpu['memory_gib']} GiB"
+    yield f"{'kernels':11} gsplat is {found['gsplat']}"
+    yield f"{'device':8}{'  '.join(COLUMNS)}"
+    for row in found["self_test"]:
+        cells = [f"{row.get(key, '-'):>{len(title)}}" for title, key in COLUMNS.items()]
+        yield f"{row['device']:8}{'  '.join(cells)}"

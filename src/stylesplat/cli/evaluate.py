@@ -1,6 +1,5 @@
 """`stylesplat evaluate`: measure a scene, or compare several on a page."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ from tyro.conf import Positional
 
 import stylesplat as ss
 from stylesplat.cli.options import Device, MakingCommand, OptionalOutput, SceneFolder
-from stylesplat.cli.results import next_lines, pasted, unused
+from stylesplat.cli.results import Answer, next_lines, video_command
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
 from stylesplat.io.json_files import write_json
@@ -47,7 +46,9 @@ class Evaluate(MakingCommand):
     one, else its object_mask/."""
     device: Device = "auto"
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
+        from stylesplat.evaluation.summary import photo_lines, style_lines
+
         if self.compare:
             return self._compare()
         if self.others:
@@ -70,20 +71,11 @@ class Evaluate(MakingCommand):
                 latest = ss.open(self.scene)  # measuring takes long
                 measured = {**latest.metrics, "evaluate": metrics}
                 revise(latest, replace(latest, metrics=measured), self.scene)
-        return metrics
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        from stylesplat.evaluation.summary import photo_lines, style_lines
-
-        if self.compare:
-            yield from _comparison_lines(result)
-            return
-        yield from photo_lines(result)
-        if "changed_gaussians" in result:
-            measured = [result.get(name, {}) for name in ("nnfm_after", "content_ssim")]
-            yield from style_lines(result, {**measured[0], **measured[1]})
-        video = unused(self.scene, ".mp4")
-        yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))
+        lines = photo_lines(metrics)
+        if "changed_gaussians" in metrics:
+            measured = {**metrics.get("nnfm_after", {}), **metrics.get("content_ssim", {})}
+            lines += style_lines(metrics, measured)
+        return Answer(metrics, [*lines, *next_lines(video_command(self.scene))])
 
     def _photos(
         self, scene: "ss.Scene", path: Path, *, required: bool = False
@@ -102,7 +94,7 @@ class Evaluate(MakingCommand):
         say(fact)
         return None
 
-    def _compare(self) -> dict[str, Any]:
+    def _compare(self) -> Answer:
         from stylesplat.figures.html_page import comparison_page
         from stylesplat.scene.scene import shared_views
 
@@ -129,17 +121,17 @@ class Evaluate(MakingCommand):
             text = comparison_page(found.scenes, found.views, title=title, notes=found.notes)
             with atomic_path(page) as temporary:
                 temporary.write_text(text, encoding="utf-8")
-        return {**found.summary(), "page": page}
+        values = {**found.summary(), "page": page}
+        about = f"Page: {page}, with all numbers and {len(found.views)} views of each."
+        return Answer(values, [*map(_comparison_line, values["scenes"]), about])
 
 
-def _comparison_lines(result: dict[str, Any]) -> Iterator[str]:
-    for scene in result["scenes"]:
-        metrics, differences = scene["metrics"], scene["differences"]
-        parts = [
-            f"{label} {metrics[name]:.{digits}f} ({differences.get(name, 0):+.{digits}f})"
-            for name, label, digits in COMPARED
-            if name in metrics
-        ]
-        changed = 100 * scene["from_first"]["changed_share"]
-        yield f"{scene['name']}: {', '.join([*parts, f'{changed:.1f} % of its pixels differ'])}."
-    yield f"Page: {result['page']}, with all numbers and {len(result['views'])} views of each."
+def _comparison_line(scene: dict[str, Any]) -> str:
+    metrics, differences = scene["metrics"], scene["differences"]
+    parts = [
+        f"{label} {metrics[name]:.{digits}f} ({differences.get(name, 0):+.{digits}f})"
+        for name, label, digits in COMPARED
+        if name in metrics
+    ]
+    changed = 100 * scene["from_first"]["changed_share"]
+    return f"{scene['name']}: {', '.join([*parts, f'{changed:.1f} % of its pixels differ'])}."

@@ -1,19 +1,20 @@
 """`stylesplat export`."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from tyro.conf import Positional, UseAppendAction, arg
+from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.arguments import from_config, help_texts
-from stylesplat.cli.options import MakingCommand, OptionalOutput, SceneFolder, refuse_given
-from stylesplat.cli.results import next_lines, pasted, unused
+from stylesplat.cli.arguments import from_config
+from stylesplat.cli.options import MakingCommand, OptionalOutput, SceneFolder
+from stylesplat.cli.results import Answer, next_lines, video_command
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
 from stylesplat.meshes.mesh_config import MeshConfig
+
+MESH_SETTINGS = from_config(MeshConfig, "faces", "texture_size", "repaint")
 
 
 @dataclass(frozen=True)
@@ -44,31 +45,32 @@ class Export(MakingCommand):
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
     mesh: bool = False
     """Write a textured mesh into a .glb or .obj, of one object or of a scene that shows one."""
-    mesh_settings: Annotated[dict[str, Any], from_config(MeshConfig, "faces", "texture_size")] = (
-        field(default_factory=dict)
-    )
-    repaint: Annotated[bool, arg(help=help_texts(MeshConfig)["repaint"])] = False
+    mesh_settings: Annotated[dict[str, Any], MESH_SETTINGS] = field(default_factory=dict)
     spz_version: Literal[2, 3, 4] | None = None
     """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs. With 2 a
     .glb or .gltf holds SPZ, as Cesium wants it."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.io.gaussian_lists import LISTS
+        from stylesplat.scene.one_line import counted
         from stylesplat.verbs.export import export_each
 
         places = [each for each in (self.file, self.output, self.each) if each is not None]
         if len(places) != 1:
             raise StyleSplatError(f"Name one file: `stylesplat export {self.scene} FILE`.")
         (file,) = places
-        settings = self.mesh_settings | ({"repaint": True} if self.repaint else {})
-        if settings and not self.mesh:
-            names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
+        settings = self.mesh_settings
+        given = [f"--{name.replace('_', '-')}" for name, value in settings.items() if value]
+        if given and not self.mesh:
+            names = ", ".join(given)
             raise StyleSplatError(f"{names} means nothing without --mesh. Add it, or leave it out.")
         options = {"overwrite": self.overwrite, "sh_degree": self.sh_degree}
         if self.each is not None:
             whole = ("object", "without", "selected", "sidecar", "mesh", "spz_version")
-            refuse_given(self, whole, "--each")
-            return {"files": export_each(ss.open(self.scene), file, **options)}
+            self.refuse_given(whole, "--each")
+            files = export_each(ss.open(self.scene), file, **options)
+            names = ", ".join(path.name for path in files)
+            return Answer({"files": files}, [f"{file}: {names}."])
         refuse_file(file, overwrite=self.overwrite)
         count = ss.export(
             ss.open(self.scene),
@@ -82,18 +84,9 @@ class Export(MakingCommand):
             **options,
         )
         lists = file.suffix.lower() == LISTS
-        return {"file": file, "faces" if self.mesh else "objects" if lists else "gaussians": count}
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        from stylesplat.scene.one_line import counted
-
-        if "files" in result:
-            yield f"{self.each}: {', '.join(path.name for path in result['files'])}."
-            return
-        file, (what, count) = result["file"], [*result.items()][1]
-        noun = {"gaussians": "Gaussian"}.get(what, what[:-1])
-        yield f"{file}: {counted(count, noun)}, {file.stat().st_size / 1e6:.1f} MB."
+        noun = "face" if self.mesh else "object" if lists else "Gaussian"
+        lines = [f"{file}: {counted(count, noun)}, {file.stat().st_size / 1e6:.1f} MB."]
         if self.sidecar:
-            yield f"Objects: {file}.objects.npz, for `import --labels`."
-        video = unused(self.scene, ".mp4")
-        yield from next_lines(pasted("render", self.scene, "-o", video, "--views", "orbit"))
+            lines.append(f"Objects: {file}.objects.npz, for `import --labels`.")
+        values = {"file": file, f"{noun.lower()}s": count}
+        return Answer(values, [*lines, *next_lines(video_command(self.scene))])

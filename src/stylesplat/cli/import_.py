@@ -1,6 +1,6 @@
 """`stylesplat import`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -8,8 +8,8 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Device, MakingCommand, Output, refuse_given
-from stylesplat.cli.results import describe_scene, new_scene, new_scene_lines, pasted
+from stylesplat.cli.options import Device, MakingCommand, Output
+from stylesplat.cli.results import Answer, describe_scene, new_scene, pasted
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,9 @@ class Import(MakingCommand):
     label maps."""
     device: Device = "auto"
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         if self.capture is None or self.labels is not None:
-            without = "no capture" if self.capture is None else "--labels"
-            refuse_given(self, ("masks",), without)
+            self.refuse_given(("masks",), "no capture" if self.capture is None else "--labels")
         with new_scene(self.output, overwrite=self.overwrite) as save:
             capture = self.capture and ss.load(self.capture, masks=self.masks)
             scene = ss.import_(
@@ -58,23 +57,23 @@ class Import(MakingCommand):
                 device=self.device,
             )
             save(scene)
-            described = describe_scene(scene, capture, self.output, device=self.device)
-        return {**scene.metrics, **described}
+            photos = self.capture is not None or self.like is not None
+            about = describe_scene(scene, capture, self.output, device=self.device, photos=photos)
+        lines = [*self._lines(scene.metrics), *about.lines]
+        return Answer({**scene.metrics, **about.values}, lines)
 
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        close = f", {result['psnr']:.1f} dB from the photos" if "psnr" in result else ""
-        yield f"{self.output}: {result['gaussians']:,} Gaussians{close}."
-        photos = self.capture is not None or self.like is not None
+    def _lines(self, metrics: Mapping[str, Any]) -> Iterator[str]:
+        close = f", {metrics['psnr']:.1f} dB from the photos" if "psnr" in metrics else ""
+        yield f"{self.output}: {metrics['gaussians']:,} Gaussians{close}."
         if self.like is not None:
             yield (
-                f"{result['matched']:,} of them are of {self.like}, {result['new_gaussians']:,} "
-                f"are new; {result['lost_gaussians']:,} of its Gaussians are gone."
+                f"{metrics['matched']:,} of them are of {self.like}, {metrics['new_gaussians']:,} "
+                f"are new; {metrics['lost_gaussians']:,} of its Gaussians are gone."
             )
-            for part in result["moved"]:
+            for part in metrics["moved"]:
                 turn = f"turned by {part['degrees']:.4g} degrees, scaled by {part['scale']:.4g}"
                 yield f"Moved: {part['gaussians']:,} Gaussians, {turn}."
-        elif not photos and self.up is None:
+        elif self.capture is None and self.up is None:
             labels = ("--labels", self.labels) if self.labels else ()
             again = pasted("import", self.splat, *labels, "-o", self.output, "--up", "z")
             yield f"If it lies on its side: {again} --overwrite"
-        yield from new_scene_lines(result, photos=photos)

@@ -1,7 +1,6 @@
 """`stylesplat mask`: write label maps for photos, or give a scene without photos its objects."""
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -17,21 +16,21 @@ from stylesplat.cli.options import (
     EditingCommand,
     MakingCommand,
     OptionalOutput,
-    refuse_given,
 )
 from stylesplat.cli.results import (
+    Answer,
     next_lines,
     optional_picture,
-    pasted,
     rewrite_scene,
     stylize_command,
-    unused,
+    train_command,
 )
-from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished, view_of_photo
+from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, partial_of, refuse_occupied
 from stylesplat.io.files import is_file
 from stylesplat.signals import WHOLE
+from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished, view_of_photo
 
 if TYPE_CHECKING:
     from stylesplat.io.captures.sfm_file import SfmRecord
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
 Drawn = dict[str, list[Any]]  # by object, places in views
 Method = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
 WITHOUT_MODEL = ("files", "grabcut")  # models keep what they have found so far
+BOX, LINE = "VIEW:x0,y0,x1,y1", "VIEW:x,y,x,y,..."
 PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
 SCENE_PREVIEW = "masks.jpg"  # in the folder of a scene
 SIDE = 480  # pixels of the views in it
@@ -98,7 +98,7 @@ class Mask(MakingCommand):
     def _keeps_progress(self) -> bool:
         return self.method is not None and self.method not in WITHOUT_MODEL
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.io.kinds import SCENE
         from stylesplat.scene.framing import has_no_photos
         from stylesplat.verbs.mask import settled_method
@@ -109,21 +109,6 @@ class Mask(MakingCommand):
             return self._mask_scene()
         return self._mask_photos()
 
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        names = result["names"]
-        if "scene" in result:
-            yield from _object_lines(result)
-            return
-        objects = ", ".join(names.get(id, f"id {id}") for id in result["ids"]) or "no objects"
-        photos = f"{result['photos']} of {result['of']} photos"
-        yield f"{result['masks']}: label maps of {photos}, which show {objects}."
-        if result["preview"]:
-            yield f"Picture: {result['preview']}, the label maps over some of the photos."
-            if self.box or self._corrects:
-                yield MEND
-        scene = unused(self.capture, "-scene")
-        yield from next_lines(pasted("train", self.capture, "-o", scene))
-
     @property
     def _corrects(self) -> bool:
         """Whether label maps are corrected that are there."""
@@ -132,18 +117,23 @@ class Mask(MakingCommand):
 
     def _drawn(self, record: "SfmRecord | None" = None) -> dict[str, Drawn]:
         """What is drawn by object, with the names that photos have in the capture."""
-        given = {"boxes": self.box, "keep": self.keep, "drop": self.drop}
-        found = {kind: Drawn() for kind in (*given, "strokes")}
-        for kind, texts in given.items():
+        given = (
+            ("boxes", self.box, None),
+            ("keep", self.keep, None),
+            ("drop", self.drop, None),
+            ("strokes", self.stroke, True),
+            ("strokes", self.not_stroke, False),
+        )
+        found = {kind: Drawn() for kind, *_ in given}
+        for kind, texts, over_object in given:
             for text in texts:
-                name, view, box = _parse_drawn(text, "VIEW:x0,y0,x1,y1")
-                found[kind].setdefault(name, []).append((view_of_photo(view, record), box))
-        for texts, over_object in ((self.stroke, True), (self.not_stroke, False)):
-            for text in texts:
-                name, view, line = _parse_drawn(text, "VIEW:x,y,x,y,...")
-                stroke = ss.Stroke((*zip(line[::2], line[1::2], strict=True),), over_object)
-                place = view_of_photo(view, record), stroke
-                found["strokes"].setdefault(name, []).append(place)
+                name, _, place = text.partition("=") if "=" in text else ("object", "", text)
+                view, mark = parse_place(place, BOX if over_object is None else LINE)
+                if over_object is not None:
+                    points = zip(mark[::2], mark[1::2], strict=True)
+                    mark = ss.Stroke((*points,), over_object)
+                marked = view_of_photo(view, record), mark
+                found[kind].setdefault(name, []).append(marked)
         return found
 
     def _masked(self, photos: Any, place: Path, drawn: dict[str, Drawn], **options: Any) -> Any:
@@ -152,18 +142,20 @@ class Mask(MakingCommand):
         options |= {"method": self.method, "model": self.model, "device": self.device}
         return ss.mask(photos, source=self.source, progress=progress, **drawn, **options)
 
-    def _mask_photos(self) -> dict[str, Any]:
+    def _mask_photos(self) -> Answer:
+        from stylesplat.figures.sheets import mask_preview
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
         from stylesplat.io.captures.sfm_file import read_sfm
+        from stylesplat.io.images import write_image
         from stylesplat.io.label_maps import refuse_label_maps, write_label_maps
         from stylesplat.scene.cameras import find_name
 
-        refuse_given(self, ("output",), "photos, whose label maps go into object_mask/")
+        self.refuse_given(("output",), "photos, whose label maps go into object_mask/")
         scene = ss.open(self.scene) if self.scene else None
         folder = find_photos_capture(
             self.capture, beside=self.capture, drawn=_places(self._drawn())
         )
-        output = folder / OBJECT_MASK
+        output, preview = folder / OBJECT_MASK, folder / OBJECT_MASK / PREVIEW
         refuse_occupied(output, marker="", overwrite=True)  # label maps are refused below
         capture = ss.load(folder, masks=None if self._corrects else False)
         with changing(output):
@@ -178,17 +170,23 @@ class Mask(MakingCommand):
             found = write_label_maps(masked, output, overwrite=overwrite)
             ids = sorted(set[int]().union(*found.values()))
             called = {id: masked.object_names[id] for id in ids if id in masked.object_names}
-            preview = output / PREVIEW
             with optional_picture():
                 preview.unlink(missing_ok=True)  # it shows earlier label maps
-                _draw(ss.load(folder), called, preview)
+                write_image(mask_preview(ss.load(folder), called), preview)
             shutil.rmtree(partial_of(output), ignore_errors=True)
-        drawn_to = preview if is_file(preview) else None
-        counts = {"photos": len(found), "of": len(masked), "ids": ids, "names": called}
-        return {"masks": output, "preview": drawn_to, **counts}
+        objects = ", ".join(called.get(id, f"id {id}") for id in ids) or "no objects"
+        photos = f"{len(found)} of {len(masked)} photos"
+        lines = [f"{output}: label maps of {photos}, which show {objects}."]
+        is_drawn = is_file(preview)
+        if is_drawn:
+            lines.append(f"Picture: {preview}, the label maps over some of the photos.")
+            lines += [MEND] if self.box or self._corrects else []
+        values = {"masks": output, "preview": preview if is_drawn else None, "photos": len(found)}
+        values |= {"of": len(masked), "ids": ids, "names": called}
+        return Answer(values, [*lines, *next_lines(train_command(self.capture))])
 
-    def _mask_scene(self) -> dict[str, Any]:
-        refuse_given(self, ("scene",), "a scene, which is that scene itself")
+    def _mask_scene(self) -> Answer:
+        self.refuse_given(("scene",), "a scene, which is that scene itself")
         place = self.output or self.capture
 
         def mask(before: "ss.Scene") -> "ss.Scene":
@@ -217,29 +215,10 @@ class Labels(EditingCommand):
     the scene's photos."""
     device: Device = "auto"
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         with changing(self.folder):
             after = self.rewrite(lambda scene: ss.labels(scene, self.masks, device=self.device))
             return _describe_objects(after, self.folder, self.device)
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        yield from _object_lines(result)
-
-
-def _object_lines(result: dict[str, Any]) -> Iterator[str]:
-    """The objects of a scene as `_describe_objects` has described them."""
-    names = result["names"]
-    yield f"{result['scene']}: its objects are {', '.join(names.values()) or 'none'}."
-    if result["preview"]:
-        yield f"Picture: {result['preview']}, the objects of its Gaussians in some views."
-    if names:
-        yield from next_lines(stylize_command(result["scene"], [*names.values()][-1]))
-
-
-def _parse_drawn(text: str, form: str) -> tuple[str, str, tuple[float, ...]]:
-    """An object's name, which may be left out, the view, and the numbers behind it."""
-    name, equals, place = text.partition("=")
-    return (name if equals else "object", *parse_place(place if equals else text, form))
 
 
 def _places(drawn: dict[str, Drawn]) -> list[tuple[str, Any]]:
@@ -251,29 +230,27 @@ def _places(drawn: dict[str, Drawn]) -> list[tuple[str, Any]]:
     ]
 
 
-def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> dict[str, Any]:
+def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> Answer:
     """The objects of a scene, drawn as label maps over renders of its views."""
+    from stylesplat.figures.sheets import mask_preview
+    from stylesplat.io.images import write_image
     from stylesplat.masks.quick_splat import rendered_capture
     from stylesplat.rendering.render import pick_device
     from stylesplat.scene.capture import at_most
     from stylesplat.selection.choose import names_of
     from stylesplat.selection.identities import object_ids, render_labels
 
-    ids = object_ids(scene.splats)
+    ids, preview, photos = object_ids(scene.splats), None, None
     names = {id: name for id in ids for name in names_of(scene, id)[:1]}
-    found: dict[str, Any] = {"scene": place, "preview": None, "photos": None}
+    lines = [f"{place}: its objects are {', '.join(names.values()) or 'none'}."]
     with optional_picture():
-        small = at_most(rendered_capture(scene, pick_device(device)), SIDE)
-        splats = scene.splats.to(pick_device(device))
+        where = pick_device(device)
+        small, splats = at_most(rendered_capture(scene, where), SIDE), scene.splats.to(where)
         maps = [render_labels(splats, camera).cpu() for camera in small.cameras]
-        _draw(replace(small, label_maps=maps), names, place / SCENE_PREVIEW)
-        shows = sum(bool(labels.any()) for labels in maps)
-        found |= {"preview": place / SCENE_PREVIEW, "photos": shows}
-    return found | {"of": len(scene.cameras), "ids": list(ids), "names": names}
-
-
-def _draw(capture: "ss.Capture", names: dict[int, str], target: Path) -> None:
-    from stylesplat.figures.sheets import mask_preview
-    from stylesplat.io.images import write_image
-
-    write_image(mask_preview(capture, names), target)
+        write_image(mask_preview(replace(small, label_maps=maps), names), place / SCENE_PREVIEW)
+        preview, photos = place / SCENE_PREVIEW, sum(bool(labels.any()) for labels in maps)
+        lines.append(f"Picture: {preview}, the objects of its Gaussians in some views.")
+    if names:
+        lines += next_lines(stylize_command(place, [*names.values()][-1]))
+    values = {"scene": place, "preview": preview, "photos": photos, "of": len(scene.cameras)}
+    return Answer({**values, "ids": list(ids), "names": names}, lines)

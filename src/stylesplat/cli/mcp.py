@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from stylesplat.cli.options import PICTURES, Command
+from stylesplat.cli.results import Answer
 from stylesplat.errors import StyleSplatError, brief
 
 if TYPE_CHECKING:
@@ -35,11 +36,11 @@ class Mcp(Command):
     root: Positional[Path] = Path()
     """Folder that all paths have to lie in; relative ones start there."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.cli import VERBS
 
         mcp_server(self.root, VERBS).run("stdio")
-        return {}
+        return Answer({})
 
 
 def mcp_server(root: Path, verbs: Mapping[str, type]) -> "MCPServer":

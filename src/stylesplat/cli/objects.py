@@ -10,14 +10,9 @@ from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
 from stylesplat.cli.arguments import parse_place
-from stylesplat.cli.options import (
-    EditingCommand,
-    MakingCommand,
-    OptionalOutput,
-    SceneFolder,
-    refuse_picture,
-)
+from stylesplat.cli.options import EditingCommand, MakingCommand, OptionalOutput, SceneFolder
 from stylesplat.cli.results import (
+    Answer,
     next_lines,
     object_commands,
     optional_picture,
@@ -42,49 +37,51 @@ class Objects(MakingCommand):
     output: OptionalOutput = None
     """Picture of the sheet; by default objects.png in the scene, which is replaced."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.figures.sheets import object_sheet
         from stylesplat.io.images import write_image
         from stylesplat.selection.identities import UNLABELLED
         from stylesplat.verbs.objects import extents
 
         if self.output is not None:
-            refuse_picture(self.output, overwrite=self.overwrite)
-        scene = ss.open(self.scene)
+            self.refuse_picture(self.output)
+        scene, found, sheet = ss.open(self.scene), list[dict[str, Any]](), None
         if scene.splats.classifier is None:
             say(f"No objects are known, so there is no sheet. {UNLABELLED}")
-            return {"objects": [], "sheet": None, **extents(scene)}
-        if self.output is None:
-            refuse_file(self.scene / SHEET, overwrite=True)
-        found = ss.objects(scene)
-        names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
-        target = self.output or self.scene / SHEET
-        with changing(self.output or self.scene):
-            write_image(object_sheet(scene.splats, scene.cameras, names=names), target)
-        return {"objects": found, "sheet": target, **extents(scene)}
+        else:
+            if self.output is None:
+                refuse_file(self.scene / SHEET, overwrite=True)
+            found, sheet = ss.objects(scene), self.output or self.scene / SHEET
+            names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
+            with changing(self.output or self.scene):
+                write_image(object_sheet(scene.splats, scene.cameras, names=names), sheet)
+        places = extents(scene)
+        lines = [*_object_lines(found, places)]
+        if sheet is not None:
+            lines.append(f"Picture: {sheet}")
+        if found or places["named"]:
+            command = object_commands(self.scene, [*places["named"]], labelled=True)[-1]
+            lines += next_lines(command)
+        return Answer({"objects": found, "sheet": sheet, **places}, lines)
 
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        from stylesplat.scene.one_line import counted
 
-        named, ids = dict(result["named"]), dict[str, int]()
-        for each in result["objects"]:
-            own, count = each["own"], each["gaussians"]
-            same = [n for n in each["names"] if n in named and named[n]["gaussians"] == count]
-            for name in same:  # one line for both
-                del named[name]
-            ids |= dict.fromkeys(each["names"], each["id"])
-            called = ", ".join([f"id {each['id']}", *same])
-            sure = f", {each['confidence']:.0%} sure" if "confidence" in each else ""
-            yield f"{called}: {counted(count, 'Gaussian')}, {own:,} its own{sure}{_box(each)}"
-        for name, place in named.items():  # unions, parts, and what a style has changed
-            called = f"{name} (id {ids[name]})" if name in ids else name
-            yield f"{called}: {counted(place['gaussians'], 'Gaussian')}{_box(place)}"
-        yield f"all content{_box(result['content'])}"
-        if result["sheet"]:
-            yield f"Picture: {result['sheet']}"
-        if result["named"] or result["objects"]:
-            names = [*result["named"]]
-            yield from next_lines(object_commands(self.scene, names, labelled=True)[-1])
+def _object_lines(objects: list[dict[str, Any]], places: dict[str, Any]) -> Iterator[str]:
+    from stylesplat.scene.one_line import counted
+
+    named, ids = dict(places["named"]), dict[str, int]()
+    for each in objects:
+        own, count = each["own"], each["gaussians"]
+        same = [n for n in each["names"] if n in named and named[n]["gaussians"] == count]
+        for name in same:  # one line for both
+            del named[name]
+        ids |= dict.fromkeys(each["names"], each["id"])
+        called = ", ".join([f"id {each['id']}", *same])
+        sure = f", {each['confidence']:.0%} sure" if "confidence" in each else ""
+        yield f"{called}: {counted(count, 'Gaussian')}, {own:,} its own{sure}{_box(each)}"
+    for name, place in named.items():  # unions, parts, and what a style has changed
+        called = f"{name} (id {ids[name]})" if name in ids else name
+        yield f"{called}: {counted(place['gaussians'], 'Gaussian')}{_box(place)}"
+    yield f"all content{_box(places['content'])}"
 
 
 def _box(place: dict[str, Any]) -> str:
@@ -150,7 +147,7 @@ class Select(EditingCommand):
     picture: bool = True
     """Draw no picture of it into the scene."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         if self.model is not None and not self.text:
             raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
         selection_file(self.folder, self.name)  # raises before the work
@@ -162,24 +159,23 @@ class Select(EditingCommand):
             for name, each in after.objects.items()
             if each.picked[found.picked].all() and each.picked.sum() > found.picked.sum()
         ]
-        how = {**found.how, "within": within}
-        return {"name": self.name, **how, "scene": self.folder, "picture": picture}
+        values = {"name": self.name, **found.how, "within": within}
+        lines = [f"{self.name}: {values['gaussians']:,} Gaussians."]
+        lines += [
+            f"All of them are part of {whole}, too. With --of {whole} the rest stays its own; "
+            f"--minus {self.name} takes them away from another selection."
+            for whole in within
+        ]
+        lines += next_lines(stylize_command(self.folder, self.name))
+        return Answer({**values, "scene": self.folder, "picture": picture}, lines)
 
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        yield f"{self.name}: {result['gaussians']:,} Gaussians."
-        for whole in result["within"]:
-            yield (
-                f"All of them are part of {whole}, too. With --of {whole} the rest stays its own; "
-                f"--minus {self.name} takes them away from another selection."
-            )
-        yield from next_lines(stylize_command(result["scene"], self.name))
-
-    def after_answer(self, result: dict[str, Any]) -> None:
+    def after_answer(self, values: dict[str, Any]) -> None:
         if self.picture and not self.json and (picture := self._draw()):
             what = "the selected Gaussians in colour, in blue those of them that get no paint"
             say(f"Picture: {picture}, {what}.")
 
     def _select(self, scene: "ss.Scene") -> "ss.Scene":
+        same = ("of", "size", "text", "rows", "all", "background", "grow", "shrink")
         return ss.select(
             scene,
             self.name,
@@ -187,21 +183,14 @@ class Select(EditingCommand):
             box=_places(self.box, "VIEW:x0,y0,x1,y1"),
             point=_places(self.point, "VIEW:x,y"),
             not_point=_places(self.not_point, "VIEW:x,y"),
-            of=self.of,
-            size=self.size,
-            text=self.text,
             box3d=_places(self.box3d, "x0,y0,z0,x1,y1,z1"),
             sphere=_places(self.sphere, "x,y,z,RADIUS", "VIEW:x,y,RADIUS"),
-            rows=self.rows,
             plus=[*chain(*self.plus)],
             minus=[*chain(*self.minus)],
-            all=self.all,
-            background=self.background,
-            grow=self.grow,
-            shrink=self.shrink,
             threshold=self.threshold,
             remove_outliers=not self.keep_outliers,
             model=self.model,
+            **{name: getattr(self, name) for name in same},
         )
 
     def _draw(self) -> Path | None:
@@ -241,15 +230,13 @@ class Rename(EditingCommand):
     new: Positional[str]
     """Its new name."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         after = self.rewrite(lambda scene: ss.rename(scene, self.old, self.new))
         picture = selection_file(self.folder, self.new)
-        found = {"name": self.new, "was": self.old, **after.objects[self.new].how}
-        return found | {"scene": self.folder, "picture": picture if picture.is_file() else None}
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        yield f"{result['was']} is called {result['name']} now."
-        yield from next_lines(stylize_command(result["scene"], self.new))
+        values = {"name": self.new, "was": self.old, **after.objects[self.new].how}
+        values |= {"scene": self.folder, "picture": picture if picture.is_file() else None}
+        command = stylize_command(self.folder, self.new)
+        return Answer(values, [f"{self.old} is called {self.new} now.", *next_lines(command)])
 
 
 @dataclass(frozen=True)
@@ -262,10 +249,9 @@ class Delete(EditingCommand):
     name: Positional[str]
     """The object's name."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         after = self.rewrite(lambda scene: ss.delete(scene, self.name))
-        return {"scene": self.folder, "deleted": self.name, "names": [*after.objects]}
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        left = ", ".join(result["names"]) or "none"
-        yield f"{result['scene']}: deleted the name {result['deleted']!r}. Names: {left}."
+        left = ", ".join(after.objects) or "none"
+        line = f"{self.folder}: deleted the name {self.name!r}. Names: {left}."
+        values = {"scene": self.folder, "deleted": self.name, "names": [*after.objects]}
+        return Answer(values, [line])

@@ -1,13 +1,13 @@
-"""The base of all commands, options that several verbs share, and checks of options."""
+"""The base of all commands, and options that several verbs share."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from stylesplat.cli.results import rewrite_scene
+from stylesplat.cli.results import Answer, rewrite_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
 from stylesplat.stylization.config import Network
@@ -21,6 +21,10 @@ OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
 Device = Annotated[
     Literal["auto", "cpu", "cuda"],
     arg(help="Where to compute; auto uses an NVIDIA GPU if there is one."),
+]
+StylePreset = Annotated[
+    Literal["default", "paper"],
+    arg(help="Settings to start from; paper is the method as published, with --features vgg16."),
 ]
 Features = Annotated[
     Network | None,
@@ -47,16 +51,19 @@ class Command:
 
     json: Annotated[bool, arg(help="Print the result as JSON on stdout.")] = False
 
-    def run(self) -> dict[str, Any]:
-        """Run the verb, and return what `--json` prints."""
+    def run(self) -> Answer:
+        """Run the verb."""
         raise NotImplementedError
 
-    def words(self, result: dict[str, Any]) -> Iterable[str]:
-        """Lines for people: what was made, and the next commands."""
-        return ()
+    def after_answer(self, values: dict[str, Any]) -> None:
+        """Do what nobody has to wait for: the answer with these values is printed already."""
 
-    def after_answer(self, result: dict[str, Any]) -> None:
-        """Do what nobody has to wait for: the result is printed already."""
+    def refuse_given(self, names: tuple[str, ...], why: str) -> None:
+        """Raise a StyleSplatError if an option is given that would change nothing."""
+        for name in names:
+            if getattr(self, name):
+                option = NAMES.get(name, name).replace("_", "-")
+                raise StyleSplatError(f"--{option} means nothing with {why}. Leave it out.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +71,13 @@ class MakingCommand(Command):
     """A verb that makes files."""
 
     overwrite: Annotated[bool, arg(help="Replace what the output holds.")] = False
+
+    def refuse_picture(self, output: Path) -> None:
+        """Raise a StyleSplatError if no picture can be written to a file."""
+        if output.suffix.lower() not in PICTURES:
+            names = ", ".join(PICTURES)
+            raise StyleSplatError(f"Cannot draw into {output}: use a name in {names}.")
+        refuse_file(output, overwrite=self.overwrite)
 
 
 @dataclass(frozen=True)
@@ -83,18 +97,3 @@ class EditingCommand(MakingCommand):
     def rewrite(self, change: "Callable[[Scene], Scene]") -> "Scene":
         """Open the scene, change it, and save it."""
         return rewrite_scene(self.scene, self.output, change, overwrite=self.overwrite)
-
-
-def refuse_given(command: object, names: tuple[str, ...], why: str) -> None:
-    """Raise a StyleSplatError if an option is given that would change nothing."""
-    for name in names:
-        if getattr(command, name):
-            option = NAMES.get(name, name).replace("_", "-")
-            raise StyleSplatError(f"--{option} means nothing with {why}. Leave it out.")
-
-
-def refuse_picture(output: Path, *, overwrite: bool) -> None:
-    """Raise a StyleSplatError if no picture can be written to a file."""
-    if output.suffix.lower() not in PICTURES:
-        raise StyleSplatError(f"Cannot draw into {output}: use a name in {', '.join(PICTURES)}.")
-    refuse_file(output, overwrite=overwrite)

@@ -1,15 +1,15 @@
 """`stylesplat render`."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from tyro.conf import UseAppendAction
 
 import stylesplat as ss
 from stylesplat.cli.options import Device, MakingCommand, Output, SceneFolder
+from stylesplat.cli.results import Answer
 from stylesplat.errors import StyleSplatError
 
 MOST_PIXELS = 16_384  # along a picture's side
@@ -50,8 +50,9 @@ class Render(MakingCommand):
     """Frames a second of a video; by default 30, or what the path says."""
     device: Device = "auto"
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.io.view_files import is_video, refuse_taken, write_views
+        from stylesplat.scene.one_line import counted
 
         refuse_taken(self.output, overwrite=self.overwrite)
         cameras, fps = self._cameras(scene := ss.open(self.scene))
@@ -66,12 +67,8 @@ class Render(MakingCommand):
         )
         del scene  # the colours before a style, for example, need not stay in memory
         write_views(views.names, views.pictures, self.output, overwrite=self.overwrite, fps=fps)
-        return {"output": self.output, "views": len(views)}
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        from stylesplat.scene.one_line import counted
-
-        yield f"{self.output}: {counted(result['views'], 'view')}."
+        values = {"output": self.output, "views": len(views)}
+        return Answer(values, [f"{self.output}: {counted(len(views), 'view')}."])
 
     def _cameras(self, scene: "ss.Scene") -> "tuple[ss.Cameras, float | None]":
         """The cameras to render from, and the frames a second that were asked for."""

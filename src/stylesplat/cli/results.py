@@ -4,8 +4,9 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,16 @@ OUT_OF_MEMORY = (
     "Gaussians."
 )
 BUG = "This is a mistake in stylesplat. Please report it, with all these lines."
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command has made or found."""
+
+    values: dict[str, Any]
+    """What `--json` prints."""
+    lines: Sequence[str] = ()
+    """For people: what was made, and the next commands."""
 
 
 @contextmanager
@@ -101,8 +112,8 @@ def selection_file(scene: Path, name: str) -> Path:
     return inside(scene, f"selections/{file_stem(name)}.png")
 
 
-def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") -> dict[str, Any]:
-    """Draw a painted scene before and after, for `before_after_line`."""
+def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") -> Answer:
+    """Draw a painted scene before and after, in the view that shows most of its objects."""
     from stylesplat.figures.sheets import before_after
     from stylesplat.io.images import write_image
 
@@ -111,36 +122,44 @@ def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") 
         target.unlink(missing_ok=True)  # it shows an earlier painting
         found = before_after(scene, device=device)
         if found is not None:
-            write_image(found[1], target)
-            return {"before_after": target, "before_after_view": found[0]}
-    return {"before_after": None}
-
-
-def before_after_line(result: Mapping[str, Any]) -> Iterator[str]:
-    """The line that names that picture and its view, if there is one."""
-    if result["before_after"]:
-        yield f"Picture: {result['before_after']} (view {result['before_after_view']})"
+            view, picture = found
+            write_image(picture, target)
+            values = {"before_after": target, "before_after_view": view}
+            return Answer(values, [f"Picture: {target} (view {view})"])
+    return Answer({"before_after": None})
 
 
 def describe_scene(
-    scene: "ss.Scene", capture: "ss.Capture | None", folder: Path, *, device: str = "auto"
-) -> dict[str, Any]:
-    """Describe a new scene, and draw one of its views beside the photo, a held-out one if any."""
+    scene: "ss.Scene",
+    capture: "ss.Capture | None",
+    folder: Path,
+    *,
+    device: str = "auto",
+    photos: bool = True,
+) -> Answer:
+    """Describe a new scene, and draw one of its views beside the photo, a held-out one if any.
+
+    `photos` says whether it was made from photos; without them its views can be masked.
+    """
     from stylesplat.figures.sheets import beside_photo, one_view
     from stylesplat.io.images import write_image
 
-    names = scene.held_out or scene.cameras.names
-    name = names[len(names) // 2]
+    views = scene.held_out or scene.cameras.names
+    view = views[len(views) // 2]
     target = folder / ("view.png" if capture is None else "photo_and_render.png")
-    described = {"scene": folder, "picture": None, "objects": sorted(scene.objects)}
+    labelled, names = scene.splats.classifier is not None, sorted(scene.objects)
+    values = {"scene": folder, "picture": None, "objects": names, "labelled": labelled}
+    lines = [f"Objects: {', '.join(names)}."] if names else []
     with optional_picture():
         if capture is None:
-            picture = one_view(scene, name, device=device)
+            picture = one_view(scene, view, device=device)
         else:
-            picture = beside_photo(scene, capture, name, device=device)
+            picture = beside_photo(scene, capture, view, device=device)
         write_image(picture, target)
-        described["picture"] = target
-    return described | {"labelled": scene.splats.classifier is not None}
+        values["picture"] = target
+        lines = [f"Picture: {target}", *lines]
+    commands = object_commands(folder, names, labelled=labelled, photos=photos)
+    return Answer(values, [*lines, *next_lines(*commands)])
 
 
 @contextmanager
@@ -174,6 +193,18 @@ def stylize_command(scene: Path, name: str) -> str:
     return pasted("stylize", scene, "--style", style, "-o", unused(scene, "-painted"))
 
 
+def train_command(capture: Path) -> str:
+    return pasted("train", capture, "-o", unused(capture, "-scene"))
+
+
+def export_command(scene: Path) -> str:
+    return pasted("export", scene, unused(scene, ".ply"))
+
+
+def video_command(scene: Path) -> str:
+    return pasted("render", scene, "-o", unused(scene, ".mp4"), "--views", "orbit")
+
+
 def mask_command(capture: Path) -> str:
     return pasted("mask", capture, "--box", "NAME=PHOTO:x0,y0,x1,y1")
 
@@ -193,19 +224,6 @@ def object_commands(
     by_box = pasted("mask", scene, "--box", "NAME=VIEW:x0,y0,x1,y1")
     look = pasted("render", scene, "-o", unused(scene, "-views"))
     return [look, by_place if photos else by_box]
-
-
-def new_scene_lines(result: Mapping[str, Any], *, photos: bool = True) -> Iterator[str]:
-    """The lines about a scene that `describe_scene` has described."""
-    if result["picture"]:
-        yield f"Picture: {result['picture']}"
-    names = result["objects"]
-    if names:
-        yield f"Objects: {', '.join(names)}."
-    labelled = result["labelled"]
-    yield from next_lines(
-        *object_commands(result["scene"], names, labelled=labelled, photos=photos)
-    )
 
 
 def exit_status(error: BaseException, command: object = None) -> int | None:

@@ -1,31 +1,23 @@
 """`stylesplat sfm` and `check`: the cameras of photos or of a video, which are found once."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.arguments import parse_place
-from stylesplat.cli.options import (
-    CONTINUES,
-    MakingCommand,
-    OptionalOutput,
-    Output,
-    refuse_picture,
-)
-from stylesplat.cli.results import mask_command, next_lines, pasted, unused
+from stylesplat.cli.arguments import from_config, parse_place
+from stylesplat.cli.options import CONTINUES, MakingCommand, OptionalOutput, Output
+from stylesplat.cli.results import Answer, mask_command, next_lines, train_command
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, partial_of
-from stylesplat.io.files import is_file, is_there, real_path
 from stylesplat.progress import say
+from stylesplat.structure_from_motion.config import SfmConfig
+from stylesplat.structure_from_motion.earlier_capture import capture_place, find_earlier_capture
 
-if TYPE_CHECKING:
-    from stylesplat.io.captures.sfm_file import SfmRecord
-
-SUFFIX = "-capture"  # after the name of the photos' folder
+SETTINGS = from_config(SfmConfig, "matching", "cameras", "seed")
 Drawn = Iterable[tuple[str, Sequence[float] | None]]
 
 
@@ -42,23 +34,18 @@ class Sfm(MakingCommand):
     """Folder of the capture to make. An interrupted run is kept beside it, and continues."""
     frames: int = 100
     """About how many frames of a video to take."""
-    matching: Literal["auto", "exhaustive", "sequential", "similar"] = "auto"
-    """Which photos are compared: all with all, each with the next ones, or those that look alike;
-    auto goes by their number and order."""
     masks: Path | None = None
     """Folder of masks named like the photos, or COCO JSON: poses come from what they show, all that
     is black is ignored. For an object on a turntable."""
     object: str | None = None
     """VIEW:x0,y0,x1,y1, a box around such an object in one photo, in that photo's pixels: it is
     followed into the others."""
-    cameras: Literal["auto", "one", "several"] = "auto"
-    """One lens for all photos of a size and a camera, one for all of a size, or one for each."""
-    seed: int = 0
-    """The same seed and number of threads give the same poses."""
+    settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
     after_interruption: ClassVar[str] = CONTINUES
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.io.captures.sfm_file import SFM_FILE, read_sfm
+        from stylesplat.verbs.sfm import PICTURE
 
         ss.sfm(
             self.source,
@@ -66,14 +53,12 @@ class Sfm(MakingCommand):
             frames=self.frames,
             masks=self.masks,
             box=self.object and parse_place(self.object, "VIEW:x0,y0,x1,y1"),
-            matching=self.matching,
-            cameras=self.cameras,
-            seed=self.seed,
             overwrite=self.overwrite,
+            **self.settings,
         )
         record = read_sfm(self.output)
         assert record is not None, SFM_FILE
-        return {
+        values = {
             **record.numbers,
             "capture": self.output,
             "photos": record.given,
@@ -81,15 +66,10 @@ class Sfm(MakingCommand):
             "left_out": record.left_out,
             "unregistered": record.unregistered,
         }
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        from stylesplat.verbs.sfm import PICTURE
-
-        posed = f"{result['registered']} of {result['photos']} photos with their cameras"
-        yield f"{self.output}: {posed}."
-        if (picture := self.output / PICTURE).is_file():
-            yield f"Picture: {picture}, the cameras and points from above and the side."
-        yield from next_lines(mask_command(self.output))
+        posed = f"{record.registered} of {record.given} photos with their cameras"
+        picture = f"{self.output / PICTURE}, the cameras and points from above and the side"
+        lines = (f"{self.output}: {posed}.", f"Picture: {picture}.")
+        return Answer(values, [*lines, *next_lines(mask_command(self.output))])
 
 
 @dataclass(frozen=True)
@@ -104,15 +84,15 @@ class Check(MakingCommand):
     output: OptionalOutput = None
     """Picture to make: cameras and points from above and from the side."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.figures.capture_picture import capture_picture
-        from stylesplat.io.captures.capture_folder import open_capture
+        from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
         from stylesplat.io.images import write_image
         from stylesplat.io.kinds import is_posed, kind_of, wrong_kind
         from stylesplat.structure_from_motion.image_measures import SIDE
 
         if self.output is not None:
-            refuse_picture(self.output, overwrite=self.overwrite)
+            self.refuse_picture(self.output)
         folder = self.capture
         if kind_of(folder) == "nothing":
             raise wrong_kind(folder, "capture")
@@ -121,24 +101,20 @@ class Check(MakingCommand):
         files = open_capture(folder, masks=False)
         capture = files.at(files.cameras.shrink_to(SIDE))
         report = ss.check(capture)
-        if self.output is None:
-            return report.summary()
-        with changing(self.output):
-            write_image(capture_picture(capture, report), self.output)
-        return report.summary() | {"picture": self.output}
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        from stylesplat.io.captures.capture_folder import OBJECT_MASK
-
-        width = max(map(len, result["findings"]))
-        for what, found in result["findings"].items():
-            advice = f" {found['advice']}" if found["advice"] else ""
-            yield f"{what:{width}}  {found['verdict']}  {found['says']}.{advice}"
-        if "picture" in result:
-            yield f"Picture: {result['picture']}, the cameras and points from above and the side."
+        values = report.summary()
+        width = max(map(len, values["findings"]))
+        lines = [
+            f"{what:{width}}  {found['verdict']}  {found['says']}. {found['advice']}".rstrip()
+            for what, found in values["findings"].items()
+        ]
+        if self.output is not None:
+            with changing(self.output):
+                write_image(capture_picture(capture, report), self.output)
+            values["picture"] = self.output
+            lines.append(f"Picture: {self.output}, the cameras and points from above and the side.")
         masked = (self.capture / OBJECT_MASK).is_dir()
-        train = pasted("train", self.capture, "-o", unused(self.capture, "-scene"))
-        yield from next_lines(train if masked else mask_command(self.capture))
+        command = train_command(self.capture) if masked else mask_command(self.capture)
+        return Answer(values, [*lines, *next_lines(command)])
 
 
 def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path:
@@ -190,52 +166,3 @@ def _check_drawn(given: Path, drawn: Drawn) -> None:
         name = photos[find_name(view, photos)]
         if box is not None:
             check_box(box, image_sizes(given / name)[1], name)
-
-
-def capture_place(given: Path, *, beside: Path) -> Path:
-    """The folder for the capture of photos or a video, which is never among the photos."""
-    own, folder = real_path(given), real_path(beside).parent
-    if folder.is_relative_to(own):
-        folder = own.parent
-    return folder / f"{own.stem if is_file(own) else own.name}{SUFFIX}"
-
-
-def find_earlier_capture(given: Path, *, beside: Path) -> Path | None:
-    """The capture that was made of photos or a video; an error if these have changed since."""
-    from stylesplat.io.captures.sfm_file import read_sfm
-    from stylesplat.verbs.sfm import source_digest
-
-    stale = None
-    for place in dict.fromkeys(capture_place(given, beside=near) for near in (given, beside)):
-        record = read_sfm(place)
-        if record is not None and Path(record.source) == given.resolve():
-            if record.digest == source_digest(given):
-                return place
-            stale = place
-    if stale is None:
-        return None
-    raise StyleSplatError(
-        f"The photos in {given} have changed since {stale} was made of them. Make it again with "
-        f"`stylesplat sfm {given} -o {stale} --overwrite` (its label maps are kept), or use it as "
-        "it is: name it in place of the photos."
-    )
-
-
-def view_of_photo(name: str, record: "SfmRecord | None") -> str:
-    """The name in a capture of a photo that the user knows by its own name."""
-    if record is None:
-        return name
-    unposed = record.left_out | record.unregistered
-    views = {own: view for view, own in record.origins.items()}
-    if name not in unposed | views:
-        alike = [own for own in unposed | views if Path(own).with_suffix("").as_posix() == name]
-        name = alike[0] if len(alike) == 1 else name
-    if name in unposed:
-        raise StyleSplatError(f"The photo {name} has no pose: {unposed[name]}. Take another one.")
-    return views.get(name, name)
-
-
-def is_sfm_unfinished(given: Path, *, beside: Path) -> bool:
-    """Whether `find_photos_capture` would continue an interrupted run."""
-
-    return is_there(partial_of(capture_place(given, beside=beside)) / "sfm")

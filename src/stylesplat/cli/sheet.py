@@ -1,23 +1,15 @@
 """`stylesplat sheet`."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.cli.arguments import from_config, parse_style
-from stylesplat.cli.options import (
-    Device,
-    Features,
-    MakingCommand,
-    Output,
-    Weights,
-    refuse_picture,
-)
-from stylesplat.cli.results import unused
+from stylesplat.cli.options import Device, Features, MakingCommand, Output, StylePreset, Weights
+from stylesplat.cli.results import Answer, unused
 from stylesplat.cli.stylize import SETTINGS
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.arguments import pasted
@@ -49,8 +41,7 @@ class Sheet(MakingCommand):
     nothing."""
     view: str | None = None
     """Name of the photo to look from; by default the one that shows most of the object."""
-    preset: Literal["default", "paper"] = "default"
-    """Settings to start from; paper is the method as published, with --features vgg16."""
+    preset: StylePreset = "default"
     settings: Annotated[dict[str, Any], from_config(StyleConfig, "steps", "seed")] = field(
         default_factory=dict
     )
@@ -58,28 +49,24 @@ class Sheet(MakingCommand):
     weights: Weights = None
     device: Device = "auto"
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         variations = self._variations()
         commands = self._commands(variations)
-        if self.pick is None:
-            return {**self._draw(variations), "commands": commands}
         cells = {
             f"{row},{column}": command
             for row, line in enumerate(commands, 1)
             for column, command in enumerate(line, 1)
         }
-        check_choice(self.pick, "cell", cells)
-        return {"command": cells[self.pick]}
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        if "command" in result:
-            yield result["command"]
-            return
-        yield f"{self.output}: {result['cells']} pictures, seen from {result['view']}."
-        yield "To paint the scene like one of the cells (--pick ROW,COLUMN prints its line again):"
-        for row, commands in enumerate(result["commands"], 1):
-            for column, command in enumerate(commands, 1):
-                yield f"{row},{column}:  {command}"
+        if self.pick is not None:
+            check_choice(self.pick, "cell", cells)
+            return Answer({"command": cells[self.pick]}, [cells[self.pick]])
+        drawn = self._draw(variations)
+        lines = (
+            f"{self.output}: {drawn['cells']} pictures, seen from {drawn['view']}.",
+            "To paint the scene like one of the cells (--pick ROW,COLUMN prints its line again):",
+            *(f"{cell}:  {command}" for cell, command in cells.items()),
+        )
+        return Answer({**drawn, "commands": commands}, lines)
 
     def _draw(self, variations: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
         from stylesplat.io.atomic import changing
@@ -88,7 +75,7 @@ class Sheet(MakingCommand):
         from stylesplat.verbs.sheet import sheet
 
         with changing(self.output):
-            refuse_picture(self.output, overwrite=self.overwrite)
+            self.refuse_picture(self.output)
             made = sheet(
                 open(self.scene),
                 parse_style(self.style[0])[0],

@@ -1,9 +1,8 @@
 """`stylesplat stylize`; `recolor`, without a style; and `adjust`, how strong the paint is."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction
 
@@ -16,12 +15,14 @@ from stylesplat.cli.options import (
     MakingCommand,
     Output,
     SceneFolder,
+    StylePreset,
     Weights,
 )
 from stylesplat.cli.results import (
     BEFORE_AFTER,
-    before_after_line,
+    Answer,
     draw_before_after,
+    export_command,
     new_scene,
     next_lines,
     pasted,
@@ -73,24 +74,24 @@ class Stylize(MakingCommand):
     """Name of an object that gets no paint, such as the eyes of a face (`select --of` makes such
     parts). May be repeated."""
     settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
-    preset: Literal["default", "paper"] = "default"
-    """Settings to start from; paper is the method as published, with --features vgg16."""
+    preset: StylePreset = "default"
     features: Features = None
     weights: Weights = None
     device: Device = "auto"
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
+        from stylesplat.evaluation.summary import style_lines
         from stylesplat.io.scene_folder import revise
 
-        recipe = self._recipe()
-        picture = dict[str, Any]()
+        recipe, picture = self._recipe(), Answer({})
         with new_scene(self.output, overwrite=self.overwrite) as save:
 
             def on_painted(scene: "ss.Scene") -> None:
+                nonlocal picture
                 save(scene)
                 say(f"The painted scene is in {self.output}. Measuring and drawing are left to do.")
                 tidy_heap()
-                picture.update(draw_before_after(scene, self.output, device=self.device))
+                picture = draw_before_after(scene, self.output, device=self.device)
                 tidy_heap()
 
             styled = ss.stylize(
@@ -104,19 +105,15 @@ class Stylize(MakingCommand):
             )
             revise(replace(styled, metrics={}), styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
-        return {"scene": self.output, **picture, **numbers}
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        from stylesplat.evaluation.summary import style_lines
-
-        yield f"{self.output}: painted."
-        yield from before_after_line(result)
         softer = unused(self.output, "-softer")
-        yield from next_lines(
-            pasted("adjust", self.output, "--intensity", 0.7, "-o", softer),
-            pasted("export", self.output, unused(self.output, ".ply")),
+        adjust = pasted("adjust", self.output, "--intensity", 0.7, "-o", softer)
+        lines = (
+            f"{self.output}: painted.",
+            *picture.lines,
+            *next_lines(adjust, export_command(self.output)),
+            *style_lines(numbers, numbers["seconds_by_object"]),
         )
-        yield from style_lines(result, result["seconds_by_object"])
+        return Answer({"scene": self.output, **picture.values, **numbers}, lines)
 
     def _recipe(self) -> "Recipe":
         """The recipe in the file, or that of the styles, which all have the same settings."""
@@ -159,22 +156,21 @@ class Recolor(EditingCommand):
     strength: float = 1.0
     """How much of the change to blend in, 0 to 1.5."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         def change(scene: "ss.Scene") -> "ss.Scene":
             return ss.recolor(scene, self.object, strength=self.strength, **self.settings)
 
         with changing(self.folder):
             picture = draw_before_after(self.rewrite(change), self.folder)
-        return {"scene": self.folder, "recolored": list(self.object), **picture}
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        yield f"{self.folder}: {', '.join(self.object)} recoloured."
-        yield from before_after_line(result)
         place, name = unused(self.folder, "-before"), f"{self.object[0]}/recolor"
-        yield from next_lines(
-            pasted("adjust", self.folder, "--object", name, "--undo", "-o", place),
-            pasted("export", self.folder, unused(self.folder, ".ply")),
+        undo = pasted("adjust", self.folder, "--object", name, "--undo", "-o", place)
+        lines = (
+            f"{self.folder}: {', '.join(self.object)} recoloured.",
+            *picture.lines,
+            *next_lines(undo, export_command(self.folder)),
         )
+        values = {"scene": self.folder, "recolored": list(self.object), **picture.values}
+        return Answer(values, lines)
 
 
 @dataclass(frozen=True)
@@ -195,7 +191,7 @@ class Adjust(EditingCommand):
     picture: bool = True
     """Draw no picture of before and after, which takes longer than the rest."""
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.scene.compose import strengths_of
 
         if self.undo and self.output is None:
@@ -203,27 +199,24 @@ class Adjust(EditingCommand):
                 "Undoing keeps the styled scene. Pass a folder for the other with -o."
             )
         options = {"form": self.form, "objects": self.object, "undo": self.undo}
-        result: dict[str, Any] = {"scene": self.folder, "before_after": None}
+        picture = Answer({"before_after": None})
         with changing(self.folder):
             after = self.rewrite(lambda scene: ss.adjust(scene, self.intensity, **options))
-            if after.layers:
-                result |= {"intensity": strengths_of(after)}
             if after.layers and self.picture:
-                result |= draw_before_after(after, self.folder)
+                picture = draw_before_after(after, self.folder)
             elif not self.output:
                 (self.folder / BEFORE_AFTER).unlink(missing_ok=True)  # of an earlier strength
+        painted = strengths_of(after) if after.layers else {}
+        values: dict[str, Any] = {"scene": self.folder, **picture.values}
+        if painted:
+            values["intensity"] = painted
         if self.form is not None:
-            result["form"] = {each.object: each.form for each in after.layers}
-        return result
-
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        painted = result.get("intensity", {})
+            values["form"] = {each.object: each.form for each in after.layers}
         if self.undo:
             undone, left = ", ".join(self.object), ", ".join(painted)
             how = f"{undone} as before; {left} as painted" if left else "as before it was painted"
-            yield f"{self.folder}: {how}."
         else:
             strengths = (f"{name} at {100 * share:.0f} %" for name, share in painted.items())
-            yield f"{self.folder}: {', '.join(strengths)} of the style."
-        yield from before_after_line(result)
-        yield from next_lines(pasted("export", self.folder, unused(self.folder, ".ply")))
+            how = f"{', '.join(strengths)} of the style"
+        command = export_command(self.folder)
+        return Answer(values, [f"{self.folder}: {how}.", *picture.lines, *next_lines(command)])

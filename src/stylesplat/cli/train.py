@@ -3,26 +3,25 @@
 import math
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from datetime import timedelta
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.arguments import from_config, help_texts
-from stylesplat.cli.options import CONTINUES, Device, MakingCommand, Output, refuse_given
-from stylesplat.cli.results import describe_scene, new_scene, new_scene_lines, pasted
-from stylesplat.cli.sfm import find_photos_capture, is_sfm_unfinished
-from stylesplat.errors import StyleSplatError
+from stylesplat.cli.arguments import from_config
+from stylesplat.cli.options import CONTINUES, Device, MakingCommand, Output
+from stylesplat.cli.results import Answer, describe_scene, new_scene, pasted
+from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import is_there
 from stylesplat.progress import Observer, observed, say
 from stylesplat.signals import WHOLE
+from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished
 from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
 
 SETTINGS = from_config(
@@ -32,6 +31,7 @@ SETTINGS = from_config(
     "max_gaussians",
     "test_every",
     "color_correction",
+    "refine_poses",
     "seed",
     "max_memory",
 )
@@ -40,7 +40,6 @@ ENOUGH = TrainConfig.steps  # shorter runs gain most by more steps
 LARGE = 1600  # pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
 BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
 FINISHES = "`--finish` makes the scene of what there is."
-PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,6 @@ class Train(MakingCommand):
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
     settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
-    refine_poses: Annotated[bool, arg(help=help_texts(TrainConfig)["refine_poses"])] = False
     preset: Literal["default", "paper"] = "default"
     """Settings to start from; paper takes 30,000 steps."""
     segment: Segment | None = None
@@ -88,11 +86,11 @@ class Train(MakingCommand):
     def _checkpoint(self) -> Path:
         return partial_of(self.output) / f"checkpoint_{self._segment}.pt"
 
-    def run(self) -> dict[str, Any]:
+    def run(self) -> Answer:
         from stylesplat.training.checkpoint import require_checkpoint
         from stylesplat.training.state import Ranks
 
-        config = replace(PRESETS[self.preset], refine_poses=self.refine_poses, **self.settings)
+        config = replace(PRESETS[self.preset], **self.settings)
         train = partial(
             ss.train,
             config=config,
@@ -101,45 +99,44 @@ class Train(MakingCommand):
             checkpoint=self._checkpoint,
             finish=self.finish,
         )
-        with _torchrun(self.device) as is_first:
-            if not is_first:  # the first process prints and saves
+        with Ranks.of_torchrun(self.device) as ranks:
+            if ranks.number:  # the first process prints and saves
                 with observed(Observer()):
-                    Ranks.here().meet()  # the first process has found the poses
+                    ranks.meet()  # the first process has found the poses
                     train(self._capture())
                 sys.exit()
             if self.finish:
-                refuse_given(self, ("restart",), "--finish")
+                self.refuse_given(("restart",), "--finish")
                 require_checkpoint(self._checkpoint)
             with new_scene(self.output, overwrite=self.overwrite) as save:
                 capture = self._capture()
                 if self.restart:
                     self._delete_checkpoints()
-                Ranks.here().meet()
+                ranks.meet()
                 scene = train(capture)
                 if "max_seconds" in self.settings:
                     _mention_load()
                 save(scene)
                 self._delete_checkpoints()
-                described = describe_scene(scene, capture, self.output, device=self.device)
-        return {**scene.metrics, **described}
+                about = describe_scene(scene, capture, self.output, device=self.device)
+        lines = (*self.outcome(scene.metrics), *about.lines)
+        return Answer({**scene.metrics, **about.values}, lines)
 
-    def words(self, result: dict[str, Any]) -> Iterator[str]:
-        where = f"{result['gaussians']:,} Gaussians after {result['steps']:,} steps"
-        close = f", {result['psnr']:.1f} dB from photos held out" if "psnr" in result else ""
-        yield f"{self.output}: {where}{close}."
-        if "psnr" in result:
-            yield self._verdict(result["psnr"], result["steps"])
-        yield from new_scene_lines(result)
-
-    def _verdict(self, psnr: float, steps: int) -> str:
-        """What a PSNR of photos held out means, and what to do about it."""
-        if psnr >= GOOD:
-            return "That is good."
-        worth = "fair" if psnr >= FAIR else "poor"
-        if steps < ENOUGH:
-            return f"That is {worth}, and the run was short: train longer, up to --steps {ENOUGH}."
-        check = pasted("check", self.capture)
-        return f"That is {worth}: `{check}` says whether other photos would help."
+    def outcome(self, metrics: Mapping[str, Any]) -> Iterator[str]:
+        """How far it came; what the PSNR of photos held out means, and what to do about it."""
+        psnr, steps = metrics.get("psnr"), metrics["steps"]
+        close = "" if psnr is None else f", {psnr:.1f} dB from photos held out"
+        yield f"{self.output}: {metrics['gaussians']:,} Gaussians after {steps:,} steps{close}."
+        if psnr is None:
+            return
+        worth = "good" if psnr >= GOOD else "fair" if psnr >= FAIR else "poor"
+        if worth == "good":
+            yield "That is good."
+        elif steps < ENOUGH:
+            yield f"That is {worth}, and the run was short: train longer, up to --steps {ENOUGH}."
+        else:
+            check = pasted("check", self.capture)
+            yield f"That is {worth}: `{check}` says whether other photos would help."
 
     def _capture(self) -> "ss.Capture":
         folder = find_photos_capture(self.capture, beside=self.output)
@@ -170,40 +167,3 @@ def _mention_load() -> None:
             f"The machine was busy (load {load:.0f} on {cores} cores), so the run took fewer steps "
             "than in so many quiet seconds. Give more --max-seconds, or --steps."
         )
-
-
-@contextmanager
-def _torchrun(device: str) -> Iterator[bool]:
-    """Join the processes that `torchrun` started, if any; yields whether this is the first one.
-
-    Each process has a GPU of its own, or its share of the cores.
-    """
-    if "TORCHELASTIC_RUN_ID" not in os.environ or os.environ.get("WORLD_SIZE", "1") == "1":
-        yield True
-        return
-    import numba
-    import torch
-    import torch.distributed as dist
-
-    from stylesplat.rendering.render import pick_device
-
-    number, count = int(os.environ["LOCAL_RANK"]), int(os.environ["LOCAL_WORLD_SIZE"])
-    if pick_device(device).type == "cuda":
-        gpus = torch.cuda.device_count()
-        if count > gpus:
-            raise StyleSplatError(
-                f"There are {count} processes for {gpus} GPUs. Give torchrun "
-                f"`--nproc-per-node {gpus}`, or train with `--device cpu`."
-            )
-        torch.cuda.set_device(number)
-        backend = "nccl"
-    else:
-        share = max(1, numba.get_num_threads() // count)
-        numba.set_num_threads(share)
-        torch.set_num_threads(share)
-        backend = "gloo"
-    dist.init_process_group(backend, timeout=PATIENCE)
-    try:
-        yield dist.get_rank() == 0
-    finally:
-        dist.destroy_process_group()

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 import torch
@@ -38,34 +39,23 @@ def draw_grid(rows: Sequence[Row]) -> UInt8[Tensor, "H W 3"]:
     Rows are as high, and columns as wide, as their largest picture. Text that is wider than its
     place ends in an ellipsis.
     """
-    filled = [[cell for cell in row.cells if cell is not None] for row in rows]
-    heights = [max(picture.shape[0] for picture, _ in cells) for cells in filled]
-    widths = [0] * max(len(row.cells) for row in rows)
-    for row in rows:
-        for column, cell in enumerate(row.cells):
-            if cell is not None:
-                widths[column] = max(widths[column], cell[0].shape[1])
-    captions = [max(_caption_height(*cell) for cell in cells) for cells in filled]
+    cells = [[cell and _captioned(*cell) for cell in row.cells] for row in rows]
+    heights = [max(image.height for image in images if image) for images in cells]
+    widths = [
+        max((image.width for image in images if image), default=0) for images in zip_longest(*cells)
+    ]
     head = HEAD + MARGIN if any(row.label or row.pictures for row in rows) else 0
-    width = head + MARGIN + sum(widths) + MARGIN * len(widths)
-    height = MARGIN + sum(heights) + sum(captions) + MARGIN * len(rows)
-    sheet = Image.new("RGB", (width, height), PAPER)
+    width, height = (sum(sides) + MARGIN * (1 + len(sides)) for sides in (widths, heights))
+    sheet = Image.new("RGB", (head + width, height), PAPER)
     top = MARGIN
-    for row, high, caption in zip(rows, heights, captions, strict=True):
+    for row, images, high in zip(rows, cells, heights, strict=True):
         _draw_head(sheet, row, top, high)
         left = head + MARGIN
-        for cell, wide in zip(row.cells, widths, strict=False):
-            if cell is not None:
-                picture, text = cell
-                sheet.paste(Image.fromarray(picture.cpu().numpy()), (left, top))
-                title, _, note = text.partition("\n")
-                place, size = (left + 2, top + picture.shape[0] + 4), _title_size(picture)
-                room = picture.shape[1] - 2
-                _write_line(sheet, place, title, size, room, INK)
-                below = (place[0], place[1] + size + 9)
-                _write_line(sheet, below, note, NOTE_SIZE, room, FAINT_INK)
+        for image, wide in zip(images, widths, strict=False):
+            if image:
+                sheet.paste(image, (left, top))
             left += wide + MARGIN
-        top += high + caption + MARGIN
+        top += high + MARGIN
     return torch.from_numpy(np.array(sheet))
 
 
@@ -95,13 +85,16 @@ def add_legend(
     return torch.from_numpy(np.array(page))
 
 
-def _title_size(picture: GridPicture) -> int:
-    return max(TITLE_SIZE, picture.shape[1] // LETTERS)
-
-
-def _caption_height(picture: GridPicture, text: str) -> int:
-    second = NOTE_SIZE + 9 if "\n" in text else 0
-    return _title_size(picture) + CAPTION - TITLE_SIZE + second if text else 0
+def _captioned(picture: GridPicture, text: str) -> Image.Image:
+    title, line, note = text.partition("\n")
+    height, width, _ = picture.shape
+    size = max(TITLE_SIZE, width // LETTERS)
+    below = (size + CAPTION - TITLE_SIZE if text else 0) + (NOTE_SIZE + 9 if line else 0)
+    cell = Image.new("RGB", (width, height + below), PAPER)
+    cell.paste(Image.fromarray(picture.cpu().numpy()))
+    _write_line(cell, (2, height + 4), title, size, width - 2, INK)
+    _write_line(cell, (2, height + size + 13), note, NOTE_SIZE, width - 2, FAINT_INK)
+    return cell
 
 
 def _write_line(

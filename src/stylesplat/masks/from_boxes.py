@@ -12,7 +12,7 @@ from stylesplat.masks.box_propagation import grabcut_images, propagate_boxes, sp
 from stylesplat.masks.grabcut import Box, Stroke, pixels_inside, refuse_box
 from stylesplat.masks.import_masks import overlay_masks
 from stylesplat.masks.quick_splat import with_label_maps, working_splat
-from stylesplat.scene.arguments import Places, check_box, parse_places
+from stylesplat.scene.arguments import BOX, Places, check_box, parse_places
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.labels import BACKGROUND, Mask, OwnLabels, ids_of, resize_labels
@@ -114,7 +114,7 @@ def _place_boxes(boxes: Boxes, full: Cameras, small: Cameras) -> dict[tuple[str,
     """Boxes in pixels of the working size, by object's name and row of the view."""
     placed: dict[tuple[str, int], Box] = {}
     for name, places in boxes.items():
-        for view, box in parse_places(places, 4, "boxes"):
+        for view, box in parse_places(places, "boxes", in_view=BOX):
             row = full.index(view)
             if (name, row) in placed:
                 raise StyleSplatError(
@@ -147,7 +147,7 @@ def _marks(
     for boxes, belongs in ((keep, True), (drop, False)):
         for name, places in boxes.items():
             own = _known_name(name, [*names.values()])
-            for view, box in parse_places(places, 4, "keep" if belongs else "drop"):
+            for view, box in parse_places(places, "keep" if belongs else "drop", in_view=BOX):
                 row = full.index(view)
                 scaled = _scaled_box(check_box(box, full[row].size, view), full[row], small[row])
                 pixels = torch.from_numpy(pixels_inside(scaled, small[row].size))

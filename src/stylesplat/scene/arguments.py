@@ -15,6 +15,7 @@ Places = Sequence[Any]
 PickSize = Literal["part", "object", "group"]
 """How much a click picks."""
 
+BOX = "x0, y0, x1, y1"  # in a view
 OVERSHOOT = 0.05  # of a side, by which boxes may exceed a photo: `sfm` crops while undistorting
 
 
@@ -42,29 +43,36 @@ def check_point(point: tuple[float, float], size: tuple[int, int], name: str) ->
         )
 
 
-def parse_places(places: Places, count: int, what: str) -> tuple[tuple[str, Any], ...]:
-    """Separate the views' names and their numbers: 2 of a point, 4 of a box.
+def parse_places(
+    places: Places | None, what: str, *, in_view: str = "", in_world: str = ""
+) -> tuple[tuple[str, Any], ...]:
+    """Separate views' names, which are empty in the world, and numbers.
 
-    `what` is the name of the argument, for messages.
+    Args:
+        places: One place, or several.
+        what: The name of the argument, for messages.
+        in_view: The numbers of a place in a view, as `x, y` of a point; empty if there is none.
+        in_world: Those of a place in the world.
 
     Example:
-        >>> parse_places([("a.jpg", 1, 2), ("b.jpg", (3, 4))], 2, "point")
+        >>> parse_places([("a.jpg", 1, 2), ("b.jpg", (3, 4))], "point", in_view="x, y")
         (('a.jpg', (1.0, 2.0)), ('b.jpg', (3.0, 4.0)))
     """
     parsed = []
     for place in several(places):
-        view, *numbers = place if isinstance(place, Sequence) and len(place) else (None,)
-        if len(numbers) == 1 and isinstance(numbers[0], Sequence):
+        named = isinstance(place, Sequence) and len(place) and isinstance(place[0], str)
+        view, numbers = (place[0], place[1:]) if named else ("", place)
+        if named and len(numbers) == 1 and isinstance(numbers[0], Sequence):
             (numbers,) = numbers
         try:
             found = tuple(map(float, numbers))
         except (TypeError, ValueError):
             found = ()
-        if not isinstance(view, str) or len(found) != count:
-            raise StyleSplatError(
-                f"Cannot use {what}={place!r}. Give the name of a view and {count} numbers, its "
-                "pixels."
-            )
+        names = in_view if named else in_world
+        if not names or len(found) != names.count(",") + 1:
+            forms = [f"(view, {in_view})"] if in_view else []
+            forms += [f"({in_world})"] if in_world else []
+            raise StyleSplatError(f"Cannot use {what}={place!r}. Give {' or '.join(forms)}.")
         parsed.append((view, found))
     return tuple(parsed)
 

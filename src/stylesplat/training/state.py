@@ -1,19 +1,26 @@
 """What a training run carries from step to step, and what stays the same throughout."""
 
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import timedelta
 
+import numba
 import torch
 import torch.distributed as dist
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.at_once import RenderPool
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.training.adam import Moments
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import Views
 
+PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
 CLASSIFIER = ("weight", "bias")
 PER_PHOTO = ("color_maps", "pose_shifts")  # one row per training photo; no part of the splat
 STRIDE = 1_000_003  # a prime, so that seeds and steps hardly share random numbers
@@ -96,6 +103,36 @@ class Ranks:
         if dist.is_available() and dist.is_initialized():
             return cls(dist.get_rank(), dist.get_world_size())
         return cls()
+
+    @classmethod
+    @contextmanager
+    def of_torchrun(cls, device: str) -> Iterator["Ranks"]:
+        """Join the processes that `torchrun` has started, if any, within the block.
+
+        Each has a GPU of its own, or its share of the cores.
+        """
+        if "TORCHELASTIC_RUN_ID" not in os.environ or os.environ.get("WORLD_SIZE", "1") == "1":
+            yield cls.here()
+            return
+        number, count = int(os.environ["LOCAL_RANK"]), int(os.environ["LOCAL_WORLD_SIZE"])
+        if pick_device(device).type == "cuda":
+            gpus = torch.cuda.device_count()
+            if count > gpus:
+                raise StyleSplatError(
+                    f"There are {count} processes for {gpus} GPUs. Give torchrun "
+                    f"`--nproc-per-node {gpus}`, or train with `--device cpu`."
+                )
+            torch.cuda.set_device(number)
+        else:
+            share = max(1, numba.get_num_threads() // count)
+            numba.set_num_threads(share)
+            torch.set_num_threads(share)
+        backend = "nccl" if pick_device(device).type == "cuda" else "gloo"
+        dist.init_process_group(backend, timeout=PATIENCE)
+        try:
+            yield cls.here()
+        finally:
+            dist.destroy_process_group()
 
     def add_up(self, tensors: Iterable[Tensor]) -> None:
         """Replace each tensor by its sum over all processes; shapes are the same everywhere."""

@@ -12,12 +12,14 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_rows
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
-from stylesplat.scene.arguments import PickSize, Places, check_box, parse_places, several
+from stylesplat.scene.arguments import BOX, PickSize, Places, check_box, parse_places
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, choose, whole_of
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import THRESHOLD
 from stylesplat.selection.text import load_detector
+
+POINT, BOX3D = "x, y", "x0, y0, z0, x1, y1, z1"
 
 
 @check_arguments
@@ -94,14 +96,14 @@ def select(
     texts = (text,) if isinstance(text, str) else tuple(text or ())
     choice = Choice(
         ids=(id,) if isinstance(id, int) else tuple(id),
-        boxes=parse_places(box, 4, "box"),
-        points=parse_places(point, 2, "point"),
-        not_points=parse_places(not_point, 2, "not_point"),
+        boxes=parse_places(box, "box", in_view=BOX),
+        points=parse_places(point, "point", in_view=POINT),
+        not_points=parse_places(not_point, "not_point", in_view=POINT),
         of=of,
         size=size,
         text=texts,
-        box3d=tuple(map(_box3d, several(box3d))),
-        sphere=tuple(map(_sphere, several(sphere))),
+        box3d=tuple(corners for _, corners in parse_places(box3d, "box3d", in_world=BOX3D)),
+        sphere=parse_places(sphere, "sphere", in_view="x, y, radius", in_world="x, y, z, radius"),
         rows=_listed(scene, name, rows),
         plus=(plus,) if isinstance(plus, str) else tuple(plus),
         minus=(minus,) if isinstance(minus, str) else tuple(minus),
@@ -143,18 +145,3 @@ def _listed(
         return (("a mask", rows),)
     files = (rows,) if isinstance(rows, Path | str) else rows
     return tuple((str(file), read_rows(file, count, name)) for file in files)
-
-
-def _box3d(corners: Sequence[float]) -> tuple[float, ...]:
-    if len(corners) != 6:
-        raise StyleSplatError(f"Cannot select by box3d={corners!r}. Give x0, y0, z0, x1, y1, z1.")
-    return tuple(map(float, corners))
-
-
-def _sphere(place: Sequence[Any]) -> tuple[str, tuple[float, ...]]:
-    view, numbers = (place[0], place[1:]) if isinstance(place[0], str) else ("", place)
-    if len(numbers) != (3 if view else 4):
-        raise StyleSplatError(
-            f"Cannot select by sphere={place!r}. Give x, y, z, radius; or a view, x, y, radius."
-        )
-    return view, tuple(map(float, numbers))

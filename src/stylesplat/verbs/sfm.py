@@ -1,14 +1,13 @@
 """`sfm`: photos or a video in, a capture with poses out."""
 
-import hashlib
 import shutil
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import av
 import cv2
@@ -16,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.errors import StyleSplatError, check_choice, printable, some
+from stylesplat.errors import StyleSplatError, printable, some
 from stylesplat.figures.capture_picture import capture_picture
 from stylesplat.io.atomic import atomic_folder, changing, partial_of, refuse_occupied
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
@@ -28,21 +27,23 @@ from stylesplat.io.kinds import refuse_other_than_photos
 from stylesplat.io.label_maps import DrawnLabels
 from stylesplat.masks.import_masks import check_mask_source, import_label_maps
 from stylesplat.progress import say
-from stylesplat.scene.arguments import Places, check_box, parse_places
+from stylesplat.scene.arguments import BOX, Places, check_box, parse_places
 from stylesplat.scene.cameras import find_name
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
+from stylesplat.structure_from_motion.earlier_capture import source_digest
 from stylesplat.structure_from_motion.failures import two_motions
 from stylesplat.structure_from_motion.image_measures import SIDE
 from stylesplat.structure_from_motion.object_features import Box, Masks, cut_out_mask
-from stylesplat.structure_from_motion.photo_folder import PreparedPhotos, find_sources
+from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
 from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct
 from stylesplat.structure_from_motion.undistort import write_colmap
 from stylesplat.structure_from_motion.world_frame import move_to_working_frame
+from stylesplat.stylization.config import convert_settings
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
 
@@ -94,13 +95,12 @@ def sfm(
         >>> import stylesplat as ss
         >>> capture = ss.sfm("MyPhotos/", "MyPhotos-capture/")  # doctest: +SKIP
     """
-    for name in settings:
-        check_choice(name, "setting", [field.name for field in fields(SfmConfig)])
+    config = SfmConfig(**convert_settings(settings, get_type_hints(SfmConfig)))
     if masks is not None and box is not None:
         raise StyleSplatError("Both masks and a box say what to pose. Give one of them.")
     if masks is not None:
         check_mask_source(Path(masks))
-    config, source, output = SfmConfig(**settings), Path(source), Path(output).resolve()
+    source, output = Path(source), Path(output).resolve()
     refuse_other_than_photos(source)
     if output.is_relative_to(source.resolve()):
         raise StyleSplatError(f"{output} lies inside of {source}. Choose a folder outside of it.")
@@ -165,7 +165,7 @@ def _shown(drawn: DrawnLabels) -> Bool[np.ndarray, "H W"]:
 
 def _place_box(box: Places, photos: Path, prepared: PreparedPhotos) -> tuple[str, Box]:
     """The name that the photo of a box has in the capture, and the box."""
-    placed = parse_places(box, 4, "box")
+    placed = parse_places(box, "box", in_view=BOX)
     if len(placed) != 1:
         raise StyleSplatError(f"There are {len(placed)} boxes. Draw one, in the clearest photo.")
     view, corners = placed[0]
@@ -176,18 +176,6 @@ def _place_box(box: Places, photos: Path, prepared: PreparedPhotos) -> tuple[str
         )
     name = prepared.names[find_name(view, own)]
     return name, check_box(corners, image_sizes(inside(photos, name))[1], view)
-
-
-def source_digest(source: Path) -> str:
-    """SHA-256 of the names and sizes of the photos and videos."""
-    folder, names = source.parent, [source.name]
-    if source.is_dir():
-        found = find_sources(source, skip=partial_of(source))
-        folder, names = source, [*found.photos, *found.videos]
-    state = hashlib.sha256()
-    for name in names:
-        state.update(f"{name}\0{(folder / name).stat().st_size}\0".encode(errors="replace"))
-    return state.hexdigest()
 
 
 def _record(
