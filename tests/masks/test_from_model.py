@@ -74,7 +74,7 @@ def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
 
 def run_model(capture: Path, method: Method, scene: Path | None, model: str | None = None) -> dict:
     """`stylesplat mask CAPTURE --method METHOD`."""
-    return Mask(capture, method, model=model, scene=scene, device="cpu").run()
+    return Mask(capture, method, model=model, scene=scene, device="cpu").run().values
 
 
 def found_maps(capture: Path) -> list[Tensor]:

@@ -64,13 +64,13 @@ def test_a_capture_gets_its_label_maps(folder: Path, tmp_path: Path):
     mask[5:20, 9:30] = True
     save_binary(mask, tmp_path / "masks" / "cup" / "001.png")
     save_binary(mask, tmp_path / "masks" / "cup" / "003.png")
-    found = Mask(capture, source=tmp_path / "masks").run()
+    found = Mask(capture, source=tmp_path / "masks").run().values
     assert (found["photos"], found["of"], found["ids"]) == (2, 3, [1])
     assert torch.equal(read_label_map(capture / "object_mask" / "003.png") == 1, mask)
     with pytest.raises(StyleSplatError, match="--overwrite"):
         Mask(capture, source=tmp_path / "masks").run()
     (capture / "object_mask/001.png").write_bytes(b"damaged")
-    again = Mask(capture, source=tmp_path / "masks", overwrite=True).run()
+    again = Mask(capture, source=tmp_path / "masks", overwrite=True).run().values
     assert again["ids"] == found["ids"]
     load(capture)  # they are whole again
     before = (capture / "object_mask/001.png").read_bytes()
