@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.evaluation.changes import largest_area
 from stylesplat.evaluation.consistency import view_consistency
 from stylesplat.evaluation.style import content_ssim
 from stylesplat.metrics.lab import LUMA
@@ -192,22 +193,24 @@ def resized(image: Float[Tensor, "_ _ D"], factor: float) -> Float[Tensor, "_ _ 
     return found[0].permute(1, 2, 0).clamp(0, 1)
 
 
-def spill_and_missed(
+def outline_errors(
     before: Float[Tensor, "H W 3"],
     after: Float[Tensor, "H W 3"],
     inside: Bool[Tensor, "H W"],
     reach: float,
-) -> tuple[float, float]:
+) -> tuple[float, float, int]:
     """What of the paint lies beside an outline, and what of the object has none.
 
     Returns:
-        The pixels farther outside than `reach` that changed, as a share of the object's; and the
-        share of those farther inside that did not.
+        The pixels farther outside than `reach` that changed, as a share of the object's; the
+        share of those farther inside that did not; and how many of the former are the largest
+        area.
     """
     difference = (after - before).abs().amax(dim=-1)
-    beside, deep = distances(~inside) > reach, distances(inside) > reach
-    spill = (beside & (difference > CHANGED)).sum() / inside.sum()
-    return float(spill), float((deep & (difference <= UNCHANGED)).sum() / deep.sum())
+    deep = distances(inside) > reach
+    stained = (distances(~inside) > reach) & (difference > CHANGED)
+    missed = (deep & (difference <= UNCHANGED)).sum() / deep.sum()
+    return float(stained.sum() / inside.sum()), float(missed), largest_area(stained)
 
 
 def distances(mask: Bool[Tensor, "H W"]) -> Float[Tensor, "H W"]:
@@ -220,13 +223,18 @@ def distances(mask: Bool[Tensor, "H W"]) -> Float[Tensor, "H W"]:
 def outline_figures(
     before: Splats, after: Splats, outlines: Sequence[tuple[Cameras, Tensor]], reach: float
 ) -> Figures:
-    """`spill_and_missed` in percent, the means over the views whose outlines are known."""
+    """Spill and what is missed in percent, the means over the views whose outlines are known, and
+    the largest stain of all."""
     found = []
     for camera, inside in outlines:
         old, new = (render(splats, camera)[0].clamp(0, 1) for splats in (before, after))
-        found.append(spill_and_missed(old, new, inside, reach))
-    spill, missed = (100 * mean(column) for column in zip(*found, strict=True))
-    return {"spill %": spill, "missed %": missed}
+        found.append(outline_errors(old, new, inside, reach))
+    spills, misses, stains = zip(*found, strict=True)
+    return {
+        "spill %": 100 * mean(spills),
+        "missed %": 100 * mean(misses),
+        "stain px": max(stains),
+    }
 
 
 @torch.no_grad()

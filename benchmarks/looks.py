@@ -15,7 +15,7 @@ The figures (`judge.py`):
 - compact, vgg19 full, half: exact NNFM by that network at the photos' size and half of it
 - SSIM: of the luminance, painted against unpainted
 - spill, missed %: against outlines by hand (fox) or exact label maps (demo, face, sign)
-- stain px: the largest changed place beside the object, by the capture's label maps
+- stain px: the largest changed place beside the object: by the same, or by the capture's label maps
 - near ratio: how far neighbouring views are from each other, painted over unpainted
 - way full, half: with `--target-steps 150`, the share of the way from before to the best that any
   3D result could do in a view, its pixels optimised for the same loss (`target_2d.py`); by the last
@@ -222,11 +222,12 @@ def painted(
     training, held_out = subject.scene.working_views()
     rest = (images, picture, held_out or training, networks)
     figures = judge(before, after.splats, subject.picked, subject.sights, *rest)
-    if subject.outlines is not None:
-        figures |= outline_figures(before, after.splats, *subject.outlines)
     place = options.output / "crops" / f"{_slug(cell)}_stain.png"
     place.unlink(missing_ok=True)
-    figures |= stain(subject, after, place)
+    if subject.outlines is not None:
+        figures |= outline_figures(before, after.splats, *subject.outlines)
+    else:
+        figures |= stain(subject, after, place)
     if options.target_steps:
         figures |= way(subject, cell["painting"], images, picture, options, networks)
     return {"commit": commit(), "machine": machine(), "figures": figures | spent}

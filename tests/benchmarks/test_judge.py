@@ -11,8 +11,8 @@ from judge import (
     Sight,
     features_kept,
     nnfm_of_views,
+    outline_errors,
     painting_features,
-    spill_and_missed,
 )
 from paintings import line_print
 from stroke_length import detail_length
@@ -67,12 +67,13 @@ def test_what_has_most_contrast_does_not_speak_for_all_places():
 def test_paint_beside_an_outline_is_spill_and_bare_places_are_missed():
     inside = SHARE > 0
     after = torch.where(inside[..., None], 1 - BEFORE, BEFORE)
-    assert spill_and_missed(BEFORE, after, inside, 2.0) == (0, pytest.approx(0, abs=0.01))
+    assert outline_errors(BEFORE, after, inside, 2.0) == (0, pytest.approx(0, abs=0.01), 0)
     after[:, :4] = 1 - BEFORE[:, :4]  # 4 to 8 pixels beside
     after[20:40, 20:40] = BEFORE[20:40, 20:40]
-    spill, missed = spill_and_missed(BEFORE, after, inside, 2.0)
+    spill, missed, stain = outline_errors(BEFORE, after, inside, 2.0)
     assert spill == pytest.approx(4 * SIZE / 80**2, rel=0.1)
     assert missed == pytest.approx(400 / 76**2, rel=0.1)
+    assert stain == pytest.approx(4 * SIZE, rel=0.1)
 
 
 def test_a_cut_out_of_the_painting_is_near_to_it(compact: FeatureNetwork):

@@ -104,7 +104,7 @@ def largest_stain(
         pair = (render(each, camera)[0].clamp(0, 1) for each in (base, styled))
         changed = torch.sub(*pair).abs().amax(dim=-1) > CHANGED
         elsewhere = render_shares(base, camera, left_out)[..., 0] > MOST
-        stains[camera.names[0]] = _largest_area(mask & (changed & elsewhere).cpu())
+        stains[camera.names[0]] = largest_area(mask & (changed & elsewhere).cpu())
     view = max(stains, key=lambda name: stains[name])
     found: dict[str, int | str] = {"stain_pixels": stains[view]}
     return found | ({"stain_view": view} if stains[view] else {})
@@ -137,7 +137,7 @@ def _beside(
             yield row, farther_than(mask, float(_error(mask)))
 
 
-def _largest_area(stained: Mask) -> int:
+def largest_area(stained: Mask) -> int:
     """Pixels of the largest connected area that is neither a thin rim nor a speck, or 0."""
     side = _error(stained) + SOFT
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
