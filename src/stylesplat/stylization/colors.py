@@ -22,11 +22,10 @@ from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_b
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
 VARIATION = 0.08  # deviation of the colours that `vary_colors` adds, of 1
-LUMA_VARIATION = 0.5  # share of its luminance to keep: all of it makes patches of light on faces
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
 WAVES = 48  # that it is made of
 PATTERN = 0.08  # deviation, in lengths of the object, of the blur that removes its pattern
-SHADING = 0.6  # of the object's light to keep: with all of it the dark side shows nothing else
+SHADING = 0.8  # of the object's light to keep: with all of it the dark side shows nothing else
 LEAST_DEVIATION = 0.5  # pixels of a blur's deviation; less blurs nothing
 HIDDEN = 1e-3  # pixels that a Gaussian contributes to all views: fewer tell no colour
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
@@ -64,7 +63,7 @@ def object_colors(splats: Splats, views: Sequence[ObjectView]) -> Float[Tensor, 
 
 @torch.no_grad()
 def vary_colors(splats: Splats, mask: Bool[Tensor, " N"], *, seed: int) -> Splats:
-    """Add a pattern of smooth colours in space, so that flat areas vary as paintings do."""
+    """Add smooth patches of other hues, of the same luminance: flat areas vary as paintings do."""
     generator = torch.Generator().manual_seed(seed)
     directions = F.normalize(torch.randn(WAVES, 3, generator=generator), dim=1)
     phases = 2 * math.pi * torch.rand(WAVES, generator=generator)
@@ -73,8 +72,7 @@ def vary_colors(splats: Splats, mask: Bool[Tensor, " N"], *, seed: int) -> Splat
     size = (means.quantile(0.95, dim=0) - means.quantile(0.05, dim=0)).norm()
     waves = directions.to(means) * (2 * math.pi / (WAVELENGTH * size))
     pattern = torch.cos(means @ waves.T + phases.to(means)) @ mixture.to(means)
-    luma = pattern @ pattern.new_tensor(LUMA)
-    pattern = pattern - (1 - LUMA_VARIATION) * luma[:, None]
+    pattern = pattern - (pattern @ pattern.new_tensor(LUMA))[:, None]
     rows = mask.nonzero()[:, 0]
     varied = splats.sh0[rows] + VARIATION / SH_C0 * pattern[:, None]
     return splats.with_rows(rows, {"sh0": varied})
