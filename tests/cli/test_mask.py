@@ -10,7 +10,7 @@ import torch
 from balls import BALLS, BARE, CAMERAS, SPLATS, agreement, around, box_around
 from capture_files import write_ball_capture
 from processes import QUICK, complaint, result, run
-from stylesplat.cli.mask import PREVIEW
+from stylesplat.cli.mask import PREVIEW, RIMS
 from stylesplat.cli.results import selection_file
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map, write_names
@@ -126,7 +126,7 @@ def test_what_an_earlier_run_said_is_replaced_and_nothing_else(
     assert read_names(folder) == {1: "vase"}
     assert {*read_label_map(folder / "0000.png").unique().tolist()} == {0, 1}
     pictures = {f"000{row}.png" for row in range(8)}
-    assert {path.name for path in folder.iterdir()} == pictures | {"mine.png", NAMES, PREVIEW}
+    assert {path.name for path in folder.iterdir()} == pictures | {"mine.png", NAMES, PREVIEW, RIMS}
     write_label_map(torch.full((36, 48), 9), masks / "0000.png")
     assert run("mask", photos, "--from", masks, "--overwrite") == 0
     assert {path.name for path in folder.iterdir()} == {"0000.png", "mine.png", PREVIEW}

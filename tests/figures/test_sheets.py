@@ -13,13 +13,16 @@ from stylesplat.figures.best_views import close_up
 from stylesplat.figures.grid import CAPTION, CARD, CELL, MARGIN
 from stylesplat.figures.pictures import label_colors
 from stylesplat.figures.sheets import (
+    BELOW,
     OUTLINE,
     PANEL,
     PHOTO_COLUMNS,
+    RIM,
     THICKNESS,
     TINT,
     before_after,
     beside_photo,
+    lower_rims,
     mask_preview,
     object_sheet,
     one_view,
@@ -151,6 +154,21 @@ def test_masked_objects_are_tinted_and_the_rest_stays_as_it_is():
     assert (photo(mask_preview(masked(), {}), 5) - expected).abs().max() <= 0.5, "rounding"
     page = mask_preview(masked(without=(0, 1, 2, 4, 5, 6, 7)), {})
     assert page.shape[1] == CAMERAS.size[0] + 2 * MARGIN, "one cell"
+
+
+def test_the_lower_rims_are_of_views_that_differ_and_of_places_where_objects_end():
+    capture = masked(enlarged(CAMERAS, 2), without=(0,))
+    capture = replace(capture, photos=[torch.full((72, 96, 3), GREY, dtype=torch.uint8)] * 8)
+    page = lower_rims(capture, {3: "red", 7: "green"}).float()
+    assert page.shape[1] == 3 * RIM + 4 * MARGIN
+    outlined = (page - torch.tensor([*OUTLINE])).abs().amax(dim=-1) == 0
+    for row in range(2):
+        for column in range(3):
+            left, top = MARGIN + column * (RIM + MARGIN), MARGIN + row * (RIM + MARGIN + CAPTION)
+            lines, columns = outlined[top : top + RIM, left : left + RIM].nonzero().T
+            lowest = float(lines.max())
+            assert abs(lowest - (1 - BELOW) * RIM) < RIM / 10, "what lies below shows, too"
+            assert columns.min() < RIM / 10 and columns.max() > 0.9 * RIM, "all of its width"
 
 
 @pytest.mark.parametrize("name", ["two\nlines", "вazа 花瓶" * 9])  # noqa: RUF001

@@ -39,7 +39,7 @@ Drawn = dict[str, list[Any]]  # by object, places in views
 Method = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
 WITHOUT_MODEL = ("files", "grabcut")  # models keep what they have found so far
 BOX, LINE = "VIEW:x0,y0,x1,y1", "VIEW:x,y,x,y,..."
-PREVIEW = "preview.jpg"  # beside the label maps, which are PNGs
+PREVIEW, RIMS = "preview.jpg", "rims.jpg"  # beside the label maps, which are PNGs
 SCENE_PREVIEW = "masks.jpg"  # in the folder of a scene
 SIDE = 480  # pixels of the views in it
 MEND = (
@@ -143,7 +143,7 @@ class Mask(MakingCommand):
         return ss.mask(photos, source=self.source, progress=progress, **drawn, **options)
 
     def _mask_photos(self) -> Answer:
-        from stylesplat.figures.sheets import mask_preview
+        from stylesplat.figures.sheets import lower_rims, mask_preview
         from stylesplat.io.captures.capture_folder import OBJECT_MASK
         from stylesplat.io.captures.sfm_file import read_sfm
         from stylesplat.io.images import write_image
@@ -155,7 +155,8 @@ class Mask(MakingCommand):
         folder = find_photos_capture(
             self.capture, beside=self.capture, drawn=_places(self._drawn())
         )
-        output, preview = folder / OBJECT_MASK, folder / OBJECT_MASK / PREVIEW
+        output = folder / OBJECT_MASK
+        preview, rims = output / PREVIEW, output / RIMS
         refuse_occupied(output, marker="", overwrite=True)  # label maps are refused below
         capture = ss.load(folder, masks=None if self._corrects else False)
         with changing(output):
@@ -171,8 +172,12 @@ class Mask(MakingCommand):
             ids = sorted(set[int]().union(*found.values()))
             called = {id: masked.object_names[id] for id in ids if id in masked.object_names}
             with optional_picture():
-                preview.unlink(missing_ok=True)  # it shows earlier label maps
-                write_image(mask_preview(ss.load(folder), called), preview)
+                for earlier in (preview, rims):  # they show earlier label maps
+                    earlier.unlink(missing_ok=True)
+                written = ss.load(folder)
+                write_image(mask_preview(written, called), preview)
+                if called:
+                    write_image(lower_rims(written, called), rims)
             shutil.rmtree(partial_of(output), ignore_errors=True)
         objects = ", ".join(called.get(id, f"id {id}") for id in ids) or "no objects"
         photos = f"{len(found)} of {len(masked)} photos"
@@ -180,6 +185,8 @@ class Mask(MakingCommand):
         is_drawn = is_file(preview)
         if is_drawn:
             lines.append(f"Picture: {preview}, the label maps over some of the photos.")
+            if is_file(rims):
+                lines.append(f"Picture: {rims}, where the objects stand, in three views of each.")
             lines += [MEND] if self.box or self._corrects else []
         values = {"masks": output, "preview": preview if is_drawn else None, "photos": len(found)}
         values |= {"of": len(masked), "ids": ids, "names": called}

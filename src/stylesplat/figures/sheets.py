@@ -61,6 +61,9 @@ PHOTOS, PHOTO_COLUMNS = 8, 4  # of a preview of label maps
 PHOTO_SIDE = 400  # pixels of such a photo's longer side at most
 TINT = 0.55  # how much of an object's colour covers the photo
 
+RIM, RIM_VIEWS = 512, 3  # pixels a side of an object's lower end, and how many views show it
+BELOW = 0.15  # of that, below the object
+
 LONGEST = 2048  # pixels of a side: photos of phones have more than a screen shows
 
 
@@ -142,6 +145,45 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
         for id in sorted(ids)
     ]
     return add_legend(draw_grid(wrap_cells(cells, PHOTO_COLUMNS)), key)
+
+
+def lower_rims(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H W 3"]:
+    """Draw the outlines of objects where they stand, in the three views that differ most.
+
+    A row for each object, as wide as the object is; `names` holds the objects by id.
+    """
+    small = at_most(capture, PHOTO_SIDE)
+    views = small.cameras.viewmats[:, 2, :3]
+    maps = [small.labels(row) for row in range(len(small))]
+    rows = []
+    for id, name in names.items():
+        pixels = torch.tensor([0 if each is None else int((each == id).sum()) for each in maps])
+        chosen, shown = [int(pixels.argmax())], pixels > pixels.max() / 4
+        for _ in range(RIM_VIEWS - 1):
+            alike = (views @ views[chosen].T).amax(dim=1).masked_fill(~shown, 2.0)
+            chosen.append(int(alike.argmin()))
+        cells = [
+            (_lower_rim(capture, row, id), f"{name}, {small.cameras.names[row]}")
+            for row in dict.fromkeys(chosen)
+        ]
+        rows.append(Row(cells))
+    return draw_grid(rows)
+
+
+def _lower_rim(capture: Capture, row: int, id: int) -> UInt8[Tensor, "S S 3"]:
+    labels, photo = capture.labels(row), capture.photos[row].numpy()
+    assert labels is not None
+    mask = (labels == id).numpy().astype(np.uint8)
+    left, top, width, height = cv2.boundingRect(mask)
+    side = max(width, 1)
+    x0, y0 = left, top + height + round(BELOW * side) - side
+    scale = RIM / side
+    place = np.array([[scale, 0, -scale * x0], [0, scale, -scale * y0]])
+    size = RIM, RIM
+    picture = cv2.warpAffine(photo, place, size, borderValue=CARD)
+    found = cv2.warpAffine(mask, place, size, flags=cv2.INTER_NEAREST)
+    contours = cv2.findContours(found, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
+    return torch.from_numpy(cv2.drawContours(picture, contours, -1, OUTLINE, 1))
 
 
 @torch.no_grad()
