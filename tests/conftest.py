@@ -30,6 +30,14 @@ def said() -> Iterator[list[str]]:
         yield lines
 
 
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """The folder of a trained scene."""
+    from balls import save_scene  # loads what types are checked of from later on
+
+    return save_scene(tmp_path / "scene")
+
+
 @pytest.fixture(scope="module")
 def quick_painting() -> Iterator[None]:
     from balls import painting_quickly  # loads torch's users: types are checked from later on

@@ -13,7 +13,6 @@ import pytest
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
-from torch.utils._pytree import tree_flatten
 
 from fake_gsplat import install_training_kernels
 from rendering.native_gsplat import install
@@ -65,7 +64,13 @@ def _kernel(function: Callable) -> Callable:
 
 
 def _tensors(tree: Any) -> list[Tensor]:
-    return [each for each in tree_flatten(tree)[0] if isinstance(each, Tensor)]
+    if isinstance(tree, Tensor):
+        return [tree]
+    if isinstance(tree, dict):
+        tree = tree.values()
+    elif not isinstance(tree, tuple | list):
+        return []
+    return [tensor for each in tree for tensor in _tensors(each)]
 
 
 def on_gpu(tensor: Tensor) -> bool:

@@ -100,6 +100,10 @@ def test_a_command_is_that_of_the_command_line(tmp_path: Path):
             ["a-{here}-wave.jpg", "a-other-wave.jpg"],
         ),
         ("stylize: {style: {a: [wave.jpg, night.jpg], b: wave.png}}", ["a-wave", "a-night"]),
+        (
+            "recolor: {object: '3', hue: 90, match: [material:jade, wave.jpg]}",
+            ["match-material-jade", "match-wave.jpg"],
+        ),
         ("export: {output: [a.ply, a.spz]}", ["a.ply", "a.spz"]),
         ("select: {name: x, point: ['v.jpg:1,2', ['v.jpg:3,4', 'w.jpg:5,6']]}", None),
     ],
@@ -117,19 +121,6 @@ def test_long_names_are_cut_and_still_differ(tmp_path: Path):
     options = f"select: {{name: [{'x' * 200}a, {'x' * 200}b], id: 1}}"
     one, other, deep = planned(tmp_path, jobs(options) + "  - render: {}\n    name: deep\n")
     assert len(one) < 100 and one != other and deep == "garden-deep"
-
-
-def test_a_sheet_has_a_style_and_two_things_that_vary(tmp_path: Path):
-    text = jobs(
-        "sheet: {output: a.png, style: {vase: [wave.jpg, night.jpg]}, "
-        'vary: [["scale=1,2", "color=style,keep"]]}'
-    )
-    planned_jobs = planned(tmp_path, text)
-    assert [*planned_jobs] == ["garden-sheet-vase-wave", "garden-sheet-vase-night"]
-    place = tmp_path / "garden-sheet-vase-wave"
-    found = planned_jobs[place.name].command(tmp_path)
-    assert found[:2] == ("sheet", str(tmp_path / "garden")) and f"--output={place}/a.png" in found
-    assert {"--vary=scale=1,2", "--vary=color=style,keep"} <= {*found} and "-o" not in found
 
 
 def test_masking_a_capture_works_on_a_copy(tmp_path: Path):

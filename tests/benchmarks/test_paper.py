@@ -7,12 +7,10 @@ from typing import Any
 
 import pytest
 import torch
-from paper_figures import figure2, figure3, figure5, official, segmenting
-from paper_figures.book import Book, Cell, Outcome, Result, work_through
+from paper_figures import figure2, figure5, official, segmenting
+from paper_figures.book import Book, Cell, Result, work_through
 from paper_figures.claims import verdicts
-from paper_figures.foreword import Run, appendix
 from paper_figures.masked_change import changed_share, masked_psnr, strength
-from paper_figures.story import Figure, Row, Table, Text, markdown_page
 from paper_figures.subject import Effort, Subject
 
 from balls import CAMERAS, SPLATS
@@ -44,41 +42,6 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
     return Subject("balls", scene, photos, photos, styles, load_weights("compact", depth=3), EFFORT)
 
 
-def cells(calls: list[str], count: int = 3) -> list[Cell]:
-    def computed(key: str) -> Outcome:
-        calls.append(key)
-        return Outcome({"number": 0.5}, {"a view": PICTURE})
-
-    return [Cell("figure9", f"way {n:g}", lambda n=n: computed(f"{n:g}")) for n in range(count)]
-
-
-def test_a_run_that_was_interrupted_goes_on(tmp_path: Path):
-    calls: list[str] = []
-    book, some = Book(tmp_path, {"quick": True}), cells(calls)
-    steps = work_through(book, some)
-    assert [next(steps), next(steps)][1].startswith("figure9, way 1")
-    again = Book(tmp_path, {"quick": True})
-    assert len([*work_through(again, some)]) == 2 and calls == ["0", "1", "2"]
-    found = again.results(some)["figure9"]["way 2"]
-    assert found.numbers == {"number": 0.5} and found.pictures["a view"].is_file()
-    with pytest.raises(SystemExit, match="holds results of other settings"):
-        Book(tmp_path, {"quick": False})
-
-
-def test_pages_show_what_was_computed_and_no_photos_of_others(tmp_path: Path):
-    book, (cell, *_) = Book(tmp_path / "book", {}), cells([])
-    book.keep(cell)
-    file = book.results([cell])["figure9"]["way 0"].pictures["a view"]
-    blocks = [Text("1 < 2"), Table(("", "x"), [["y", "0.5"]]), Row({"photo": file, "object": file})]
-    figure = Figure("figure9", "A figure", "claims & such.", lambda _: [], lambda _: [])
-    chapters = [("demo", [(figure, blocks)])]
-    text = markdown_page("T", [], chapters, tmp_path / "paper")
-    assert "| y | 0.5 |" in text and "Left to right: photo; object." in text
-    assert (tmp_path / "paper" / "demo-figure9-2.jpg").is_file()
-    others = markdown_page("T", [], [("fox", [(figure, blocks)])], tmp_path / "fox")
-    assert "Left to right: object." in others
-
-
 def results(**figures: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Result]]:
     return {
         figure: {key: Result(numbers, {}, 1.0, 1.0) for key, numbers in found.items()}
@@ -102,15 +65,6 @@ def test_claims_are_judged_by_numbers(masked: float, lifted: float, holds: bool)
     ways = {segmenting.JOINT: {"miou": 0.8}, segmenting.LIFTED: {"miou": 0.9}}
     assert judged(results(official=formula, segmenting=ways)) == [False, False]
     assert judged({}) == [], "nothing measured"
-
-
-def test_the_appendix_names_what_was_run(subject: Subject, tmp_path: Path):
-    book = Book(tmp_path / "book", {"effort": "quick", "features": "compact"})
-    tables = [b for b in appendix([Run(subject, book, cells([]))]) if isinstance(b, Table)]
-    width, height = LARGE.size
-    joint = [*tables[0].rows[0]]
-    assert joint[:4] == ["balls", f"{width}x{height}", f"{len(SPLATS):,}", "1,234"]
-    assert joint[-1] == "learned with the colours"
 
 
 def test_an_edit_counts_on_its_side_of_the_mask_only():
@@ -143,22 +97,12 @@ def test_selection_in_3d_changes_its_gaussians_alone(subject: Subject, tmp_path:
     assert lifted["outside_psnr"] > masked["outside_psnr"]
 
 
-def test_exact_identities_select_what_is_there(subject: Subject):
-    found = figure3.by_selection(subject, SPLATS, 0.5, remove=False)
-    assert found["miou"] > 0.9  # labels go to the likeliest class, a cover to half of a pixel
-
-
 def test_two_objects_together_are_the_two_alone(subject: Subject, tmp_path: Path):
     cells = figure5.cells(subject)
     keys = [cell.key for cell in cells if cell.key.endswith("paper")]
     for numbers in measured(cells, keys, tmp_path).values():
         assert numbers["changed_elsewhere"] == 0
         assert {*numbers["differing"].values()} == {0}
-
-
-def test_joint_training_is_measured(subject: Subject, tmp_path: Path):
-    numbers = measured(segmenting.cells(subject), ["joint"], tmp_path)["joint"]
-    assert numbers["steps"] == 12 and numbers["by_hand"] is None and numbers["lifting"] >= 0
 
 
 def test_faults_of_the_official_code_are_what_they_are_called(subject: Subject, tmp_path: Path):

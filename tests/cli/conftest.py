@@ -5,29 +5,15 @@ import pytest
 import torch
 from PIL import Image
 
-from balls import CAMERAS, SPLATS, painting_quickly
+from balls import painting_quickly, save_scene
 from capture_files import write_ball_capture
 from processes import QUICK, run
-from stylesplat.io.scene_folder import save
-from stylesplat.scene.scene import Scene
 
 
 @pytest.fixture(scope="session")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The balls as photos with label maps, in nerfstudio layout."""
     return write_ball_capture(tmp_path_factory.mktemp("capture"))
-
-
-def save_scene(folder: Path) -> Path:
-    scene = Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:1], metrics={"psnr": 30.0})
-    save(scene, folder)
-    return folder
-
-
-@pytest.fixture
-def scene(tmp_path: Path) -> Path:
-    """The balls as a scene that is trained, with the first view held out."""
-    return save_scene(tmp_path / "scene")
 
 
 def save_stripes(path: Path) -> Path:

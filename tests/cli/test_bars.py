@@ -25,20 +25,6 @@ def test_all_goes_to_stderr(terminal: bool, capsys: pytest.CaptureFixture[str]):
     assert terminal or not re.search(r"[\r\x1b\x08]|^\s*$", shown.err.rstrip(), re.MULTILINE)
 
 
-@pytest.mark.parametrize(
-    ("unit", "total", "amount", "expected"),
-    [
-        ("s", 7.0, 3.4, "3/7 s ["),
-        ("B", 5_000_000, 2_500_000, "2.50M/5.00M"),
-        ("view", None, 3, "3"),
-    ],
-)
-def test_units(unit: str, total: float | None, amount: float, expected: str, capsys):
-    with observed(Bars(terminal=True, delay=0)), task("work", total, unit=unit) as work:
-        work.advance(amount)
-    assert expected in capsys.readouterr().err
-
-
 def test_tasks_within_tasks_have_lines_of_their_own(capsys: pytest.CaptureFixture[str]):
     with observed(Bars(terminal=False, delay=0)), task("outer", 2, unit="photo") as outer:
         list(track(range(3), "inner"))

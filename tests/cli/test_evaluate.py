@@ -1,5 +1,6 @@
 """The verb `evaluate`: of a scene whose photos may have moved, of a styled one, of several."""
 
+import math
 import re
 import shutil
 from dataclasses import replace
@@ -53,6 +54,15 @@ def test_a_styled_scene_gets_the_numbers_of_stylize(
     assert read_json(file) == found and NEEDS_NONE <= found.keys()
     assert read_json(styled / "metrics.json") == kept, "a file of its own has them"
     assert "--overwrite" in complaint(capsys, "evaluate", styled, "-o", file)
+
+
+def test_numbers_without_bounds_are_none(scene: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    monkeypatch.setattr("stylesplat.load", lambda *_, **__: None)
+    measured = {"psnr": math.inf, "by": {"vase": math.nan}}
+    monkeypatch.setattr("stylesplat.evaluate", lambda *_, **__: measured)
+    written = {"psnr": None, "by": {"vase": None}}
+    assert result(capsys, "evaluate", scene, "--capture", scene.parent) == written
+    assert ss.open(scene).metrics["evaluate"] == written
 
 
 @pytest.mark.parametrize("file", [None, "lost.pth"])

@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -20,6 +19,8 @@ def test_export_keeps_every_bit(scene: Path, tmp_path: Path, capsys):
     assert run("export", scene, tmp_path / "out.ply") == 1, "never overwrites by itself"
     assert run("export", scene, tmp_path / "out.ply", "--overwrite") == 0
     assert run("export", scene, "-o", tmp_path / "out.splat") == 0
+    alone = complaint(capsys, "export", scene, tmp_path / "a.ply", "--repaint")
+    assert "--repaint" in alone and "--mesh" in alone
     for both in ((), ("a.ply", "-o", "b.ply")):
         assert "Name one file" in complaint(capsys, "export", scene, *both)
 
@@ -51,6 +52,10 @@ def test_objects_go_out_and_come_back(scene: Path, tmp_path: Path, capsys):
     labels = ("--labels", tmp_path / "a.spz.objects.npz")
     found = result(capsys, "import", tmp_path / "a.spz", *labels, "-o", tmp_path / "b", "--up", "z")
     assert found["label_ids"] == 3
+    lost = ("import", tmp_path / "a.spz", "--labels", tmp_path / "lost.npy", "-o", tmp_path / "c")
+    assert "lost.npy" in complaint(capsys, *lost) and not (tmp_path / "c").exists()
+    both = ("import", tmp_path / "a.spz", scene, *labels, "--masks", tmp_path, "-o", tmp_path / "c")
+    assert "--masks means nothing with --labels" in complaint(capsys, *both)
     assert result(capsys, "export", scene, tmp_path / "picks.npz", "--object", 7)["objects"] == 1
     rows = ("--rows", tmp_path / "picks.npz")
     picked = result(capsys, "select", tmp_path / "b", "--name", "it", *rows, "--no-picture")
@@ -73,28 +78,3 @@ def test_what_another_program_made_of_a_scene(scene: Path, tmp_path: Path, capsy
     assert "Leave the capture" in complaint(capsys, *again, "--labels", scene, "-o", tmp_path / "c")
     folder = ("import", tmp_path / "part.ply", "--like", tmp_path)
     assert "not a scene" in complaint(capsys, *folder, "-o", tmp_path / "c")
-
-
-def test_import_and_select_by_shape(scene: Path, capture: Path, tmp_path: Path, capsys):
-    splat, out = tmp_path / "balls.ply", tmp_path / "imported"
-    assert run("export", scene, splat) == 0
-    metrics = result(capsys, "import", splat, capture, "-o", out, "--device", "cpu")
-    assert metrics["psnr"] > 30
-    found = result(capsys, "select", out, "--name", "red", "--box3d=-1.1,-0.4,0.02,-0.3,0.4,0.7")
-    assert found["gaussians"] >= 79
-    less = result(capsys, "select", out, "--name", "rest", "--id", 3, 7, "--minus", "red")
-    assert 0 < less["gaussians"] <= 81
-
-
-def test_import_with_labels(scene: Path, tmp_path: Path, capsys):
-    splat, out = tmp_path / "balls.ply", tmp_path / "imported"
-    assert run("export", scene, splat) == 0
-    np.save(tmp_path / "labels.npy", [0] * 200 + [3] * 240)
-    labels = ("--labels", tmp_path / "labels.npy")
-    metrics = result(capsys, "import", splat, *labels, "-o", out, "--up", "z")
-    assert metrics["label_ids"] == 1 and metrics["unlabelled_gaussians"] == 200
-    assert result(capsys, "select", out, "--name", "it", "--id", 3)["gaussians"] > 220
-    bad = ("import", splat, "--labels", tmp_path / "lost.npy", "-o", tmp_path / "other")
-    assert "lost.npy" in complaint(capsys, *bad) and not (tmp_path / "other").exists()
-    both = ("import", splat, scene, *labels, "--masks", tmp_path, "-o", tmp_path / "other")
-    assert "--masks means nothing with --labels" in complaint(capsys, *both)

@@ -30,16 +30,6 @@ def test_render_writes_pictures_and_videos(scene: Path, tmp_path: Path):
         assert sum(1 for _ in video.decode(video=0)) == len(CAMERAS) - 1
 
 
-def test_an_object_has_names_and_an_id(scene: Path, tmp_path: Path, capsys):
-    assert run("select", scene, "--name", "ball", "--id", 3) == 0
-    for name in ("ball", "3"):
-        assert run("render", scene, "-o", tmp_path / name, "--what", f"object:{name}") == 0
-    for file in (tmp_path / "ball").iterdir():
-        assert torch.equal(read_image(file), read_image(tmp_path / "3" / file.name))
-    known = complaint(capsys, "render", scene, "-o", tmp_path / "cat", "--what", "object:cat")
-    assert "'cat'" in known and ": ball, 3, 7, 300." in known
-
-
 def test_one_view_into_one_picture(scene: Path, tmp_path: Path, capsys):
     assert run("render", scene, "-o", tmp_path / "all") == 0
     made = result(capsys, "render", scene, "-o", tmp_path / "a.png", "--view", "0002.png")

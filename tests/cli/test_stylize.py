@@ -32,6 +32,15 @@ def test_the_scene_is_there_before_it_is_measured(
     assert styled.metrics["steps"] == 1 and "nnfm_after" not in styled.metrics
 
 
+def test_options_replace_what_a_recipe_says(scene: Path, styled: Path, capsys):
+    out, recipe = scene.parent / "again", ("--recipe", styled / "recipe.json")
+    again = ("stylize", scene, "-o", out, *recipe, "--steps", 1, *QUICK)
+    assert "--recipe" in complaint(capsys, *again, "--style", "3=a.png")
+    assert run(*again, "--intensity", 0.7) == 0
+    assert [layer.strength for layer in ss.open(out).layers] == [0.7, 0.7]
+    assert {layer.settings["steps"] for layer in ss.open(out).layers} == {1}
+
+
 def test_stylize_changes_only_the_colours_of_the_object(scene: Path, style: Path, capsys):
     picked = ("--id", 3, "--keep-outliers", "--no-picture")
     assert run("select", scene, "--name", "red", *picked) == 0

@@ -7,7 +7,6 @@ import pytest
 from stylesplat.evaluation.summary import (
     WHOLE,
     describe_changes,
-    painted_gaussians,
     photo_lines,
     style_lines,
 )
@@ -41,12 +40,6 @@ def test_one_object_in_one_line(metrics: dict[str, Any], expected: str):
     assert style_lines(metrics, ["vase"]) == [f"vase: {expected}, nothing else changed."]
 
 
-def test_several_objects_have_a_line_each():
-    first, second, rest = style_lines(vase(0.12, 0.714), ["vase", "pot"])
-    assert first == "vase: 71 % of the way to the painting." and second == "pot: painted."
-    assert rest == "Nothing else changed."
-
-
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -59,13 +52,6 @@ def test_what_changed_around_is_said(change: dict[str, Any], expected: str):
     assert expected in describe_changes(QUIET | change)
     unknown = {name: value for name, value in QUIET.items() if name != "stain_pixels"}
     assert describe_changes(unknown) == "no other Gaussian changed"
-
-
-def test_how_many_gaussians_were_painted():
-    counts = {"painted_gaussians": 20_000, "changed_gaussians": 87_936, "changed_outside": 0}
-    assert painted_gaussians(counts, 60_000) == "20,000 of 60,000, and a canvas of 67,936"
-    counts["changed_gaussians"] = 20_000
-    assert painted_gaussians(counts, 60_000) == "20,000 of 60,000"
 
 
 def test_photos_and_label_maps():

@@ -11,7 +11,6 @@ from stylesplat.figures.best_views import (
     best_rows,
     find_views,
     most_detailed,
-    visibility,
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.selection.pick import pick
@@ -73,13 +72,3 @@ def test_the_side_with_a_face_is_shown_rather_than_the_back(face: int):
     best = most_detailed(scene, cameras, find_views(scene, cameras, RED, count=len(cameras)))
     away = (best.row - face) % len(cameras)
     assert min(away, len(cameras) - away) <= 1
-
-
-@pytest.mark.parametrize("cut", ["top", "left"])
-def test_visibility(cut: str):
-    image = torch.zeros(30, 40, dtype=torch.bool)
-    assert visibility(image) == 0
-    image[10:20, 10:20] = True
-    assert visibility(image) == 100
-    image = image.roll((-10, 0) if cut == "top" else (0, -10), (0, 1))
-    assert visibility(image) == pytest.approx(25)

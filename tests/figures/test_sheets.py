@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from balls import BALLS, CAMERAS, CLASSIFIER, SPLATS, TRAINED, enlarged, painted, write_pictures
+from balls import CAMERAS, CLASSIFIER, SPLATS, TRAINED, enlarged, painted, write_pictures
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.best_views import close_up
@@ -120,17 +120,6 @@ def test_blue_is_what_takes_no_paint():
     assert blue > 1.3 * max(red, green)
 
 
-def test_selections_in_fewer_and_in_other_views():
-    tall = replace(CAMERAS[:1], sizes=torch.tensor([[36, 48]]), names=("tall.jpg",))
-    both = drawn(RED, tall + CAMERAS[2:3])
-    assert both.shape == (2 * MARGIN + PANEL + CAPTION, 2 * MARGIN + PANEL + HEIGHT + MARGIN, 3)
-    hidden = torch.arange(len(SPLATS)) == 0
-    means = torch.cat([torch.tensor([BALLS[3][0]]), SPLATS.means[1:]])  # inside a ball
-    scales = SPLATS.scales.index_fill(0, torch.tensor([0]), -6.0)
-    splats = replace(SPLATS, means=means, scales=scales)
-    assert selection_picture(splats, CAMERAS, hidden) is None
-
-
 def masked(cameras: Cameras = CAMERAS, *, without: tuple[int, ...] = ()) -> Capture:
     """Grey photos; some have no label map."""
     rows = range(len(cameras))
@@ -188,10 +177,10 @@ def pair(picture: torch.Tensor, width: int, height: int) -> list[torch.Tensor]:
     return [part(picture, left, MARGIN, width, height) for left in (MARGIN, 2 * MARGIN + width)]
 
 
-def test_before_and_after_at_the_photos_size(tmp_path: Path):
+def test_before_and_after_at_the_photos_size(tmp_path: Path, quick_painting: None):
     pictures = write_pictures(tmp_path)
     scene = replace(TRAINED, cameras=enlarged(CAMERAS, 2))
-    styled = painted(scene, "red", pictures, intensity=1.0, layers=(2,))
+    styled = painted(scene, "red", pictures, measured=False, intensity=1.0, layers=(2,))
     found = before_after(styled, device="cpu")
     assert found is not None and found[0] in styled.cameras.names
     assert found[1].shape == (72 + CAPTION + 2 * MARGIN, 2 * 96 + 3 * MARGIN, 3)

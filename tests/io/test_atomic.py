@@ -17,13 +17,11 @@ from stylesplat.io.atomic import (
     atomic_path,
     changing,
     refuse_file,
-    refuse_occupied,
     refuse_unwritable,
     revise_folder,
 )
 
 MARKER = "scene.json"
-LONG = "a" * 250  # characters that a name may have, but not together with a draft's mark
 needs_root = pytest.mark.skipif(os.getuid() != 0, reason="gives its rights away for a while")
 Writer = Callable[[Path], AbstractContextManager[Path]]
 
@@ -163,39 +161,6 @@ def test_a_revision_keeps_links_and_what_it_does_not_change(
     assert (folder / "photos").readlink() == tmp_path
     assert (folder / "gone").readlink() == Path("nowhere")
     assert names(tmp_path) == ["scene"]
-
-
-@pytest.mark.parametrize("refuse", [refuse_unwritable, refuse_file])
-@pytest.mark.parametrize(
-    ("place", "fault"),
-    [
-        ("file/deep/scene", r"file is a file. Choose another folder"),
-        (LONG, r"File name too long. Choose a shorter name"),
-        (f"new/{'b' * 300}/scene", r"File name too long. Choose a shorter name"),
-    ],
-)
-def test_bad_places(refuse: Callable, place: str, fault: str, tmp_path: Path):
-    (tmp_path / "file").touch()
-    with pytest.raises(StyleSplatError, match=fault):
-        refuse(tmp_path / place)
-    with (
-        pytest.raises(StyleSplatError, match=r"Cannot write .*b\.txt: (File exists|Not a dir)"),
-        atomic_path(tmp_path / "file" / "b.txt"),
-    ):
-        pass
-    assert names(tmp_path) == ["file"]
-
-
-def test_files_and_folders_do_not_replace_each_other(tmp_path: Path):
-    (tmp_path / "file").touch()
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(StyleSplatError, match=r"file is a file. Choose another name"):
-        refuse_occupied(tmp_path / "file", marker="", overwrite=True)
-    with pytest.raises(StyleSplatError, match=r"folder is a folder. Choose another name"):
-        refuse_file(tmp_path / "folder", overwrite=True)
-    with pytest.raises(StyleSplatError, match=r"file exists.*--overwrite.*overwrite=True"):
-        refuse_file(tmp_path / "file")
-    refuse_file(tmp_path / "file", overwrite=True)
 
 
 @needs_root

@@ -1,10 +1,13 @@
 """Plain files and JSON."""
 
+import math
 import os
 from pathlib import Path
 from string import ascii_lowercase, digits
 
+import numpy as np
 import pytest
+import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import file_stem, read_bytes
@@ -14,9 +17,10 @@ from stylesplat.io.json_files import read_json, write_json
 def test_json_is_strict(tmp_path: Path):
     content = {"text": "ä", "list": [1, 0.1, None], "nested": {"yes": True}}
     odd = {"psnr": float("inf"), "numbers": (float("nan"),), "path": Path("a/b")}
-    write_json(content | odd, tmp_path / "a.json")
+    arrays = [torch.tensor(-math.inf), np.float32(math.nan), np.array(1.5), np.int64(3)]
+    write_json(content | odd | {"arrays": arrays}, tmp_path / "a.json")
     found = content | {"psnr": None, "numbers": [None], "path": "a/b"}
-    assert read_json(tmp_path / "a.json") == found
+    assert read_json(tmp_path / "a.json") == found | {"arrays": [None, None, 1.5, 3]}
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,7 @@ DOUBLING = "\n".join(
         (DOUBLING, "too many|deep"),
         ("? [1]\n: 2", "a key is a list"),
         ("a: 1\na: 2", "a is listed twice"),
+        ("<<: 3", "<< needs a mapping"),
         ("a: 1\n---\nb: 2", "another document"),
         ('a: "\\U99999999"', "no YAML text"),
         (b"a: \xff", "no YAML text"),

@@ -1,6 +1,6 @@
 import torch
 
-from stylesplat.scene.cache import Cache, Lazy
+from stylesplat.scene.cache import Cache
 
 
 class Shop:
@@ -35,26 +35,3 @@ def test_what_fits_is_made_once_and_what_was_used_longest_ago_goes_first():
     assert shop.cache.used == 25
     shop.cache.forget(lambda key: key == 9)
     assert shop.cache.used == 0
-
-
-def test_what_is_kept_is_a_copy_of_what_was_made():
-    cache: Cache[int] = Cache(1000)
-    made = torch.arange(12.0).view(3, 4), None
-    assert cache.get(0, lambda: made)[1] is None
-    made[0][:] = 99
-    kept, _ = cache.get(0, lambda: made)
-    assert torch.equal(kept, torch.arange(12.0).view(3, 4))
-
-
-def test_nothing_is_made_before_it_is_asked_for():
-    calls: list[int] = []
-
-    def maker(i: int):
-        return lambda: (calls.append(i), torch.full((10,), i) if i != 2 else None)[1]
-
-    items = Lazy([maker(i) for i in range(4)])
-    part = items[2:]
-    assert len(items) == 4 and len(part) == 2 and calls == []
-    last = items[-1]
-    assert last is not None and last[0] == 3 and calls == [3]
-    assert part[0] is None and calls == [3, 2]

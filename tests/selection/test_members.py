@@ -6,38 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from balls import SPLATS, class_probabilities
+from balls import SPLATS
 from scenes import randn
-from stylesplat.scene import splats as nouns
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.members import MIN_POINTS, inliers, likeliest, members
+from stylesplat.selection.members import MIN_POINTS, inliers
 from stylesplat.selection.pick import pick
-
-IDS = (3, 7, 300)
-
-
-@pytest.fixture
-def doubtful(monkeypatch: pytest.MonkeyPatch):
-    """Identities with noise, looked at a few at a time."""
-    monkeypatch.setattr(nouns, "AT_ONCE", 12)  # three Gaussians of four classes
-    noise = randn(len(SPLATS), 16)
-    assert SPLATS.identities is not None
-    return replace(SPLATS, identities=SPLATS.identities + 0.4 * noise)
-
-
-@pytest.mark.parametrize("threshold", [0.1, 0.5, 0.8])
-def test_as_the_whole_table_says(doubtful, threshold: float):
-    table, ids = class_probabilities(doubtful), (0, *IDS)
-    found = members(doubtful, IDS, threshold)
-    for id in IDS:
-        own = table[:, ids.index(id)]
-        limits = torch.tensor([threshold if each == id else 0.5 for each in ids])
-        limits[0] = 0.9
-        assert torch.equal(found.mask(id), own > threshold)
-        rows = torch.arange(0, len(table), 2)
-        assert torch.equal(found.doubtful(id, rows), (table <= limits).all(dim=1)[rows])
-    assert torch.equal(likeliest(doubtful), torch.tensor(ids)[table.argmax(dim=1)])
-
 
 FIRST = torch.arange(200, 280)  # Gaussians of the ball 3; the table's come before
 HOLE = FIRST[::10]

@@ -40,8 +40,3 @@ def test_uploads_are_checked_and_their_names_are_no_paths(monkeypatch: pytest.Mo
         gallery.upload("a.png", picture(500, 500))
     gallery.close()
     assert not evil.path.exists()
-
-
-def test_a_missing_folder_is_told(tmp_path: Path):
-    with pytest.raises(StyleSplatError, match="no folder"):
-        Gallery(tmp_path / "none")

@@ -5,14 +5,9 @@ import pytest
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.config import (
-    FINEST,
-    GROWTH,
     LEAST,
-    MANY_DISCS,
-    MOST_GROWTH,
     PLANS,
     PRESETS,
-    WINDOW,
     Quality,
     Stage,
     StyleConfig,
@@ -91,34 +86,3 @@ def test_stages_use_up_the_steps_and_grow_within_bounds(
         assert lengths[-1] == 500, "large strokes have edges as sharp as others"
     tiny = replace(config, object_size=20, steps=None).stages(500.0)
     assert max(stage.length for stage in tiny) == 20
-
-
-def test_qualities_end_at_their_sizes_with_as_many_discs():
-    configs = [StyleConfig(quality=quality) for quality in PLANS]
-    assert [config.stages(500.0)[-1].length for config in configs] == [160, 500, 500]
-    fine = [configs[-1].stages(length)[-1].length for length in (100.0, 200.0, 4000.0)]
-    assert fine == [160, 200, FINEST], "the photos' length, within bounds"
-    steps = [config.all_steps for config in configs]
-    assert steps == sorted(steps)
-    discs = [config.max_discs(100_000) for config in configs]
-    assert discs == [0, (GROWTH - 1) * 100_000, (GROWTH - 1) * 100_000]
-    assert StyleConfig().max_discs(MANY_DISCS // 5) == MANY_DISCS
-    assert StyleConfig().max_discs(1_000) == (MOST_GROWTH - 1) * 1_000
-
-
-def test_sizes_follow_the_scale():
-    """Beside a style image of the same size: an object half as long shows strokes twice as large.
-    Fine stages render it at the photos' size: there it is the style image that becomes larger."""
-    usual, large, small = (StyleConfig(scale=scale).stages(500.0) for scale in (2.0, 4.0, 1.0))
-    usual_lengths, large_lengths, small_lengths = (
-        [stage.length for stage in stages] for stages in (usual, large, small)
-    )
-    assert large_lengths[:2] == [length / 2 for length in usual_lengths[:2]]
-    assert large_lengths[2:] == usual_lengths[2:]
-    coarse = [2 * length for length in usual_lengths if length <= 160]
-    assert small_lengths[: len(coarse)] == coarse
-    assert usual_lengths[-1] == small_lengths[-1] == 500
-    assert small_lengths == sorted(small_lengths)
-    assert usual[0].window is None and usual[-1].window == WINDOW
-    assert {stage.window for stage in small} == {WINDOW}, "no step costs more than usual"
-    assert [stage.fine for stage in (small[0], small[-1])] == [False, True]

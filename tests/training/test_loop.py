@@ -170,18 +170,6 @@ class Listener(Observer):
         self.notes.append(text)
 
 
-def test_the_bar_counts_steps_and_smooths_the_scores(capture: Capture, config: TrainConfig):
-    plain, done = replace(capture, label_maps=None), list[tuple[float, int]]()
-    with observed(listener := Listener()):
-        state = fit(plain, config, on_progress=lambda s, *_: done.append((listener.done, s.step)))
-    assert ("training", 60, "step") in listener.begun
-    assert all(shown == step for shown, step in done) and done[-1][1] == 60
-    losses = [float(note.split(",")[0].removeprefix("loss ")) for note in listener.notes]
-    assert f"{len(state.splats):,} Gaussians" in listener.notes[-1] and "dB" in listener.notes[-1]
-    jumps = torch.tensor(losses).diff().abs()
-    assert losses[-1] < losses[0] and jumps.max() < 0.1 * losses[0]
-
-
 def test_the_bar_counts_seconds_where_they_end_the_run(capture: Capture, config: TrainConfig):
     with observed(listener := Listener()):
         state = fit(capture, replace(config, max_seconds=0.3))

@@ -87,19 +87,6 @@ def test_what_fits_is_decoded_once_in_all_sizes_and_memory_changes_no_result(ite
     assert rows == [*range(8)] if items == 11 else len(rows) > 8
 
 
-@pytest.mark.parametrize(
-    ("count", "dtype"),
-    [(1, torch.uint8), (256, torch.uint8), (257, torch.int16), (40_000, torch.int32)],
-)
-def test_classes_are_places_in_the_ids_in_the_smallest_type(count: int, dtype: torch.dtype):
-    ids = tuple(range(0, 2 * count, 2))
-    labels = torch.tensor(ids)[torch.randint(count, (8, 72, 96), generator=NOISE)]
-    capture = replace(WHOLE, label_maps=[*labels])
-    classes = training_views(capture, range(8), ids=ids, device=CPU)(3, 1).classes
-    assert classes is not None and classes.dtype == dtype
-    assert torch.equal(2 * classes.long(), labels[3])
-
-
 def labelled(capture: Capture, *maps: list[int] | None) -> Capture:
     """One row of labels per photo, photos without repeated."""
     filled = [*maps, *[None] * (len(capture) - len(maps))]

@@ -8,7 +8,7 @@ from PIL import Image
 from capture_files import write_capture
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.label_maps import read_label_map, write_label_map, write_label_maps
+from stylesplat.io.label_maps import read_label_map, write_label_maps
 from stylesplat.scene.capture import Capture
 from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
@@ -34,23 +34,6 @@ def attached(capture: Capture, row: int) -> torch.Tensor:
     found = capture.label_maps[row]
     assert found is not None
     return found
-
-
-def write_maps(folder: Path, ids: dict[str, int]) -> None:
-    folder.mkdir()
-    for stem, id in ids.items():
-        write_label_map(labels(id), folder / f"{stem}.png")
-
-
-def test_nothing_to_go_by(folder: Path):
-    with pytest.raises(StyleSplatError, match=r"Nothing says what to mask.*another program"):
-        mask(load(folder))
-    with pytest.raises(StyleSplatError, match="no folder"):
-        mask(load(folder), source=folder / "nowhere")
-    with pytest.raises(StyleSplatError, match="Say with --from where the masks are"):
-        mask(load(folder), method="files")
-    with pytest.raises(StyleSplatError, match="`model` means nothing with the method `grabcut`"):
-        mask(load(folder), boxes={"a": ("001.png", (1, 1, 5, 5))}, model="sam")
 
 
 def save_binary(mask: torch.Tensor, path: Path) -> None:

@@ -13,7 +13,6 @@ from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import write_names
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.objects import with_names
 from stylesplat.selection.pick import pick
 from stylesplat.verbs.import_ import import_
 from stylesplat.verbs.load import load
@@ -42,13 +41,3 @@ def test_an_imported_splat(capture: Path, tmp_path: Path, said: list[str]):
     names = {each["id"]: each["names"] for each in objects(scene)}
     assert names == {3: [], 7: ["vase"], 300: []}
     assert "Object 300 does not get the name '3'" in "\n".join(said)
-
-
-def test_names_of_nothing_are_left_out(said: list[str]):
-    named = with_names(SCENE, {0: "background", 3: "vase", 99: "lost"})
-    assert [*named.objects] == ["vase"]
-    assert said == [], "no photo shows what no label map has"
-    assert with_names(Scene(PLAIN, CAMERAS), {3: "vase"}).objects == {}
-    named = with_names(SCENE, {3: "cup", 7: "cup"})
-    assert named.objects["cup"].how["ids"] == [3]
-    assert "Object 7 does not get the name 'cup'" in "\n".join(said)

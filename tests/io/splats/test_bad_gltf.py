@@ -95,6 +95,16 @@ REFUSED = {
         nodes=[{"mesh": 0}] * 512, scenes=[{"nodes": [*range(512)]}]
     ),
     "There are no Gaussians": lambda d: counts(d, 0),
+    "of version '1.0', not 2": lambda d: d["asset"].update(version="1.0"),
+    "its splats have no .*SCALE": lambda d: attributes(d).pop(f"{NAME}:SCALE"),
+    "have the wrong type: 'VEC2'": lambda d: attribute(d, f"{NAME}:SCALE").update(type="VEC2"),
+    "left out or sparse": lambda d: attribute(d, f"{NAME}:SCALE").pop("bufferView"),
+    "5 bytes apart, do not fit": lambda d: places(d).update(byteStride=5),
+    "its buffer 1 is missing": lambda d: (
+        d["buffers"].append({"byteLength": 1}),
+        places(d).update(buffer=1),
+    ),
+    "a node shows mesh 7 of 1": lambda d: node(d).update(mesh=7),
 }
 
 
@@ -115,6 +125,8 @@ def test_hostile_containers(tmp_path: Path):
     for changed, expected in (
         (content[:-3], r"a chunk should have \d+ bytes, but \d+ are left"),
         (content[:12] + huge + content[16:], "a chunk should have 4294967295 bytes"),
+        (content[:4] + b"\1" + content[5:], "a GLB of version 1, not 2"),
+        (content[:16] + b"BIN\0" + content[20:], "no chunk of JSON"),
         (b"ply\n" + content, "it is no GLB. Check the name"),
     ):
         path.write_bytes(changed)

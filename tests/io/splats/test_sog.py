@@ -2,7 +2,6 @@ import io
 import json
 import zipfile
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from scenes import random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.splat_files import read_splats, write_splats
-from stylesplat.progress import Observer, Task, observed
 
 COUNT = 100
 Files = dict[str, bytes]
@@ -55,27 +53,6 @@ def webp(width: int, height: int, **options: Any) -> bytes:
     file = io.BytesIO()
     Image.new("RGBA", (width, height)).save(file, "WEBP", **options)
     return file.getvalue()
-
-
-def test_the_palette_reports_its_progress(tmp_path: Path):
-    with observed(listener := Listener()):
-        write_splats(PLAIN, tmp_path / "a.sog")
-    assert listener.done and listener.done[-1] == listener.total
-
-
-class Listener(Observer, Task):
-    """Counts what is done."""
-
-    def __init__(self):
-        self.total, self.done = None, list[float]()
-
-    @contextmanager
-    def task(self, what: str, total: int | float | None, unit: str, done: int | float):
-        self.total = total
-        yield self
-
-    def advance(self, amount: int | float = 1) -> None:
-        self.done.append(sum(self.done[-1:]) + amount)
 
 
 def test_every_number_is_as_near_as_its_bits_allow(tmp_path: Path):

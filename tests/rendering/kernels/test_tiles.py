@@ -3,7 +3,6 @@
 from itertools import pairwise
 
 import numpy as np
-import pytest
 import torch
 
 from scenes import random_splats, two_cameras
@@ -15,18 +14,6 @@ from stylesplat.rendering.kernels.vec import Rows
 
 GAUSSIANS = activated(random_splats())
 SIZE = (70, 52)  # 5 x 4 tiles, the last ones cut
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 1000])
-def test_depth_order_is_a_stable_sort_of_what_is_seen(count: int):
-    generator = torch.Generator().manual_seed(count)
-    depths = torch.rand(count, generator=generator) * 10.0 ** torch.randint(-2, 6, (count,))
-    depths[::3] = 0.25  # ties
-    radii = torch.randint(0, 3, (count, 1), generator=generator, dtype=torch.int32).repeat(1, 2)
-    seen = (radii[:, 0] > 0).nonzero()[:, 0]
-    expected = seen[torch.argsort(depths[seen], stable=True)]
-    found = tiles.depth_order(depths.numpy(), radii.numpy())
-    assert found.tolist() == expected.tolist()
 
 
 def test_lists_are_front_to_back_whatever_the_threads():
