@@ -129,3 +129,18 @@ def test_from_photos_to_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert f"taking those in {capture}" in capsys.readouterr().err
     assert open_scene(out).splats.classifier is not None
     assert "--overwrite" in complaint(capsys, "sfm", photos, "-o", capture)
+
+
+@pytest.mark.parametrize(
+    ("options", "fact"),
+    [
+        (("--object", "1.png:3,4"), "Expected VIEW:x0,y0,x1,y1"),
+        (("--object", "9.png:3,4,20,30"), "No view is called '9.png'"),
+        (("--masks", "nowhere"), "There is no folder or .json file nowhere"),
+        (("--masks", "nowhere", "--object", "1.png:3,4,20,30"), "Give one of them"),
+    ],
+)
+def test_objects_to_pose_that_are_none(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options, fact: str
+):
+    assert fact in complaint(capsys, "sfm", photos, "-o", tmp_path / "capture", *options)

@@ -97,7 +97,9 @@ def sfm(
     """
     config = SfmConfig(**convert_settings(settings, get_type_hints(SfmConfig)))
     if masks is not None and box is not None:
-        raise StyleSplatError("Both masks and a box say what to pose. Give one of them.")
+        raise StyleSplatError(
+            "Masks and a box both say what to pose. Give one of them, --masks or --object."
+        )
     if masks is not None:
         check_mask_source(Path(masks))
     source, output = Path(source), Path(output).resolve()
