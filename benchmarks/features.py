@@ -154,8 +154,8 @@ def _reached(
     """The mean cosine in VGG19's space of the student's and of VGG19's choice."""
     chosen, queries, styles = [], None, None
     for network in (bench.compact, bench.vgg19):
-        queries = network(image)[0][view.cells[0]]
-        (styles,) = style_features(painting, network, (3,), length=StyleConfig().scale * length)
+        queries = network(image)[0][view.cells]
+        styles = style_features(painting, network, 3, length=StyleConfig().scale * length)
         chosen.append(most_similar(queries, F.normalize(styles, dim=1)))
     assert queries is not None
     assert styles is not None

@@ -157,7 +157,7 @@ def dense_ball(colors: Tensor) -> Splats:
 
 # The balls with colours that depend on the view, and how one of them is quickly painted.
 
-FAST = StyleConfig(steps=12, layers=(2,), scale=1.5, object_size=24, quality="draft")
+FAST = StyleConfig(steps=12, block=2, scale=1.5, object_size=24, quality="draft")
 STRIPED_SCENE = replace(SPLATS, shN=0.1 * randn(len(SPLATS), 3, 3))
 
 
@@ -168,8 +168,8 @@ def same(one: Splats, other: Splats) -> bool:
 def cropped(
     splats: Splats, boxes: Sequence[Box], mask: Tensor, network: FeatureNetwork, **options: Any
 ) -> list[ObjectView]:
-    """Views of some Gaussians, for the features of one layer group or some."""
-    target = PaintTarget("object", mask, (), StyleConfig(layers=options.pop("layers", (2,))))
+    """Views of some Gaussians, for the features of one block."""
+    target = PaintTarget("object", mask, (), StyleConfig(block=options.pop("block", 2)))
     context = paint_context(splats, CAMERAS, network)
     return object_views(context, target, boxes, options.pop("zoom", 1.0), **options)
 
@@ -180,7 +180,7 @@ def with_settings(job: PaintTarget, **settings) -> PaintTarget:
 
 # The balls with named objects, and quick ways to paint them.
 
-PAINTED_FAST = StyleConfig(steps=3, layers=(1,), object_size=30, intensity=0.6)
+PAINTED_FAST = StyleConfig(steps=3, block=1, object_size=30, intensity=0.6)
 PICKS = {"red": RED, "green": GREEN, "blue": BLUE, "both": RED | GREEN}
 TRAINED = Scene(
     splats=replace(

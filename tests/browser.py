@@ -421,7 +421,7 @@ def studio_tab(*, size: tuple[int, int], downloads: Path) -> Iterator[Tab]:
 
 # A session with the balls, and quick styles.
 
-QUICK = StyleConfig(quality="draft", steps=4, layers=(1,), object_size=30)
+QUICK = StyleConfig(quality="draft", steps=4, block=1, object_size=30)
 
 
 def session_in(folder: Path) -> Session:

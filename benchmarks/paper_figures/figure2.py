@@ -170,7 +170,7 @@ def trained_colours(subject: Subject, splats: Splats, task: Task) -> Splats:
     boxes = find_boxes(subject.splats, cameras, subject.picked(subject.ids[0]))
     style = next(iter(subject.styles.values())) if task.style is None else task.style
     length = SCALE * typical_length(boxes)
-    target = style_features(style, subject.network, (3,), length=length)[0]
+    target = style_features(style, subject.network, 3, length=length)
     sign = -1 if task.printed else 1
     index = build_index(sign * target, target.dtype)  # as the package does: NNFM within 0.1 %
     sh0 = splats.sh0.clone().requires_grad_()

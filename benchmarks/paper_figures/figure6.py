@@ -76,7 +76,7 @@ def _styled(subject: Subject, setting: Setting) -> Outcome:
     side = subject.effort.side  # features of [1,3] are as many as pixels
     length = typical_length(find_boxes(subject.splats, subject.training, picked))
     own_scale = scale * max(style.shape[:2]) / length  # in sides of the object, as we count it
-    config = replace(paper_config(subject, rate), layers=(group,), scale=own_scale)
+    config = replace(paper_config(subject, rate), block=group, scale=own_scale)
     with few_style_features():
         styled = painted(subject, {id: style}, config, side=side).splats
     found = leakage(subject, subject.splats, styled, id)

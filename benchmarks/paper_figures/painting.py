@@ -52,12 +52,9 @@ def few_style_features() -> Iterator[None]:
     every = optimize.target_features
     generator = torch.Generator().manual_seed(0)
 
-    def some(*arguments: Any) -> list[Tensor]:
-        return [_drawn(group, generator) for group in every(*arguments)]
+    def some(*arguments: Any) -> Tensor:
+        feats = every(*arguments)
+        return feats[torch.randperm(len(feats), generator=generator)[: optimize.STYLE_FEATURES]]
 
     with mock.patch.object(optimize, "target_features", some):
         yield
-
-
-def _drawn(group: Tensor, generator: torch.Generator) -> Tensor:
-    return group[torch.randperm(len(group), generator=generator)[: optimize.STYLE_FEATURES]]

@@ -75,9 +75,9 @@ def test_the_object_comes_closer_to_the_style(
 def test_how_near_a_style_is_to_itself(network: FeatureNetwork):
     repeated = NOISE[:8, :8].repeat(6, 6, 1)  # 48 pixels: features of block 2 span 10
     for pictures in ([repeated], [NOISE, NOISE]):
-        assert own_nnfm(pictures, network, (2,), length=48.0) == pytest.approx(0, abs=1e-6)
-    assert (own_nnfm([NOISE], network, (2,), length=48.0) or 0) > 0.005, "no place is like another"
-    assert own_nnfm([NOISE[:14, :14]], network, (2,), length=14.0) is None, "it has one place"
+        assert own_nnfm(pictures, network, 2, length=48.0) == pytest.approx(0, abs=1e-6)
+    assert (own_nnfm([NOISE], network, 2, length=48.0) or 0) > 0.005, "no place is like another"
+    assert own_nnfm([NOISE[:14, :14]], network, 2, length=14.0) is None, "it has one place"
 
 
 def test_the_background_has_no_say(network: FeatureNetwork):
@@ -85,13 +85,13 @@ def test_the_background_has_no_say(network: FeatureNetwork):
     image = torch.rand(40, 50, 3, generator=generator)
     mask = torch.zeros(20, 25, dtype=torch.bool)
     mask[6, 9] = True
-    view = ObjectView(CAMERAS[0], (mask,), torch.ones(40, 50, dtype=torch.bool))
+    view = ObjectView(CAMERAS[0], mask, torch.ones(40, 50, dtype=torch.bool))
     cells = network.cells(2)
     top, left = (i * cells.stride - cells.before for i in (6, 9))
     inside = torch.zeros(40, 50, 1, dtype=torch.bool)
     inside[top : top + cells.size, left : left + cells.size] = True
     images = [image, image.where(inside, 0.5), image.where(~inside, 0.5)]
-    rest = ([view], [torch.rand(30, 12, generator=generator)], network, [2])
+    rest = ([view], torch.rand(30, 12, generator=generator), network, 2)
     own, elsewhere, covered = (object_nnfm([each], *rest) for each in images)
     assert own == pytest.approx(elsewhere, abs=1e-6) and covered != pytest.approx(own, abs=1e-6)
 

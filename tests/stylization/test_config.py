@@ -29,8 +29,7 @@ from stylesplat.stylization.style import Style
         ({"content": -0.1}, r"content -0\.1: use 0 to"),
         ({"rotate": float("nan")}, "with rotate nan"),
         ({"seed": -(10**400)}, "seed -10+: use"),
-        ({"layers": ()}, "name some of 1 to 4"),
-        ({"layers": (3, 5)}, "name some of 1 to 4"),
+        ({"block": 5}, "block 5: use 1 to 4"),
     ],
 )
 def test_settings_out_of_range(settings: dict[str, Any], message: str):
@@ -46,7 +45,7 @@ PUBLISHED = {
     "form": 0.0,
     "intensity": 1.0,  # section 4, scale control: intensity is the learning rate
     "lr": 0.0025,  # the official code, which keeps 3D Gaussian splatting's feature_lr
-    "layers": (3,),  # ARF (Zhang et al. 2022), section 4: conv3, which the official code keeps
+    "block": 3,  # ARF (Zhang et al. 2022), section 4: conv3, which the official code keeps
     "object_size": None,
     "rotate": 0.0,
     "region": None,

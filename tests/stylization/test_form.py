@@ -161,7 +161,7 @@ FINE = enlarged(CAMERAS, 4)
 TO_EYE = torch.nn.functional.normalize(FINE.positions[0], dim=0)  # from the ball, nearly
 AROUND_EYE = WAYS @ TO_EYE > math.cos(math.radians(25))
 ON_EYE = WAYS @ TO_EYE > math.cos(math.radians(9))
-FAST = StyleConfig(steps=100, layers=(2,), scale=1.0, object_size=60, lr=0.4, quality="draft")
+FAST = StyleConfig(steps=100, block=2, scale=1.0, object_size=60, lr=0.4, quality="draft")
 BALL = dense_ball(LIGHT - 0.35 * ON_EYE[:, None])
 
 

@@ -25,7 +25,7 @@ from stylesplat.stylization.views import (
     with_fixed_bands,
 )
 
-CONFIG = StyleConfig(layers=(2,), lr=0.05, form=0.0)
+CONFIG = StyleConfig(block=2, lr=0.05, form=0.0)
 EVERYTHING = replace(CONFIG, content=1.0, form=1.0)
 ZOOM = 2.0
 STEPS = 25
@@ -48,7 +48,7 @@ def objective(network: FeatureNetwork) -> Objective:
     form = FormSurvey(
         (0.0, 0.0), (0.0, 1.0), torch.zeros(3)
     )  # its views are too small for finer detail
-    return Objective(network, [build_index(style, torch.float32)], CONFIG, length, form)
+    return Objective(network, build_index(style, torch.float32), CONFIG, length, form)
 
 
 def with_settings(objective: Objective, **settings: float) -> Objective:

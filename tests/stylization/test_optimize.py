@@ -54,7 +54,7 @@ def test_steps_never_wait_for_the_device(
     stripes: Tensor,
     settings: dict[str, Any],
 ):
-    config = StyleConfig(layers=(2,), scale=1.5, object_size=24, **settings)
+    config = StyleConfig(block=2, scale=1.5, object_size=24, **settings)
     target = PaintTarget("ball", ball(0).to(cuda), (stripes.to(cuda),), config)
     context = paint_context(SPLATS.to(cuda), CAMERAS[:2], network.to(cuda))
     inner, last = set[int](), 0
@@ -72,7 +72,7 @@ def test_steps_never_wait_for_the_device(
 
 def test_views_on_a_device_rasterize_what_reaches_them(cuda: str, network: FeatureNetwork):  # noqa: F811
     splats, mask = SPLATS.to(cuda), ball(0).to(cuda)
-    target = PaintTarget("ball", mask, (), StyleConfig(layers=(2,)))
+    target = PaintTarget("ball", mask, (), StyleConfig(block=2))
     context = paint_context(splats, CAMERAS, network.to(cuda))
     boxes = find_boxes(splats, CAMERAS[:2], mask)
     for view in object_views(context, target, boxes, 1.0):

@@ -131,7 +131,7 @@ def test_the_papers_steps_are_those_of_adam_at_its_rates(
     glaring = SCENE.sh0.clone()
     glaring[job.mask] *= 3  # beyond white and black, where it stays
     scene = replace(SCENE, sh0=glaring)
-    paper = replace(PRESETS["paper"], steps=steps, layers=(2,), scale=1.5)
+    paper = replace(PRESETS["paper"], steps=steps, block=2, scale=1.5)
     studio = paint_context(scene, enlarged(CAMERAS, 3), network)
     styled = paint_objects(studio, [replace(job, config=paper)]).splats
     before, after = scene.tensors(), styled.tensors()

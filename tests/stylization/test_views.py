@@ -29,15 +29,17 @@ def test_boxes_hold_the_object():
 @pytest.mark.parametrize("zoom", [1.0, 2.5])
 def test_cells_are_those_that_the_object_covers(network: FeatureNetwork, zoom: float):
     boxes = find_boxes(SPLATS, CAMERAS[3:5], ball(2))
-    views = cropped(SPLATS, boxes, ball(2), network, layers=(2, 1), zoom=zoom)
-    assert len(views) == 2
+    views, fine = (
+        cropped(SPLATS, boxes, ball(2), network, block=block, zoom=zoom) for block in (2, 1)
+    )
+    assert len(views) == len(fine) == 2
+    for view in fine:
+        assert torch.equal(view.cells, coverage(SPLATS, view.camera, ball(2)) > 0.5)
     for view in views:
         image, _, _ = rasterize(SPLATS, view.camera)
-        shapes = [feats.shape[:2] for feats in network(image[0], [2, 1])]
-        assert [mask.shape for mask in view.cells] == shapes
+        assert view.cells.shape == network(image[0], [2])[0].shape[:2]
         seen = coverage(SPLATS, view.camera, ball(2))
-        assert torch.equal(view.cells[1], seen > 0.5)
-        coarse = view.cells[0].repeat_interleave(2, 0).repeat_interleave(2, 1)
+        coarse = view.cells.repeat_interleave(2, 0).repeat_interleave(2, 1)
         h, w = coarse.shape
         assert seen[:h, :w][coarse].mean() > 0.5
 
@@ -53,7 +55,7 @@ def test_cuts_include_all_that_the_features_depend_on(network: FeatureNetwork):
     torn = whole[0].clone()
     torn[:y], torn[y + height :], torn[:, :x], torn[:, x + width :] = 9, 9, 9, 9
     assert x + y > 0 and width < 48
-    rows, columns = view.cells[0].nonzero(as_tuple=True)
+    rows, columns = view.cells.nonzero(as_tuple=True)
     aligned = torn[y % cells.stride :, x % cells.stride :]
     around = network(aligned, [2])[0][rows + y // cells.stride, columns + x // cells.stride]
     torch.testing.assert_close(network(part, [2])[0][rows, columns], around)
@@ -69,8 +71,8 @@ def test_windows_are_parts_of_boxes_with_the_object_inside(network: FeatureNetwo
         (box,) = (box for box in boxes if box.camera.names == part.camera.names)
         assert (part.low >= box.low).all() and (part.high <= box.high).all()
         assert part.length <= side
-    (view, *_) = cropped(SPLATS, parts, ball(0), network, layers=(1,), zoom=4.0)
-    inside = (view.cells[0].sum(dim=1) > 0).sum()
+    (view, *_) = cropped(SPLATS, parts, ball(0), network, block=1, zoom=4.0)
+    inside = (view.cells.sum(dim=1) > 0).sum()
     assert 0 < inside <= 4 * side + 2, "features of the margin are not the part's"
     (part,) = windows(boxes[:1], 1000.0, 1, torch.Generator().manual_seed(0))
     assert torch.equal(part.low, boxes[0].low) and torch.equal(part.high, boxes[0].high)

@@ -48,7 +48,7 @@ def test_an_object_has_the_settings_of_all_and_its_own(read: Read, folder: Path)
           vase:
             style: [wave.jpg, night.jpg]
             scale: 3   # whole, and becomes a float
-          pear: &pear {style: night.jpg, steps: 30, settings: {layers: [2, 3], steps: 40}}
+          pear: &pear {style: night.jpg, steps: 30, settings: {layers: [2], steps: 40}}
           apple: {<<: *pear, steps: 8}
         """
     )
@@ -60,7 +60,7 @@ def test_an_object_has_the_settings_of_all_and_its_own(read: Read, folder: Path)
     assert pear.style.pictures == (folder / "night.jpg",)
     assert vase.style.config == replace(DEFAULTS, steps=20, scale=3.0)
     assert isinstance(vase.style.config.scale, float)
-    assert pear.style.config == replace(DEFAULTS, steps=30, layers=(2, 3))
+    assert pear.style.config == replace(DEFAULTS, steps=30, block=2)
     for each in recipe.objects:
         assert each.features == "vgg19"
         assert each.weights == Source(folder / "nets" / "vgg19.safetensors")

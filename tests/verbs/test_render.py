@@ -34,7 +34,7 @@ def test_round_trips_with_photos_and_without():
 
 def test_a_sheet_blends_cells_that_differ_in_intensity_only(quick_painting: None):
     wave = torch.rand(48, 64, 3, generator=torch.Generator().manual_seed(0))
-    settings = {"steps": 2, "layers": PAINTED_FAST.layers, "object_size": 30, "quality": "draft"}
+    settings = {"steps": 2, "block": PAINTED_FAST.block, "object_size": 30, "quality": "draft"}
     found = sheet(TRAINED, "red", [wave], vary={"intensity": (0.5, 1.0)}, device="cpu", **settings)
     assert (found.cells, found.repainted) == (2, 1) and found.view in CAMERAS.names
     assert repr(found).startswith("StyleSheet(2 cells, ")

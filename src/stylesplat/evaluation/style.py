@@ -102,18 +102,18 @@ def measure_style(
     Raises:
         StyleSplatError: If the object is not visible, or a picture is too small to compare.
     """
-    blocks, network = target.config.layers, context.network
+    block, network = target.config.block, context.network
     boxes = boxes or require_boxes(context, target)
     zoom = LENGTH / typical_length(boxes)
     views = object_views(context, target, evenly(boxes, VIEWS), zoom)
     style_feats = target_features(context, target.config, target.styles, LENGTH)
     images = renders(styled, views)
     before, after = (
-        object_nnfm(each, views, style_feats, network, blocks)
+        object_nnfm(each, views, style_feats, network, block)
         for each in (renders(context.splats, views), images)
     )
     numbers = {"nnfm_before": before, "nnfm_after": after}
-    own = own_nnfm(target.styles, network, blocks, length=target.config.scale * LENGTH)
+    own = own_nnfm(target.styles, network, block, length=target.config.scale * LENGTH)
     if own is not None:
         numbers["nnfm_of_style"] = own
         if before > own:
@@ -191,18 +191,15 @@ def renders(splats: Splats, views: Sequence[ObjectView]) -> list[Float[Tensor, "
 def object_nnfm(
     images: Sequence[Float[Tensor, "_ _ 3"]],
     views: Sequence[ObjectView],
-    style_feats: Sequence[Float[Tensor, "_ _"]],
+    style_feats: Float[Tensor, "Q D"],
     network: FeatureNetwork,
-    blocks: Sequence[int],
+    block: int,
 ) -> float:
-    """Compute NNFM over the features of an object, averaged over blocks and views."""
-    losses = [
-        nnfm_loss(block[cells][:: 1 + int(cells.sum()) // MAX_FEATURES], target)
-        for image, view in zip(images, views, strict=True)
-        for block, cells, target in zip(
-            network(image, blocks), view.cells, style_feats, strict=True
-        )
-    ]
+    """Compute NNFM over the features of an object, averaged over views."""
+    losses = []
+    for image, view in zip(images, views, strict=True):
+        feats = network(image, [block])[0][view.cells]
+        losses.append(nnfm_loss(feats[:: 1 + len(feats) // MAX_FEATURES], style_feats))
     return float(torch.stack(losses).mean())
 
 
@@ -210,7 +207,7 @@ def object_nnfm(
 def own_nnfm(
     pictures: Sequence[Float[Tensor, "_ _ 3"]],
     network: FeatureNetwork,
-    blocks: Sequence[int],
+    block: int,
     *,
     length: float,
 ) -> float | None:
@@ -222,22 +219,12 @@ def own_nnfm(
     Returns:
         The mean cosine distance; None if the pictures are too small for two such features.
     """
-    by_block = [_distances_within(pictures, network, block, length) for block in blocks]
-    if any(len(distances) == 0 for distances in by_block):
-        return None
-    return float(torch.stack([distances.mean() for distances in by_block]).mean())
-
-
-def _distances_within(
-    pictures: Sequence[Tensor], network: FeatureNetwork, block: int, length: float
-) -> Float[Tensor, " P"]:
-    """The distances of some features to their nearest ones that do not overlap them."""
     cells = network.cells(block)
     features, places = [], []
     for number, picture in enumerate(pictures):
-        (rows,) = style_features(picture, network, [block], length=length)
+        rows = style_features(picture, network, block, length=length)
         features.append(F.normalize(rows.float(), dim=1))
-        sides = fit_style(picture, network, [block], length).shape[:2]
+        sides = fit_style(picture, network, block, length).shape[:2]
         y, x = (torch.arange(side)[cells.inside(side)] for side in sides)
         grid = torch.cartesian_prod(y, x).float().to(picture.device)
         places.append(F.pad(grid, (1, 0), value=number * 1e6))  # pictures are far apart
@@ -248,4 +235,5 @@ def _distances_within(
         apart = gaps * cells.stride >= cells.size
         closest.append((found[some] @ found.T).where(apart, NOWHERE).amax(dim=1))
     cosines = torch.cat(closest)
-    return 1 - cosines[cosines > NOWHERE]
+    cosines = cosines[cosines > NOWHERE]
+    return float(1 - cosines.mean()) if len(cosines) else None

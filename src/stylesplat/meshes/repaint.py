@@ -27,7 +27,7 @@ from stylesplat.rendering.shares import COVERED
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.colors import build_palette
-from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings
+from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings, without_retired
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import (
     optimize_colors,
@@ -144,7 +144,7 @@ def _as_splats(mesh: TexturedMesh, texels: Texels) -> Splats:
 
 def _context(unpainted: Splats, views: MeshViews, layer: Layer) -> tuple[PaintContext, Style]:
     files = [source.path for source in layer.styles]
-    config = with_settings(PRESETS["default"], layer.settings)
+    config = with_settings(PRESETS["default"], without_retired(layer.settings))
     style = Style(*(file for file in files if file is not None), config=config)
     network = load_network([style], layer.features, layer.weights)
     cameras = views.cameras[views.trusted.nonzero()[0].tolist()]
@@ -186,7 +186,7 @@ def _texel_views(
     rows = np.full((size, size), -1, np.int32)
     rows[texels.inside] = np.arange(len(texels.points))
     rows = rows[texels.nearest]
-    cells = [objective.network.cells(group) for group in objective.config.layers]
+    cells = objective.network.cells(objective.config.block)
     count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
     places = windows(boxes, WINDOW / zoom, count, generator)
     grey = torch.from_numpy(mesh.texture[texels.inside].mean(axis=0))
@@ -199,12 +199,12 @@ def _texel_views(
         matrix, used = _texel_weights(
             fragments.of_corners(mesh.uvs, mesh.faces) * size, rows, covered
         )
-        masks = tuple(F.avg_pool2d(own[None], each.stride)[0] > COVERED for each in cells)
+        mask = F.avg_pool2d(own[None], cells.stride)[0] > COVERED
         background = grey * ~covered[..., None]
-        return TexelView(camera, masks, covered, matrix=matrix, texels=used, background=background)
+        return TexelView(camera, mask, covered, matrix=matrix, texels=used, background=background)
 
     found = per_view(look, places, "preparing the texture's views")
-    return [view for view in found if all(each.sum() >= MIN_CELLS for each in view.cells)]
+    return [view for view in found if view.cells.sum() >= MIN_CELLS]
 
 
 def _texel_weights(

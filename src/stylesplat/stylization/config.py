@@ -13,11 +13,12 @@ import msgspec
 from PIL import ImageColor
 
 from stylesplat.errors import StyleSplatError, brief
+from stylesplat.progress import say
 from stylesplat.scene.arguments import MAX_INTENSITY
 
-LAYERS = range(1, 5)  # layer groups that every VGG has
 LIMITS = {  # of settings, the least and the most: what lies beyond is a slip of the keyboard
     "steps": (1, 10**6),  # a day on a CPU
+    "block": (1, 4),  # that every VGG has
     "scale": (0.001, 10_000),
     "rotate": (-1e4, 10_000),
     "intensity": (0, MAX_INTENSITY),
@@ -113,8 +114,8 @@ class StyleConfig:
     high takes more steps there."""
     steps: int | None = None
     """Optimiser steps per object, one view each; by default as many as the quality needs."""
-    layers: tuple[int, ...] = (3,)
-    """Groups of network layers (between two poolings, 1 to 4) whose features are matched."""
+    block: int = 3
+    """The block of the network (between two poolings, 1 to 4) whose features are matched."""
     scale: float = USUAL_SCALE
     """Size of the strokes: the longer side of the style picture, in longer sides of the object."""
     rotate: float = 0.0
@@ -144,10 +145,6 @@ class StyleConfig:
 
     def __post_init__(self) -> None:
         _check_limits(self, "stylise", LIMITS)
-        if not self.layers or not set(self.layers) <= set(LAYERS):
-            raise StyleSplatError(
-                f"Cannot match the layer groups {list(self.layers)}: name some of 1 to 4."
-            )
 
     @property
     def all_steps(self) -> int:
@@ -218,6 +215,8 @@ NETWORKS: dict[str, Network] = {"default": DEFAULT_NETWORK, "paper": "vgg16"}
 """The network of each preset."""
 
 SETTINGS = get_type_hints(StyleConfig)
+RETIRED = {"canvas", "final_lr", "hard", "max_growth", "pattern", "smoothness", "texture"}
+RETIRED |= {"view_dependence", "view_share", "gone", "upon"}  # of older recipes and scenes
 
 
 def plain_settings(config: StyleConfig) -> dict[str, Any]:
@@ -228,6 +227,17 @@ def plain_settings(config: StyleConfig) -> dict[str, Any]:
 def with_settings(config: StyleConfig, settings: Mapping[str, Any]) -> StyleConfig:
     """Change some settings; see `convert_settings`."""
     return replace(config, **convert_settings(settings, SETTINGS)) if settings else config
+
+
+def without_retired(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of an older recipe or scene, without those that there are no more."""
+    retired = [key for key in settings if key in RETIRED]
+    if retired:
+        say(f"{', '.join(retired)}: older recipes have this; it is ignored now.")
+    kept = {key: value for key, value in settings.items() if key not in retired}
+    if isinstance(kept.get("layers"), list) and len(kept["layers"]) == 1:
+        (kept["block"],) = kept.pop("layers")
+    return kept
 
 
 def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:

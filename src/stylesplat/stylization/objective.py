@@ -30,12 +30,12 @@ class ViewTarget:
     """A view to paint in, and what the paint is compared with there; None leaves it free."""
 
     view: ObjectView
-    cells: Sequence[tuple[Int[Tensor, " _"], ...]]
-    """The rows and columns of the features that are the object's, for each layer group."""
+    cells: tuple[Int[Tensor, " P"], ...]
+    """The rows and columns of the features that are the object's."""
     form: Sequence[FormBand] | None = None
     """That of the unpainted object."""
-    content: Sequence[Float[Tensor, "_ _"]] | None = None
-    """The features of the unpainted object, by layer group."""
+    content: Float[Tensor, "P D"] | None = None
+    """The features of the unpainted object."""
     shapes: Float[Tensor, "3 h w"] | None = None
     """The large shapes of the paint so far."""
 
@@ -45,10 +45,10 @@ class Objective:
     """The losses of one object and style."""
 
     network: FeatureNetwork
-    styles: Sequence[StyleIndex]
-    """The features of the style, for each layer group."""
+    style: StyleIndex
+    """The features of the style."""
     config: StyleConfig
-    """The layers and weights."""
+    """The network's block, and the weights."""
     length: float
     """The whole object's longer side in the views, in pixels."""
     form: FormSurvey
@@ -66,7 +66,7 @@ class Objective:
         """
 
         def look(view: ObjectView) -> ViewTarget:
-            cells = [each.nonzero(as_tuple=True) for each in view.cells]
+            cells = view.cells.nonzero(as_tuple=True)
             form = content = None
             if self.config.form > 0 or self.config.content > 0:
                 image = rasterize(original, view.camera)[0][0]
@@ -84,38 +84,31 @@ class Objective:
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
         """NNFM of splats in one view, and all losses together.
 
-        NNFM is that of the object's own features, averaged over the layer groups. Form, content,
-        large shapes and the distance from the palette are added to it.
+        NNFM is that of the object's own features. Form, content, large shapes and the distance from
+        the palette are added to it.
         """
         view = target.view
         image = view.render(splats)
         feats = self._features(image, target.cells)
-        matched = [
-            cosine_distance(own, style.directions.index_select(0, style.nearest(own.detach())))
-            for own, style in zip(feats, self.styles, strict=True)
-        ]
-        style = total = torch.stack(matched).mean()
+        matches = self.style.nearest(feats.detach())
+        nnfm = total = cosine_distance(feats, self.style.directions.index_select(0, matches))
         if target.form is not None:
             distance = form_distance(image, view.pixels, self.length, target.form)
             total = total + FORM * self.config.form * distance
         if target.content is not None:
-            pairs = zip(feats, target.content, strict=True)
-            changes = [  # in units of the mean square
-                (own.float() - old.float()).square().mean() / old.float().square().mean()
-                for own, old in pairs
-            ]
-            total = total + content_weight(self.config.content) * torch.stack(changes).mean()
+            before = target.content.float()
+            change = (feats.float() - before).square().mean() / before.square().mean()
+            total = total + content_weight(self.config.content) * change
         if self.palette is not None:
             total = total + PULL * self.palette.distance(image, view.pixels)
         if target.shapes is not None:
             # both hold 0 outside the object
             change = (_large_shapes(view, image) - target.shapes).square().sum()
             total = total + HOLD * change * SIDE**2 / view.pixels.sum()
-        return style, total
+        return nnfm, total
 
-    def _features(self, image: Tensor, cells: Sequence[tuple[Tensor, ...]]) -> list[Tensor]:
-        blocks = self.network(image, self.config.layers)
-        return [block[own] for block, own in zip(blocks, cells, strict=True)]
+    def _features(self, image: Tensor, cells: tuple[Tensor, ...]) -> Float[Tensor, "P D"]:
+        return self.network(image, [self.config.block])[0][cells]
 
 
 def content_weight(content: float) -> float:

@@ -327,16 +327,11 @@ def stage_objective(
     features = target_features(context, config, pictures, stage.length)
     if stage.fine:
         generator = torch.Generator().manual_seed(config.seed)
-        rows = (torch.randperm(len(group), generator=generator) for group in features)
-        pairs = zip(features, rows, strict=True)
-        features = [group[some[:STYLE_FEATURES]] for group, some in pairs]
+        features = features[torch.randperm(len(features), generator=generator)[:STYLE_FEATURES]]
     rate = stage.rate * (CANVAS_RATE if is_fine_surface else 1.0)
     return Objective(
         network=context.network.to(context.splats.device, context.precision),
-        styles=[
-            build_index(group, context.precision, balanced=not config.published)
-            for group in features
-        ],
+        style=build_index(features, context.precision, balanced=not config.published),
         config=replace(config, lr=rate * config.lr),
         length=stage.length,
         form=form,
@@ -389,13 +384,13 @@ def optimize_colors(
 
 def target_features(
     context: PaintContext, config: StyleConfig, pictures: Sequence[Tensor], length: float
-) -> list[Tensor]:
-    """The features of all style images together, for each layer group, beside an object so long."""
+) -> Float[Tensor, "Q D"]:
+    """The features of all style images together, beside an object so long."""
     size = config.scale * length
     generator = torch.Generator().manual_seed(config.seed)
     features = [
-        style_features(part, context.network, config.layers, length=size * share)
+        style_features(part, context.network, config.block, length=size * share)
         for picture in pictures
         for part, share in style_parts(picture, size, generator)
     ]
-    return [torch.cat(group) for group in zip(*features, strict=True)]
+    return torch.cat(features)

@@ -61,7 +61,7 @@ def paint(
     """
     config = config or StyleConfig()
     cameras = capture.cameras if isinstance(capture, Capture) else capture
-    network = network or load_weights(DEFAULT_NETWORK, depth=max(config.layers))
+    network = network or load_weights(DEFAULT_NETWORK, depth=config.block)
     image = read_style(style, rotate=config.rotate, region=config.region)
     target = PaintTarget("object", mask, (image,), config)
     return paint_objects(paint_context(splats, cameras, network), [target]).splats

@@ -11,7 +11,6 @@ from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
 from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
-from stylesplat.progress import say
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.config import (
@@ -23,6 +22,7 @@ from stylesplat.stylization.config import (
     convert_settings,
     recolor_config,
     with_settings,
+    without_retired,
 )
 from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
 from stylesplat.stylization.style_image import is_material, picture_file
@@ -49,8 +49,6 @@ OWN = {  # and of one
     "form": Strength,
     "precision": Precision | None,
 }
-RETIRED = {"canvas", "final_lr", "hard", "max_growth", "pattern", "smoothness", "texture"}
-RETIRED |= {"view_dependence", "view_share", "gone", "upon"}  # of older recipes
 
 
 @check_arguments
@@ -92,8 +90,8 @@ def parse_variation(text: str) -> tuple[str, tuple[Any, ...]]:
     """A setting, or the preset, and the values it is to take in turn.
 
     Example:
-        >>> parse_variation("layers=[3],[2,3]")
-        ('layers', ((3,), (2, 3)))
+        >>> parse_variation("region=[0,0,64,64],[9,9,90,90]")
+        ('region', ((0, 0, 64, 64), (9, 9, 90, 90)))
     """
     key, _, values = text.partition("=")
     if not (key and values.strip()):
@@ -107,17 +105,10 @@ def _settings_and_others(
     entry: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The settings of an entry, which precede those under `settings`, and what it has of `keys`."""
-    own = convert_settings(_without_retired(entry), {**SETTINGS, **keys})
+    own = convert_settings(without_retired(entry), {**SETTINGS, **keys})
     others = {key: own.pop(key) for key in keys if key in own}
-    inner = convert_settings(_without_retired(others.get("settings", {})), SETTINGS)
+    inner = convert_settings(without_retired(others.get("settings", {})), SETTINGS)
     return inner | own, others
-
-
-def _without_retired(entry: Mapping[str, Any]) -> dict[str, Any]:
-    retired = [key for key in entry if key in RETIRED]
-    if retired:
-        say(f"{', '.join(retired)}: older recipes have this; it is ignored now.")
-    return {key: value for key, value in entry.items() if key not in retired}
 
 
 def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str, dict[str, Any]]]:

@@ -165,23 +165,23 @@ def _turn(pixels: Pixels, degrees: float, name: str) -> Pixels:
 
 @torch.no_grad()
 def style_features(
-    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], *, length: float
-) -> tuple[Float[Tensor, "_ _"], ...]:
-    """The features, one per row, of each block, of a style image of this longer side in pixels.
+    style: Float[Tensor, "H W 3"], network: FeatureNetwork, block: int, *, length: float
+) -> Float[Tensor, "Q D"]:
+    """The features of a block, of a style image of this longer side in pixels.
 
     Features that see past the border are left out, so its padding is in no style.
     """
-    resized = fit_style(style, network, blocks, length)
-    height, width = resized.shape[:2]
-    pairs = zip(map(network.cells, blocks), network(resized, blocks), strict=True)
-    return tuple(f[c.inside(height), c.inside(width)].flatten(0, 1) for c, f in pairs)
+    resized, cells = fit_style(style, network, block, length), network.cells(block)
+    rows, columns = map(cells.inside, resized.shape[:2])
+    return network(resized, [block])[0][rows, columns].flatten(0, 1)
 
 
 def fit_style(
-    style: Float[Tensor, "H W 3"], network: FeatureNetwork, blocks: Sequence[int], length: float
+    style: Float[Tensor, "H W 3"], network: FeatureNetwork, block: int, length: float
 ) -> Float[Tensor, "_ _ 3"]:
     """The style image with this longer side, or as large as it takes to hold a whole feature."""
-    least = max(c.size + c.stride - 1 for c in map(network.cells, blocks))  # wherever its cell lies
+    cells = network.cells(block)
+    least = cells.size + cells.stride - 1  # wherever its cell lies
     return resize(style, max(length, least * max(style.shape[:2]) / min(style.shape[:2])))
 
 

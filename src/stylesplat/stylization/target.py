@@ -191,5 +191,5 @@ def load_network(
             "file back, or pass --weights."
         )
     check_choice(features, "feature network", get_args(Network))
-    depth = max(max(style.config.layers) for style in styles)
+    depth = max(style.config.block for style in styles)
     return load_weights(cast("Network", features), path, depth=depth, download=download)

@@ -58,8 +58,8 @@ class ObjectView:
 
     camera: Cameras
     """One camera, whose image is the crop."""
-    cells: tuple[Bool[Tensor, "_ _"], ...]
-    """Which features are the object's, for each layer group."""
+    cells: Bool[Tensor, "_ _"]
+    """Which features are the object's."""
     pixels: Bool[Tensor, "H W"]
     """Those of the object."""
     linear: LinearView | None = None
@@ -164,11 +164,10 @@ def object_views(
     GPU; others are rasterised in every step.
     """
     splats, mask = context.splats, target.mask
-    cells = [context.network.cells(group) for group in target.config.layers]
+    cells = context.network.cells(target.config.block)
     views, used, full = list[ObjectView](), 0, False
     # what features depend on around a box
-    before, after = max(c.before for c in cells), max(c.size - c.before for c in cells)
-    margins = min(MARGIN, before), min(MARGIN, after)
+    margins = min(MARGIN, cells.before), min(MARGIN, cells.size - cells.before)
     is_linear = max_memory > 0 or splats.device.type != "cpu"
 
     def prepare(box: Box) -> tuple[Cameras, Tensor, LinearView | None]:
@@ -182,12 +181,12 @@ def object_views(
         linear = None if full else linear
         covered = linear.coverage if linear else coverage(splats, camera, mask)
         own = covered * inside.to(covered.device)
-        masks = tuple(F.avg_pool2d(own[None], c.stride)[0] > COVERED for c in cells)
-        if all(each.sum() >= MIN_CELLS for each in masks):
+        own_cells = F.avg_pool2d(own[None], cells.stride)[0] > COVERED
+        if own_cells.sum() >= MIN_CELLS:
             used += linear.nbytes if linear else 0
             full = used > max_memory
             linear = None if full else linear
-            views.append(ObjectView(camera, masks, covered > COVERED, linear))
+            views.append(ObjectView(camera, own_cells, covered > COVERED, linear))
     if not views:
         raise StyleSplatError(
             f"Cannot stylise {target.name}: it is hardly visible in the {len(boxes)} views that "

@@ -22,7 +22,7 @@ from stylesplat.scene.frames import with_poses_of
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import Precision, StyleConfig, with_settings
+from stylesplat.stylization.config import Precision, StyleConfig, with_settings, without_retired
 from stylesplat.stylization.style import Style, digest
 from stylesplat.stylization.target import PaintTarget, load_network, paint_context
 from stylesplat.stylization.views import Box, find_boxes
@@ -144,4 +144,4 @@ def _style_of(layer: Layer) -> Style:
         if source.sha256 is not None and digest(source.path) != source.sha256:
             raise StyleSplatError(f"{source.path} is another picture now. Put the one before back.")
         pictures.append(source.path)
-    return Style(*pictures, config=with_settings(StyleConfig(), layer.settings))
+    return Style(*pictures, config=with_settings(StyleConfig(), without_retired(layer.settings)))
