@@ -180,7 +180,7 @@ def pair(picture: torch.Tensor, width: int, height: int) -> list[torch.Tensor]:
 def test_before_and_after_at_the_photos_size(tmp_path: Path, quick_painting: None):
     pictures = write_pictures(tmp_path)
     scene = replace(TRAINED, cameras=enlarged(CAMERAS, 2))
-    styled = painted(scene, "red", pictures, measured=False, intensity=1.0, layers=(2,))
+    styled = painted(scene, "red", pictures, measured=False, intensity=1.0, block=2)
     found = before_after(styled, device="cpu")
     assert found is not None and found[0] in styled.cameras.names
     assert found[1].shape == (72 + CAPTION + 2 * MARGIN, 2 * 96 + 3 * MARGIN, 3)
