@@ -19,7 +19,7 @@ from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import THRESHOLD, pick_objects
+from stylesplat.selection.pick import THRESHOLD, each_object
 from stylesplat.training.lifting import lift
 
 NAME = "figure3"
@@ -95,7 +95,7 @@ def by_selection(
     subject: Subject, splats: Splats, threshold: float, *, remove: bool
 ) -> dict[str, float]:
     """Masks of each object as its selected Gaussians cover them, against true ones."""
-    found = pick_objects(splats, subject.ids, threshold=threshold, remove_outliers=remove)
+    found = dict(each_object(splats, subject.ids, threshold=threshold, remove_outliers=remove))
     pairs = []
     for camera in each(subject.held_out):
         truth = subject.true_map(camera)

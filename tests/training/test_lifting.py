@@ -10,7 +10,7 @@ from stylesplat.scene import splats as nouns
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import THRESHOLD, pick_objects
+from stylesplat.selection.pick import THRESHOLD, each_object
 from stylesplat.training import lifting
 from stylesplat.training.lifting import REPULSIONS, class_codes, labelled, lift, with_labels_of
 
@@ -30,7 +30,7 @@ def agreement(splats: Splats) -> float:
 def test_objects_come_back_and_only_identities_are_new():
     lifted = lift(PLAIN, capture(TRUTH))
     assert agreement(lifted) > 0.97
-    known, found = pick_objects(SPLATS, [*BALLS]), pick_objects(lifted, [*BALLS])
+    known, found = (dict(each_object(each, [*BALLS])) for each in (SPLATS, lifted))
     for id, mask in known.items():
         assert (mask & found[id]).sum() / (mask | found[id]).sum() > 0.7  # undersides are hidden
     for name, values in PLAIN.tensors().items():

@@ -4,6 +4,7 @@
 the memory of what is in view.
 """
 
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Literal
 
@@ -114,22 +115,12 @@ def _module(backend: Backend, device: torch.device):
     """The module of a backend, with `rasterize` and `spherical_harmonics` as `reference` has."""
     if backend == "auto":
         backend = "cuda" if device.type == "cuda" else "cpu"
-    if backend == "reference":
-        from stylesplat.rendering import reference
-
-        return reference
-    if backend == "cpu":
-        from stylesplat.rendering import cpu
-
-        return cpu
-    if find_spec("gsplat") is None:
+    if backend == "cuda" and find_spec("gsplat") is None:
         raise StyleSplatError(
             "Rendering on a GPU needs gsplat, which is not installed. "
             "Run `pip install stylesplat[cuda]`, or choose the cpu device."
         )
-    from stylesplat.rendering import cuda
-
-    return cuda
+    return import_module(f"stylesplat.rendering.{backend}")
 
 
 @torch.no_grad()

@@ -77,12 +77,5 @@ def overlapping(
     low: Shaped[Tensor, " D"],
     high: Shaped[Tensor, " D"],
 ) -> Int[Tensor, " M"]:
-    """The rows of the boxes that overlap another one, in order; boxes are lower and upper corners.
-
-    One axis after the other is compared, as few boxes are left after the first.
-    """
-    rows = ((lows[:, 0] <= high[0]) & (highs[:, 0] >= low[0])).nonzero()[:, 0]
-    for axis in range(1, len(low)):
-        shared = (lows[rows, axis] <= high[axis]) & (highs[rows, axis] >= low[axis])
-        rows = rows[shared]
-    return rows
+    """The rows of the boxes, given by their corners, that overlap another one; in order."""
+    return ((lows <= high) & (highs >= low)).all(dim=1).nonzero()[:, 0]

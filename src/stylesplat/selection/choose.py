@@ -20,7 +20,6 @@ from stylesplat.selection.pick import (
     Point,
     each_object,
     pick,
-    pick_objects,
     require_any,
     resolve_ids,
 )
@@ -198,7 +197,7 @@ def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, "
             (ids[name],) = resolve_ids(scene.splats, object_id=int(name), folder=scene.path)
         else:
             raise _unknown(scene, name)
-    picks = pick_objects(scene.unpainted, [*ids.values()]) if ids else {}
+    picks = dict(each_object(scene.unpainted, [*ids.values()])) if ids else {}
     for name, id in ids.items():
         require_any(picks[id], id)
         found[name] = _with_canvases(scene, picks[id])

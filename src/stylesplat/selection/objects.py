@@ -15,7 +15,7 @@ from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.scene import ListedObject, ListedObjects, Scene, SceneObject, name_fault
 from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.identities import object_ids
-from stylesplat.selection.pick import THRESHOLD, each_object, pick_objects
+from stylesplat.selection.pick import THRESHOLD, each_object
 from stylesplat.selection.soft_picks import OwnShares
 from stylesplat.training.lifting import lift, with_labels_of
 
@@ -24,8 +24,7 @@ def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
     """Give objects names by label id; reports names that are invalid, taken, or of no Gaussians."""
     ids = object_ids(scene.splats) if scene.splats.classifier else ()
     known = {id: name for id, name in names.items() if id in ids}
-    picked = pick_objects(scene.splats, [*known]) if known else {}
-    for id, mask in picked.items():
+    for id, mask in each_object(scene.splats, [*known]) if known else ():
         name = known[id]
         fault = "another object has it" if name in scene.objects else name_fault(name)
         if fault or not mask.any():

@@ -124,17 +124,6 @@ def each_object(
         yield id, mask
 
 
-def pick_objects(
-    splats: Splats,
-    ids: Sequence[int],
-    *,
-    threshold: float = THRESHOLD,
-    remove_outliers: bool = True,
-) -> dict[int, Bool[Tensor, " N"]]:
-    """The masks of `each_object` by label id; many objects take much memory."""
-    return dict(each_object(splats, ids, threshold=threshold, remove_outliers=remove_outliers))
-
-
 def _known_ids(
     splats: Splats, object_id: int | Sequence[int], folder: Path | str
 ) -> tuple[int, ...]:
