@@ -21,7 +21,7 @@ from stylesplat.stylization.style_image import read_style, resize
 from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_bands
 
 NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
-VARIATION = 0.08  # deviation of the colours that `vary_colors` adds, of 1
+VARIATION = 0.05  # deviation of the colours that `vary_colors` adds, of 1
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
 WAVES = 48  # that it is made of
 PATTERN = 0.08  # deviation, in lengths of the object, of the blur that removes its pattern

@@ -66,7 +66,7 @@ SHARPENED = 2.0  # form that is added to the colours before fine stages, of the 
 PREVIEW_STEPS = 25  # on the object's own Gaussians: laying the canvas takes longer
 PUBLISHED_VIEWS = 0.25  # share of the views that the paper uses
 SHN_SLOWDOWN = 20  # ratio of the rates of sh0 and shN in the official code
-FINAL_RATE = 0.06  # of the last step, as a share of the first's
+FINAL_RATE = 0.1  # of the last step, as a share of the first's
 TRUSTED = 0.25  # of the median weight: Gaussians that show less take smaller steps
 
 
