@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 import torch
@@ -23,6 +25,17 @@ def test_many_equal_rows_take_few_entries():
     values = np.concatenate([rows(500), np.zeros((5000, 9), np.float32)])
     entries, labels = tree_kmeans(values, 4096)
     assert len(entries) < 600 and error(values, entries, labels) < 1e-3
+
+
+def test_memory_is_limited_where_most_rows_are_zeros():
+    """Distances of all rows from all entries would take 280 MB."""
+    values = np.concatenate([rows(3000), np.zeros((55_000, 9), np.float32)])
+    tracemalloc.start()
+    entries, labels = tree_kmeans(values, 4096)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 200e6
+    assert len(entries) <= 3001 and error(values, entries, labels) < 1e-3
 
 
 @pytest.mark.parametrize("numbers", [[], [3.5], [2.0] * 50, [1.0, 2.0]])

@@ -28,6 +28,7 @@ QUANTILES = 2**14  # of the sorted numbers, for the first guess of a codebook
 LLOYD_ROUNDS = 20  # more change little
 FIRST_CLUSTERS = 256  # at most, of the first of two levels: as many as one of them may have
 SAMPLE = 2**15  # rows that the first level is fitted to
+MAX_DISTANCES = 2**25  # between rows and centres that are in memory together
 KMEANS_ROUNDS = 3  # more change little
 
 Rows = Float[np.ndarray, "M D"]
@@ -103,9 +104,18 @@ def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
     """At most `most` centres for float32 rows, and the centre of each row.
 
     K-means within each cluster of k-means (Gray 1984), into the more clusters the larger the
-    squared error of the first is. So a row is compared with hundreds of centres, not with 65536,
-    and the error is a little larger than that of plain k-means.
+    squared error of the first is, and again within those that are still large. So a row is compared
+    with hundreds of centres, not with 65536, and the error is a little larger than that of plain
+    k-means.
     """
+    filled = rows.any(axis=1)
+    if most > 1 and not filled.all():  # one entry serves all rows of zeros, as paint has them
+        found = np.zeros(len(rows), np.int64)
+        if not filled.any():
+            return rows[:1], found
+        centres, inner = tree_kmeans(rows[filled], most - 1)
+        found[filled] = inner + 1
+        return np.concatenate([np.zeros_like(rows[:1]), centres]), found
     count = min(FIRST_CLUSTERS, math.isqrt(most))
     sample = np.random.default_rng(0).permutation(len(rows))[:SAMPLE]
     labels, distances = vq(rows, kmeans(rows[sample], count)[0])
@@ -120,7 +130,8 @@ def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
     pairs = zip(clusters, counts.tolist(), strict=True)
     for cluster, count in track(pairs, "palette of colours", unit="part", total=len(clusters)):
         if len(cluster):
-            own, inner = kmeans(rows[cluster], count)
+            is_large = len(cluster) * count > MAX_DISTANCES and len(cluster) < len(rows)
+            own, inner = (tree_kmeans if is_large else kmeans)(rows[cluster], count)
             found[cluster] = sum(map(len, centres)) + inner
             centres.append(own)
     return np.concatenate(centres), found
