@@ -153,10 +153,18 @@ def composite(pixels: UInt8[np.ndarray, "H W D"], grey: int) -> UInt8[np.ndarray
     return pixels
 
 
-def write_image(image: ColorPicture, path: Path | str) -> None:
+def write_image(
+    image: ColorPicture, path: Path | str, *, exif: bytes = b"", icc_profile: bytes | None = None
+) -> None:
     with atomic_path(path) as draft:
-        picture = Image.fromarray(image.cpu().numpy())
-        picture.save(draft, quality=QUALITY, subsampling=0, compress_level=PNG_LEVEL)
+        Image.fromarray(image.cpu().numpy()).save(
+            draft,
+            quality=QUALITY,
+            subsampling=0,
+            compress_level=PNG_LEVEL,
+            exif=exif,
+            icc_profile=icc_profile,
+        )
 
 
 def write_numbers(numbers: Float[Tensor, "H W"], path: Path | str) -> None:

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-from jaxtyping import UInt8
 from PIL import ExifTags, Image
 
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.captures.photos import plain_suffix
 from stylesplat.io.files import inside
-from stylesplat.io.images import QUALITY, exif_of, open_image, read_image
+from stylesplat.io.images import exif_of, open_image, read_image, write_image
 from stylesplat.progress import track
 
 T = TypeVar("T")
@@ -103,21 +101,8 @@ def write_photo(source: Path, target: Path) -> None:
         with atomic_path(target) as temporary:
             shutil.copyfile(source, temporary)
         return
-    pixels, profile = read_image(source).numpy(), color_profile(source)
-    write_jpeg(pixels, target, exif=lens_exif(source), icc_profile=profile)
-
-
-def write_jpeg(
-    pixels: UInt8[np.ndarray, "H W 3"],
-    target: Path,
-    *,
-    exif: bytes = b"",
-    icc_profile: bytes | None = None,
-) -> None:
-    with atomic_path(target) as temporary:
-        Image.fromarray(pixels).save(
-            temporary, "JPEG", quality=QUALITY, subsampling=0, exif=exif, icc_profile=icc_profile
-        )
+    exif, profile = lens_exif(source), color_profile(source)
+    write_image(read_image(source), target, exif=exif, icc_profile=profile)
 
 
 def map_photos(

@@ -4,16 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import atomic_path
 from stylesplat.io.captures.colmap import check_complete, posed_images
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.lens import Lens, places_in
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.files import cannot_write, inside
-from stylesplat.io.images import QUALITY
+from stylesplat.io.images import write_image
 from stylesplat.structure_from_motion.photo_files import color_profile, map_photos
 
 MIN_TRACK = 3  # photos that see a point: the error of points of two is several times as large
@@ -31,10 +29,7 @@ def write_colmap(model: pycolmap.Reconstruction, photos: Path, folder: Path) -> 
         lens = lenses[image.camera_id]
         source, target = inside(photos, image.name), inside(folder / "images", image.name)
         photo = Photo(source, upright=True, lens=lens, size=lens.pinhole().size)
-        with atomic_path(target) as temporary:
-            Image.fromarray(photo.read_with_alpha().numpy()).save(
-                temporary, quality=QUALITY, subsampling=0, icc_profile=color_profile(source)
-            )
+        write_image(photo.read_with_alpha(), target, icc_profile=color_profile(source))
 
     map_photos(write, images, "undistorting photos", threads=torch.get_num_threads())
     sparse = folder / "sparse" / "0"
@@ -62,9 +57,7 @@ def _pinhole_model(
     for image in images:
         lens, features = lenses[image.camera_id], pinholes.images[image.image_id].points2D
         distorted = np.array([feature.xy for feature in features]).reshape(-1, 2)
-        rays = np.asarray(lens.camera.cam_from_img(distorted))
-        rays = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1)  # [P, 3]
-        places = np.asarray(lens.pinhole().camera.img_from_cam(rays))
+        places = places_in(lens.pinhole(), distorted, lens)
         for feature, place in zip(features, places, strict=True):
             feature.xy = place
     for key, lens in lenses.items():

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+import torch
 from av.container import InputContainer
 from av.error import EOFError as EndOfFile
 from av.error import FFmpegError, InvalidDataError
@@ -18,7 +19,7 @@ from jaxtyping import UInt8
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason, require_regular
-from stylesplat.io.images import MAX_PIXELS
+from stylesplat.io.images import MAX_PIXELS, write_image
 from stylesplat.io.video import SMOOTH_COLOR
 from stylesplat.progress import say, task
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
@@ -30,7 +31,6 @@ from stylesplat.structure_from_motion.image_measures import (
     relative_sharpness,
     sharpness,
 )
-from stylesplat.structure_from_motion.photo_files import write_jpeg
 from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
 
 # FFmpeg's demuxers: no playlists, which name files and addresses, and no lists of pictures
@@ -180,7 +180,7 @@ def write_keyframes(path: Path, names: Sequence[str], folder: Path) -> None:
     with open_video(path) as video, task("writing frames", len(missing), unit="frame") as bar:
         for number, frame in video.frames():
             if (name := _frame_name(number)) in missing:
-                write_jpeg(video.upright(frame), folder / name)
+                write_image(torch.from_numpy(video.upright(frame)), folder / name)
                 missing.remove(name)
                 bar.advance()
             if not missing:

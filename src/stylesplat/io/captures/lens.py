@@ -107,7 +107,7 @@ def _pinhole(lens: Lens) -> Lens:
     options = pycolmap.UndistortCameraOptions()
     pinhole = Lens.from_colmap(pycolmap.undistort_camera(options, lens.camera))
     x, y = np.meshgrid(*(np.linspace(0.5, side - 0.5, CHECK_GRID) for side in pinhole.size))
-    points = _distorted(np.stack([x.ravel(), y.ravel()], axis=1), pinhole, lens)
+    points = places_in(lens, np.stack([x.ravel(), y.ravel()], axis=1), pinhole)
     if ((points > 0) & (points < lens.size)).all(axis=1).mean() < MIN_VISIBLE:
         raise StyleSplatError(
             f"A {lens.model} camera has an impossible distortion: undistorted, its photos are "
@@ -116,11 +116,11 @@ def _pinhole(lens: Lens) -> Lens:
     return pinhole
 
 
-def _distorted(
-    pixels: Float[np.ndarray, "P 2"], pinhole: Lens, lens: Lens
+def places_in(
+    lens: Lens, pixels: Float[np.ndarray, "P 2"], other: Lens
 ) -> Float[np.ndarray, "P 2"]:
-    """Where the lens shows what the pinhole camera shows at these pixels."""
-    rays = np.asarray(pinhole.camera.cam_from_img(pixels))
+    """Where a lens shows what another one shows at these pixels."""
+    rays = np.asarray(other.camera.cam_from_img(pixels))
     rays = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1)  # [P, 3]
     return np.asarray(lens.camera.img_from_cam(rays))
 
@@ -133,6 +133,6 @@ def _sampling_map(
     pinhole = lens.pinhole()
     rows, columns = np.mgrid[start:stop, : pinhole.width] + 0.5
     pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
-    points = _distorted(pixels, pinhole, lens).reshape(*rows.shape, 2) - 0.5
+    points = places_in(lens, pixels, pinhole).reshape(*rows.shape, 2) - 0.5
     with np.errstate(over="ignore", invalid="ignore"):  # far outside
         return points[..., 0].astype(np.float32), points[..., 1].astype(np.float32)
