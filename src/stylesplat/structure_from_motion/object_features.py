@@ -148,7 +148,7 @@ def _nearest_mean(
     return values[near].mean(axis=1)
 
 
-def region_of(
+def pixels_near_features(
     places: Float[np.ndarray, "P 2"], values: Float[np.ndarray, " P"], size: tuple[int, int]
 ) -> Bool[np.ndarray, "H W"]:
     """The pixels close to features of the object, and closer than to others."""

@@ -24,8 +24,8 @@ from stylesplat.structure_from_motion.matching import match_pairs
 from stylesplat.structure_from_motion.object_features import (
     Box,
     Masks,
+    pixels_near_features,
     read_matches,
-    region_of,
     share_of_two_motions,
     spread_box,
     write_masks,
@@ -128,7 +128,9 @@ def _masks_of(
         raise StyleSplatError(
             f"The box in {box[0]} shows nothing that can be found again. Draw a larger one."
         )
-    regions = [partial(region_of, *each) for each in zip(places, shares, sizes, strict=True)]
+    regions = [
+        partial(pixels_near_features, *each) for each in zip(places, shares, sizes, strict=True)
+    ]
     return dict(zip(prepared.names, regions, strict=True))
 
 
