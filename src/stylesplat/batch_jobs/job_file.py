@@ -145,9 +145,7 @@ class _Planner:
             fact = f"nothing can follow {name}: it makes files."
             raise self._error((*place, "then", 0), fact)
         label = entry.get("name")
-        needs = self._checked(
-            entry.get("needs", {}), get_type_hints(Needs, include_extras=True), (*place, "needs")
-        )
+        needs = self._checked(entry.get("needs", {}), NEEDS, (*place, "needs"))
         return _Entry(
             place,
             verb,
