@@ -17,7 +17,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.verbs.train import train as real_train
 
-TINY = SelfTest(downscale=8.0, gaussians=800, train_steps=60, paint_steps=8, renders=1)
+TINY = SelfTest(downscale=4.0, gaussians=800, train_steps=60, paint_steps=3, renders=1)
 FEW = range(0, 48, 6)  # photos
 pytestmark = pytest.mark.usefixtures("quick_painting")
 REPORT = {
