@@ -107,7 +107,8 @@ def test_a_variant_is_swapped_by_its_thumbnail(opened: StudioServer, tab: Tab, t
     assert tab.page.evaluate(pressed).startswith("stripes\nquality draft")
     tab.press_button("Compare with 3: plain")
     until(lambda: tab.page.evaluate("studio.compared") == "split", "the handle")
-    assert tab.page.evaluate("document.querySelector('.cut span').innerText") == "3: plain"
+    label = "document.querySelector('.cut span').innerText"
+    until(lambda: tab.page.evaluate(label) == "3: plain", "the label of what is compared")
     tab.press_button("After")
     tab.press_button("Undo: Switched 3 to stripes")
     assert_shows(tab, before)
