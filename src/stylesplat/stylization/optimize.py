@@ -255,8 +255,14 @@ def _lay(object: _Object, length: float) -> _Object:
     max_discs = config.max_discs(int(object.target.mask.sum()))
     if max_discs == 0 or config.intensity == 0:
         return object
-    bare, rest = object.canvas, {"length": length, "max_discs": max_discs, "seed": config.seed}
-    canvas = lay_canvas(bare.splats, bare.mask, object.boxes, **rest)
+    canvas = lay_canvas(
+        object.canvas.splats,
+        object.canvas.mask,
+        object.boxes,
+        length=length,
+        max_discs=max_discs,
+        seed=config.seed,
+    )
     if canvas is None:
         say(f"{object.target.name} has no surface for a canvas: its own Gaussians are painted.")
         return object

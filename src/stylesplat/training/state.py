@@ -123,11 +123,12 @@ class Ranks:
                     f"`--nproc-per-node {gpus}`, or train with `--device cpu`."
                 )
             torch.cuda.set_device(number)
+            backend = "nccl"
         else:
+            backend = "gloo"
             share = max(1, numba.get_num_threads() // count)
             numba.set_num_threads(share)
             torch.set_num_threads(share)
-        backend = "nccl" if pick_device(device).type == "cuda" else "gloo"
         dist.init_process_group(backend, timeout=PATIENCE)
         try:
             yield cls.here()
