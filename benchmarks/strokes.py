@@ -3,18 +3,22 @@
     .venv/bin/python benchmarks/strokes.py --scene SCENE --object OBJECT --painting FILE
 
 For some sizes of strokes (`--stroke-size`) the object is painted, and its features in four held-out
-views are compared with those of the picture at many sizes: that of the least mean distance (NNFM),
-as a multiple of the object's length, is the size that the strokes seem to have. It should double
-when the stroke size does, within a quarter. Lengths of strokes in pixels cannot be told by
+views are compared with those of the picture at many sizes. The middle of the sizes of the least mean
+distance (NNFM), as a multiple of the object's length, is the size that the strokes seem to have. It
+should double when the stroke size does, within a quarter. Lengths of strokes in pixels cannot be told by
 correlation or edges: paintings have detail of every size, and give the same length at every size.
 
 No size is larger than the picture itself, as what is enlarged is soft and resembles everything
-soft: take a picture twice as long as the largest stroke size times the object's length.
+soft. So the views are shrunk until the picture, in the size that was asked for, has half of its own
+pixels: sizes are told apart up to twice of it, and strokes of every size are as large to the
+network.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import exp, log
 from pathlib import Path
+from statistics import mean
 
 import torch
 import tyro
@@ -25,6 +29,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 import stylesplat as ss
+from stylesplat.rendering.shares import COVERED
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -39,6 +44,7 @@ SIZES = 2.0 ** torch.arange(-1.5, 3.01, 0.25)  # of the picture, in lengths of t
 SIDE = 1000  # pixels of the picture at most: of a larger one the first
 FEATURES = 3000  # at random, equally many of each size: more would be nearer
 BORDER = 3  # features that see beside the picture
+AS_NEAR = 1.01  # ratio to the least distance up to which a picture resembles as much
 INSIDE = 0.99  # of a feature's cell that has to be the object's
 
 
@@ -81,8 +87,15 @@ def apparent_size(
         few = _few(style[BORDER:-BORDER, BORDER:-BORDER].flatten(0, 1))
         nearest = [(own * few[most_similar(own, few)]).sum(dim=1).mean() for own in owns]
         found.append((1 - float(torch.stack(nearest).mean()), size))
-    distance, size = min(found)
-    return size, distance
+    least = min(found)[0]
+    alike = [log(size) for distance, size in found if distance <= AS_NEAR * least]
+    return exp(mean(alike)), least
+
+
+def _shrunk(image: Tensor, mask: Tensor, zoom: float) -> tuple[Tensor, Tensor]:
+    image = resize(image, zoom * max(image.shape[:2]))
+    covered = F.interpolate(mask[None, None].float(), image.shape[:2], mode="area")[0, 0]
+    return image, covered > COVERED
 
 
 def _features(network: FeatureNetwork, image: Tensor) -> Float[Tensor, "h w D"]:
@@ -106,8 +119,9 @@ def main(options: Options) -> None:
     for scale in options.scales:
         config = StyleConfig(scale=scale)
         styled = paint(scene.splats, training, picked, picture, config=config)
-        painted = [(sight.shows(styled), sight.mask) for sight in sights]
-        size, distance = apparent_size(network, painted, picture, length)
+        zoom = min(1.0, max(picture.shape) / (2 * scale * length))
+        painted = [_shrunk(sight.shows(styled), sight.mask, zoom) for sight in sights]
+        size, distance = apparent_size(network, painted, picture, zoom * length)
         rows.append([f"{scale:g}", f"{size:.2f}", f"{distance:.3f}"])
     print(table(["stroke size", "seems", "NNFM"], rows))
 
