@@ -240,15 +240,17 @@ def rasterize(
     wanted, colors = colors.shape[-1], padded(colors)
     if geometry_channels == wanted:
         geometry_channels = colors.shape[-1]
-    images, projections, opacities = [], [], gaussians.opacities
-    for view, view_colors in zip(views_of(cameras), colors, strict=True):
-        projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
-        images.append(
-            blend_projected(projected, opacities, view_colors, cameras.size, geometry_channels)
-        )
-        projections.append(projected)
-    render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
+    projections = [_Project.apply(view, view.viewmat, *gaussians) for view in views_of(cameras)]
     info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))
+    # The blended tensors are views of those in `info`, so gradients reach these, too
+    unstacked = zip(*(_unstacked(each) for each in info), strict=True)
+    images = [
+        blend_projected(
+            Projected(*each), gaussians.opacities, view_colors, cameras.size, geometry_channels
+        )
+        for each, view_colors in zip(unstacked, colors, strict=True)
+    ]
+    render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
     return render_colors[..., :wanted], render_alphas, info._asdict()
 
 
@@ -269,3 +271,7 @@ def blend_projected(
 
 def _stacked(tensors: tuple[Tensor, ...]) -> Tensor:
     return tensors[0][None] if len(tensors) == 1 else torch.stack(tensors)
+
+
+def _unstacked(tensor: Tensor) -> tuple[Tensor, ...]:
+    return (tensor.squeeze(0),) if len(tensor) == 1 else tensor.unbind()
