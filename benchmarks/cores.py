@@ -26,6 +26,7 @@ import tyro
 from bench import capture, machine, table
 
 from stylesplat.rendering.at_once import RenderPool
+from stylesplat.training.densification import MCMCStrategy
 from stylesplat.training.initialize import scene_extent
 from stylesplat.training.loop import MOST_AT_ONCE, fit
 from stylesplat.training.state import Ranks, Run, State
@@ -111,7 +112,8 @@ def rate(options: Options, state: State) -> float:
     views = training_views(photos, rows, ids=state.ids, device=CPU, max_memory=1.0)
     config, extent = config_of(options, 5000), scene_extent(photos.cameras)
     pool, batch = RenderPool(options.batch), options.batch
-    run = Run(config, tuple(rows), views, photos.cameras, extent, CPU, batch, Ranks.here(), pool)
+    strategy, ranks = MCMCStrategy(config, extent), Ranks.here()
+    run = Run(config, tuple(rows), views, photos.cameras, extent, CPU, strategy, batch, ranks, pool)
     state = advanced(run, replace(state, step=4000), FIRST)  # late: photos are whole
     first, start = state.step, time.perf_counter()
     state = advanced(run, state, PHOTOS)

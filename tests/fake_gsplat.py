@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.training.densification import relocate
 
 
 def install_training_kernels(
@@ -18,6 +19,8 @@ def install_training_kernels(
     for module, name, stand_in in (
         (gsplat.cuda._wrapper, "adam", adam),
         (gsplat, "quat_scale_to_covar_preci", quat_scale_to_covar_preci),
+        (gsplat.strategy.ops, "quat_scale_to_covar_preci", quat_scale_to_covar_preci),
+        (gsplat.strategy.ops, "compute_relocation", compute_relocation),
     ):
         real = inspect.unwrap(getattr(module, name))
         monkeypatch.setattr(module, name, wrap(_bound(real, stand_in)))
@@ -52,3 +55,9 @@ def quat_scale_to_covar_preci(quats, scales, compute_covar, compute_preci, triu)
     axes = rotation_matrices(quats) * scales[:, None]
     covars = axes @ axes.transpose(1, 2)
     return covars, torch.linalg.inv(covars) if compute_preci else None
+
+
+def compute_relocation(opacities, scales, ratios, binoms):
+    """relocation.cu: equation 9 of 3DGS-MCMC."""
+    assert binoms[4, 2] == 6 and opacities.shape == ratios.shape
+    return relocate(opacities, scales, ratios.clamp(1, len(binoms)))

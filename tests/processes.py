@@ -21,6 +21,7 @@ from stylesplat.batch_jobs.job_process import JobRecord, RunJob, ended_job
 from stylesplat.cli import main
 from stylesplat.cli.batch import batch_verbs
 from stylesplat.scene.capture import Capture
+from stylesplat.training.densification import MCMCStrategy
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import initial_photo_params
@@ -134,6 +135,7 @@ def begun(
         cameras=capture.cameras,
         extent=scene_extent(capture.cameras),
         device=CPU,
+        strategy=MCMCStrategy(config, scene_extent(capture.cameras)),
         batch=batch,
     )
     splats = first_splats(

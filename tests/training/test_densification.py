@@ -33,11 +33,11 @@ def refined(
     splats: Splats, count: int, preference: torch.Tensor | None = None
 ) -> tuple[dict[str, torch.Tensor], Moments]:
     params = splats.tensors()
-    ones = {name: torch.ones_like(t) for name, t in params.items()}
-    generator = torch.Generator().manual_seed(0)
-    return relocate_and_grow(
-        params, Moments(ones, ones), NAMES, count, generator, preference=preference
-    )
+    ones = ({name: torch.ones_like(t) for name, t in params.items()} for _ in range(2))
+    moments, generator = Moments(*ones), torch.Generator().manual_seed(0)
+    optimizers = moments.optimizers(params)
+    relocate_and_grow(params, optimizers, count, generator, preference=preference)
+    return params, moments.updated(optimizers)
 
 
 def rows_of(params: dict[str, torch.Tensor], splats: Splats) -> torch.Tensor:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.rendering.kernels.jit import kernel
@@ -35,17 +35,34 @@ class Moments:
         first, second = ({k: v.clone() for k, v in t.items()} for t in (self.first, self.second))
         return Moments(first, second)
 
-    def take(self, rows: Int[Tensor, " M"], names: tuple[str, ...]) -> "Moments":
-        """The state with other rows in the tensors called `names`; row -1 is zero."""
+    def optimizers(self, params: dict[str, Tensor]) -> dict[str, "TensorOptimizer"]:
+        """The moments of some tensors, in the form in which gsplat's strategies change them."""
+        return {
+            name: TensorOptimizer(
+                [{"params": [param]}],
+                {param: {"exp_avg": self.first[name], "exp_avg_sq": self.second[name]}},
+            )
+            for name, param in params.items()
+        }
 
-        def taken(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-            out = dict(tensors)
-            for name in names:
-                out[name] = tensors[name][rows.clamp(min=0)]
-                out[name][rows < 0] = 0
-            return out
+    def updated(self, optimizers: dict[str, "TensorOptimizer"]) -> "Moments":
+        """The moments with those that `optimizers` hold now."""
+        found = {name: each.moments for name, each in optimizers.items()}
+        first = {name: each["exp_avg"] for name, each in found.items()}
+        second = {name: each["exp_avg_sq"] for name, each in found.items()}
+        return Moments(self.first | first, self.second | second)
 
-        return Moments(taken(self.first), taken(self.second))
+
+@dataclass
+class TensorOptimizer:
+    """What gsplat's strategies read and write of the `torch.optim.Adam` of one tensor."""
+
+    param_groups: list[dict[str, list[Tensor]]]
+    state: dict[Tensor, dict[str, Tensor]]
+
+    @property
+    def moments(self) -> dict[str, Tensor]:
+        return self.state[self.param_groups[0]["params"][0]]
 
 
 class AdamUpdate(NamedTuple):

@@ -4,8 +4,12 @@ Kheradmand et al. 2024. A Gaussian that is copied becomes fainter and smaller, s
 copies look as it did; noise in proportion to transparency lets Gaussians explore.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
+from inspect import signature
 from math import comb, exp
+from typing import Any, Protocol, runtime_checkable
 
 import numba
 import torch
@@ -14,7 +18,8 @@ from torch import Tensor
 
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.scene.splats import Splats
-from stylesplat.training.adam import Moments
+from stylesplat.training.adam import TensorOptimizer
+from stylesplat.training.train_config import TrainConfig, means_decay
 
 DEAD_OPACITY = 0.005
 MAX_COPIES = 51  # of one Gaussian at a time (official)
@@ -26,6 +31,87 @@ OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
 
 Params = dict[str, Tensor]
+Optimizers = dict[str, TensorOptimizer]
+
+
+@runtime_checkable
+class Strategy(Protocol):
+    """How training moves, adds and removes Gaussians: gsplat's interface, so that its own fit.
+
+    Both methods are called as gsplat calls them, `(params, optimizers, state, step, info)`, before
+    the gradients of a photo are computed and after its step, and change these dicts in place.
+    `params` are the raw tensors of `Splats` that have one row per Gaussian; `optimizers` hold
+    their moments as `torch.optim.Adam` does; `state` is what `initialize_state` returned. Where
+    they take such an argument, `initialize_state` gets the `scene_scale` (the scene's extent) and
+    `step_post_backward` gets `lr` (the learning rate of the means), as gsplat's do.
+
+    `info` has what `rasterize` returns and, as gsplat's, `width`, `height`, `n_cameras` and
+    `gaussian_ids`. It also has `loss`, to which `step_pre_backward` may add; the `progress` of the
+    run in 0..1; the `first_count` of Gaussians; the `classifier`, if identities are learned; and a
+    `generator`, which follows from seed and step. After the step, `photos` is how many photos the
+    gradients are the mean of, and `round` is the range of steps whose gradients were computed
+    together: the number of Gaussians may change only after its last step.
+    """
+
+    def initialize_state(self, *args: Any, **kwargs: Any) -> dict[str, Any]: ...
+
+    def step_pre_backward(self, *args: Any, **kwargs: Any) -> None: ...
+
+    def step_post_backward(self, *args: Any, **kwargs: Any) -> None: ...
+
+
+def accepted(function: Callable[..., Any], **offered: Any) -> dict[str, Any]:
+    """The arguments offered for which the function has a parameter."""
+    return {name: offered[name] for name in offered.keys() & signature(function).parameters.keys()}
+
+
+@dataclass(frozen=True)
+class MCMCStrategy:
+    """3DGS-MCMC with growth by a schedule, which prefers objects: the strategy of `train`."""
+
+    config: TrainConfig
+    extent: float
+    """Unit of length of the scene."""
+
+    def initialize_state(self) -> dict[str, Any]:
+        return {}  # all follows from the seed and the step, so a checkpoint needs nothing of it
+
+    def step_pre_backward(
+        self,
+        params: Params,
+        optimizers: Optimizers,
+        state: dict[str, Any],
+        step: int,
+        info: dict[str, Any],
+    ) -> None:
+        """Add the regularisers to the loss; draw the noise, here because photos run in parallel."""
+        means = params["means"]
+        info["noise"] = torch.randn(means.shape, generator=info["generator"], device=means.device)
+        info["loss"] = info["loss"] + regularizer(params, self.extent)
+
+    def step_post_backward(
+        self,
+        params: Params,
+        optimizers: Optimizers,
+        state: dict[str, Any],
+        step: int,
+        info: dict[str, Any],
+    ) -> None:
+        """Add noise to the means; relocate and grow at the end of each interval."""
+        config, progress, photos = self.config, info["progress"], info["photos"]
+        decay = means_decay(progress)
+        perturb_means(params, self.extent, decay, info["noise"], photos=photos)
+        first, end, every = info["round"].start, info["round"].stop, config.refine_every
+        is_due = step + photos == end and end // every > first // every
+        if is_due and progress < config.refine_end:
+            splats = Splats(**params, classifier=info["classifier"])
+            relocate_and_grow(
+                params,
+                optimizers,
+                config.gaussian_count(progress, info["first_count"]),
+                info["generator"],
+                preference=growth_preference(splats, config.object_growth),
+            )
 
 
 def regularizer(params: Params, extent: float) -> Float[Tensor, ""]:
@@ -95,17 +181,16 @@ def _add_noise(arrays, rate):
 @torch.no_grad()
 def relocate_and_grow(
     params: Params,
-    moments: Moments,
-    names: tuple[str, ...],
+    optimizers: Optimizers,
     count: int,
     generator: torch.Generator,
     *,
     preference: Float[Tensor, " N"] | None = None,
-) -> tuple[Params, Moments]:
-    """Move the dead Gaussians to living ones, and add copies until there are `count` Gaussians.
+) -> None:
+    """Move the dead Gaussians to living ones, and add copies until there are `count`, in place.
 
-    `names` are the tensors with one row per Gaussian. The chance of being copied is the opacity
-    times the preference. Rows that were moved or copied start from zero moments.
+    The chance of being copied is the opacity times the preference. Rows that were moved or copied
+    start from zero moments.
     """
     opacities = torch.sigmoid(params["opacities"])
     alive = (opacities > DEAD_OPACITY).nonzero()[:, 0]
@@ -113,19 +198,25 @@ def relocate_and_grow(
     n = len(opacities)
     needed = len(dead) + max(count - n, 0)
     if needed == 0 or len(alive) == 0:
-        return params, moments
+        return
     chances = opacities if preference is None else opacities * preference
     drawn = torch.multinomial(chances[alive], needed, replacement=True, generator=generator)
     sources = alive[drawn]
     rows = torch.cat([torch.arange(n, device=sources.device), sources[len(dead) :]])
     rows[dead] = sources[: len(dead)]
-    params = dict(params) | _shrink_sources(params, sources)
-    fresh = rows.clone()
-    fresh[dead] = -1
-    fresh[n:] = -1
-    fresh[sources] = -1
-    taken = {name: params[name].detach()[rows].requires_grad_() for name in names}
-    return params | taken, moments.take(fresh, names)
+    fresh = torch.zeros(len(rows), dtype=torch.bool, device=rows.device)
+    fresh[dead] = True
+    fresh[n:] = True
+    fresh[sources] = True
+    for name, tensor in (params | _shrink_sources(params, sources)).items():
+        taken, optimizer = tensor.detach()[rows].requires_grad_(), optimizers[name]
+        moments = optimizer.state.pop(params[name])
+        for key in ("exp_avg", "exp_avg_sq"):
+            moments[key] = moments[key][rows]
+            moments[key][fresh] = 0
+        optimizer.state[taken] = moments
+        optimizer.param_groups[0]["params"] = [taken]
+        params[name] = taken
 
 
 def _shrink_sources(params: Params, sources: Int[Tensor, " M"]) -> Params:

@@ -23,6 +23,7 @@ from stylesplat.training.checkpoint import (
     load_checkpoint,
     require_checkpoint,
 )
+from stylesplat.training.densification import MCMCStrategy, Strategy, accepted
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
@@ -47,6 +48,7 @@ def fit(
     checkpoint: Path | None = None,
     finish: bool = False,
     on_progress: Report | None = None,
+    strategy: Strategy | None = None,
 ) -> State:
     """Train until the run is over: the functional core of `train`, for programs of your own.
 
@@ -66,13 +68,18 @@ def fit(
         on_progress: Called with the state and the means of loss and PSNR since the last call:
             after each step on the CPU; on a GPU, which the call waits for, after every tenth step,
             when a second has passed, and at the end.
+        strategy: Moves, adds and removes Gaussians in place of 3DGS-MCMC, such as gsplat's
+            `DefaultStrategy()`, by its own settings and not those of `config`. It gets one photo at
+            a time. gsplat's draw from torch's global generator, so seed that; and the noise of its
+            `MCMCStrategy` grows with the rate of the means, which is 6 times gsplat's by default.
 
     Returns:
         The trained tensors, with the optimiser's state; `state.splats.detach()` are the Gaussians.
 
     Raises:
         StyleSplatError: If the capture leaves nothing to train on, there is no checkpoint to
-            finish, or it has other settings or another capture; it is left as it is.
+            finish, or it has other settings or another capture; it is left as it is. If a strategy
+            is to be used with a checkpoint, several photos at once or several processes.
         KeyboardInterrupt: After Ctrl-C, once the step is finished and the checkpoint written;
             SIGTERM waits for them too, before it does what it does in your program.
 
@@ -84,6 +91,8 @@ def fit(
     """
     if finish:
         require_checkpoint(checkpoint)
+    if strategy is not None:
+        _check_alone(config, checkpoint)
     device = torch.device(device)
     rows, _ = split_views(capture, config.test_every)
     if not rows:
@@ -99,7 +108,7 @@ def fit(
                 say(f"Taking no more steps than the {steps} of {checkpoint}.")
                 return continued
             say(f"Continuing from {checkpoint}, after {steps} steps. `--restart` begins anew.")
-    run, state = _begin(capture, config, rows, device, continued)
+    run, state = _begin(capture, config, rows, device, continued, strategy)
     try:
         warm_up_training(run, state)
         checkpointer = Checkpointer(saved if run.ranks.number == 0 else None)
@@ -130,12 +139,24 @@ def fit(
         run.pool.end()
 
 
+def _check_alone(config: TrainConfig, checkpoint: Path | None) -> None:
+    """Refuse what goes with no strategy but ours, whose state is the seed and the step."""
+    several = (config.photos_at_once or 1) > 1 or Ranks.here().count > 1
+    if checkpoint is not None or several:
+        fact = "several photos at a time" if several else "a checkpoint"
+        raise StyleSplatError(
+            f"Cannot train with a strategy and {fact}: it may change the Gaussians after each "
+            "photo, and checkpoints do not contain its state. Leave out one of them."
+        )
+
+
 def _begin(
     capture: Capture,
     config: TrainConfig,
     rows: list[int],
     device: torch.device,
     continued: State | None,
+    strategy: Strategy | None,
 ) -> tuple[Run, State]:
     state = continued or first_state(
         first_splats(
@@ -148,9 +169,11 @@ def _begin(
     )
     ranks = Ranks.here()
     most = max(1, MOST_AT_ONCE // ranks.count)
-    pool = RenderPool(config.photos_at_once or most, device)
+    photos = config.photos_at_once if strategy is None else 1
+    pool = RenderPool(photos or most, device)
     # Processes on the CPU send their gradients once a round, so each has as many photos in it
     same = ranks.count > 1 and device.type == "cpu"
+    extent = scene_extent(capture.cameras)
     run = Run(
         config=config,
         rows=tuple(rows),
@@ -158,12 +181,15 @@ def _begin(
             capture, rows, ids=state.ids, device=device, max_memory=config.max_memory
         ),
         cameras=capture.cameras,
-        extent=scene_extent(capture.cameras),
+        extent=extent,
         device=device,
-        batch=config.photos_at_once or (most if same else pool.size),
+        strategy=strategy or MCMCStrategy(config, extent),
+        batch=photos or (most if same else pool.size),
         ranks=ranks,
         pool=pool,
     )
+    begin = run.strategy.initialize_state
+    state = replace(state, strategy_state=begin(**accepted(begin, scene_scale=extent)))
     if continued is None:
         state = state.with_photos(initial_photo_params(run, capture.points))
     return run, state

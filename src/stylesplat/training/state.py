@@ -3,8 +3,10 @@
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
+from typing import Any
 
 import numba
 import torch
@@ -17,6 +19,7 @@ from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.training.adam import Moments
+from stylesplat.training.densification import Optimizers, Params, Strategy
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import Views
 
@@ -42,6 +45,8 @@ class State:
     """Steps done."""
     seconds: float = 0.0
     """Time they took."""
+    strategy_state: dict[str, Any] = field(default_factory=dict)
+    """What the strategy remembers; that of `train` remembers nothing."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,7 +55,18 @@ class State:
 
     def clone(self) -> "State":
         params = {name: t.detach().clone().requires_grad_() for name, t in self.params.items()}
-        return replace(self, params=params, moments=self.moments.clone())
+        remembered = deepcopy(self.strategy_state)
+        return replace(self, params=params, moments=self.moments.clone(), strategy_state=remembered)
+
+    def gaussians(self) -> tuple[Params, Optimizers]:
+        """The tensors that have one row per Gaussian, and their moments, for a strategy."""
+        params = {name: self.params[name] for name in self.names}
+        return params, self.moments.optimizers(params)
+
+    def with_gaussians(self, params: Params, optimizers: Optimizers) -> "State":
+        """The state with what a strategy has made of `gaussians`."""
+        moments = self.moments.updated(optimizers)
+        return replace(self, params=self.params | params, moments=moments)
 
     def with_own_gradients(self, step: int) -> "State":
         """The state at another step: it shares the tensors, but not their gradients."""
@@ -175,6 +191,8 @@ class Run:
     extent: float
     """Unit of length of the scene."""
     device: torch.device
+    strategy: Strategy
+    """Moves, adds and removes Gaussians."""
     batch: int = 1
     """Photos of a round: their gradients are computed together, before the first step."""
     ranks: Ranks = ALONE

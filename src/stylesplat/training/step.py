@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial, reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int, Integer
@@ -11,8 +11,9 @@ from torch import Tensor
 
 from stylesplat.metrics.images import decibels
 from stylesplat.rendering.render import rasterize
-from stylesplat.training import densification, per_photo
+from stylesplat.training import per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
+from stylesplat.training.densification import accepted
 from stylesplat.training.losses import (
     identity_loss,
     nearest_neighbors,
@@ -46,8 +47,8 @@ class PhotoGradients(NamedTuple):
     """Which Gaussians the cameras see."""
     scores: Float[Tensor, "2"]
     """Loss and PSNR."""
-    noise: Float[Tensor, "N 3"]
-    """Standard normal: moves the means at random after the steps of the round."""
+    info: dict[str, Any]
+    """Of the render, for the strategy; that of the first photo, for several."""
     photos: int = 1
 
 
@@ -56,25 +57,20 @@ def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
 
     Threads compute the photos' gradients in parallel. Then Adam takes one step per photo, with
     gradients that are as old as the round. For a few photos this costs no measurable quality
-    (Langford, Smola and Zinkevich 2009, "Slow learners are fast") and needs no other rates. Noise
-    then moves the means. Several processes take one step for the whole round, by the mean of all
-    their gradients, which are sent once.
+    (Langford, Smola and Zinkevich 2009, "Slow learners are fast") and needs no other rates. The
+    strategy then moves, adds and removes Gaussians. Several processes take one step for the whole
+    round, by the mean of all their gradients, which are sent once.
 
     Returns:
         The next state, in the same tensors unless Gaussians were moved or added; and the means of
         loss and PSNR.
     """
-    first, every = state.step, run.config.refine_every
     photos = [*run.pool.in_order(partial(compute_gradients, run, state), run.photos(state))]
     if run.ranks.count > 1:
         photos = [average_gradients(run, photos)]
     apply_gradients(run, photos)
-    end = first + sum(each.photos for each in photos)
-    if end // every > first // every:
-        last = end - photos[-1].photos
-        state = _refine(run, replace(state, step=last))
     scores = torch.stack([each.scores for each in photos]).mean(dim=0)
-    return replace(state, step=end), scores
+    return densify(run, state, photos), scores
 
 
 def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
@@ -85,8 +81,6 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
     """
     state, config, generator = state.with_own_gradients(step), run.config, run.generator(step)
     params, progress, row = state.params, run.progress(state), run.row(step)
-    moves = run.generator(step - run.ranks.number, MOVES)  # alike in all processes
-    noise = torch.randn(params["means"].shape, generator=moves, device=run.device)
     place = run.rows.index(row)  # in the `PER_PHOTO` tensors
     view = run.views(row, config.photo_downscale(progress, run.cameras[row].size))
     classes = view.classes if run.every(config.identity_every, step) else None
@@ -118,13 +112,27 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
         target = per_photo.blown_out_target(image, target)
     loss, error = photometric_loss(image, target)
     loss = loss + per_photo.per_photo_regularizer(params, place)
-    loss = loss + densification.regularizer(params, run.extent)
     if identities is not None and classes is not None:
         sampled = classes[y::stride, x::stride]
         loss = loss + _identity_losses(run, state, (identities, sampled), generator)
+    (width, height), first = camera.size, step - run.ranks.number  # alike in all processes
+    info = {**info, **_run_info(run, state, first), "loss": loss, "n_cameras": 1}
+    info |= {"width": width, "height": height, "gaussian_ids": None}  # as gsplat's, not packed
+    run.strategy.step_pre_backward(*state.gaussians(), state.strategy_state, step, info)
+    loss = info.pop("loss")
     loss.backward()
     visible = (info["radii"][0] > 0).all(dim=-1)
-    return PhotoGradients(state, visible, torch.stack([loss.detach(), decibels(error)]), noise)
+    return PhotoGradients(state, visible, torch.stack([loss.detach(), decibels(error)]), info)
+
+
+def _run_info(run: Run, state: State, step: int) -> dict[str, Any]:
+    """What a strategy is told of the run; see `Strategy`."""
+    return {
+        "progress": run.progress(state),
+        "first_count": state.first_count,
+        "classifier": state.splats.classifier,
+        "generator": run.generator(step, MOVES),
+    }
 
 
 def _identity_losses(
@@ -175,26 +183,28 @@ def average_gradients(run: Run, photos: Sequence[PhotoGradients]) -> PhotoGradie
     for name in gradients.keys() - {*PER_PHOTO}:
         gradients[name].div_(count)
     start = replace(first.state, step=first.state.step - run.ranks.number)
-    return PhotoGradients(start, visible > 0, scores.div_(count), first.noise, count)
+    return PhotoGradients(start, visible > 0, scores.div_(count), first.info, count)
 
 
 def apply_gradients(run: Run, photos: Sequence[PhotoGradients]) -> None:
-    """Adam and noise for each photo in turn, in place."""
-    decays = [means_decay(run.progress(each.state)) for each in photos]
+    """Adam for each photo in turn, in place."""
     updates = [
         AdamUpdate(
             {name: param for name, param in each.state.params.items() if name not in PER_PHOTO},
-            learning_rates(run.config, run.extent * decay),
+            learning_rates(run.config, _means_unit(run, each.state)),
             each.state.step + each.photos,
             each.visible,
         )
-        for decay, each in zip(decays, photos, strict=True)
+        for each in photos
     ]
     adam_steps(photos[0].state.moments, updates, photos=photos[0].photos)
-    for decay, (state, _, _, noise, count) in zip(decays, photos, strict=True):
-        for step in range(state.step, state.step + count):
-            per_photo.step_photo(run, replace(state, step=step))
-        densification.perturb_means(state.params, run.extent, decay, noise, photos=count)
+    for each in photos:
+        for step in range(each.state.step, each.state.step + each.photos):
+            per_photo.step_photo(run, replace(each.state, step=step))
+
+
+def _means_unit(run: Run, state: State) -> float:
+    return run.extent * means_decay(run.progress(state))
 
 
 def learning_rates(config: TrainConfig, unit: float) -> dict[str, float]:
@@ -203,16 +213,15 @@ def learning_rates(config: TrainConfig, unit: float) -> dict[str, float]:
     return RATES | classifier | {"means": config.means_rate * unit, "shN": config.bands_rate}
 
 
-def _refine(run: Run, state: State) -> State:
-    config, progress = run.config, run.progress(state)
-    if progress >= config.refine_end:
-        return state
-    params, moments = densification.relocate_and_grow(
-        state.params,
-        state.moments,
-        state.names,
-        config.gaussian_count(progress, state.first_count),
-        run.generator(state.step, MOVES),
-        preference=densification.growth_preference(state.splats, config.object_growth),
-    )
-    return replace(state, params=params, moments=moments)
+def densify(run: Run, state: State, photos: Sequence[PhotoGradients]) -> State:
+    """The state after the round: the strategy has its turn after each step."""
+    end = state.step + sum(each.photos for each in photos)
+    gaussians, after = state.gaussians(), run.strategy.step_post_backward
+    for each in photos:
+        step = each.state.step
+        info = each.info | _run_info(run, each.state, step)
+        info |= {"photos": each.photos, "round": range(state.step, end)}
+        rates = learning_rates(run.config, _means_unit(run, each.state))
+        rate = accepted(after, lr=rates["means"])
+        after(*gaussians, state.strategy_state, step, info, **rate)
+    return replace(state.with_gaussians(*gaussians), step=end)
