@@ -12,6 +12,7 @@ from stylesplat.training.losses import (
     neighbor_loss,
     photometric_loss,
     photometric_reference,
+    sample_neighbors,
 )
 
 CLASSIFIER = Classifier(8 * torch.eye(3, 16), torch.zeros(3), ids=(0, 4, 9))
@@ -70,3 +71,19 @@ def test_nearest_neighbors(device: str):
     assert torch.equal(found.cpu(), expected)
     twins = torch.zeros(4, 3)
     assert not (nearest_neighbors(twins, torch.arange(4), 2) == torch.arange(4)[:, None]).any()
+
+
+def test_of_many_points_some_are_compared():
+    means = randn(3000, 3)
+
+    def sampled(max_points: int) -> tuple[torch.Tensor, torch.Tensor]:
+        generator = torch.Generator().manual_seed(0)
+        return sample_neighbors(means, 1000, 5, generator, max_points=max_points)
+
+    rows, neighbors = sampled(3000)
+    assert torch.equal(neighbors, nearest_neighbors(means, rows, 5))
+    rows, neighbors = sampled(50)
+    some = torch.cat([rows[:, None], neighbors], dim=1).unique()
+    assert len(some) == 50 and some.max() > 2000, "from anywhere"
+    among = nearest_neighbors(means[some], torch.searchsorted(some, rows), 5)
+    assert torch.equal(some[among], neighbors)

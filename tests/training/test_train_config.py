@@ -3,7 +3,7 @@ from dataclasses import asdict, replace
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.training.losses import DSSIM_WEIGHT, NEIGHBOR_WEIGHT
+from stylesplat.training.losses import DSSIM_WEIGHT, MAX_POINTS, NEIGHBOR_WEIGHT
 from stylesplat.training.step import NEIGHBOR_EVERY, NEIGHBOR_SAMPLES, NEIGHBORS, learning_rates
 from stylesplat.training.train_config import (
     PRESETS,
@@ -62,8 +62,8 @@ def test_each_setting_of_the_paper_has_its_source():
     assert asdict(PRESETS["paper"]) == {name: value for name, (value, _) in PAPER.items()}
     assert SEGMENTS["paper"] == "joint", GROUPING
     assert DSSIM_WEIGHT == 0.2, f"{GAUSSIANS}: lambda_dssim"
-    term = (NEIGHBOR_EVERY, NEIGHBORS, NEIGHBOR_SAMPLES, NEIGHBOR_WEIGHT)
-    assert term == (5, 5, 1000, 2), "Gaussian Grouping, config/: reg3d_*"
+    term = (NEIGHBOR_EVERY, NEIGHBORS, NEIGHBOR_SAMPLES, NEIGHBOR_WEIGHT, MAX_POINTS)
+    assert term == (5, 5, 1000, 2, 200_000), "Gaussian Grouping, config/: reg3d_*"
 
 
 def test_the_rates_of_the_paper():

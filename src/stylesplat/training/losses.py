@@ -19,6 +19,7 @@ from stylesplat.training.photometric_cpu import Photometric
 
 DSSIM_WEIGHT = 0.2
 NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val
+MAX_POINTS = 200_000  # Gaussian Grouping's reg3d_max_points
 DISTANCES_AT_ONCE = 2**26  # 256 MB of them
 
 
@@ -70,6 +71,30 @@ def neighbor_loss(
     theirs = log_softmax(classifier.logits(neighbors), dim=-1)
     divergence = kl_div(theirs, own.expand_as(theirs), reduction="none", log_target=True).sum(-1)
     return NEIGHBOR_WEIGHT * divergence.mean() / len(classifier.ids)
+
+
+def sample_neighbors(
+    means: Float[Tensor, "N 3"],
+    samples: int,
+    count: int,
+    generator: torch.Generator,
+    *,
+    max_points: int = MAX_POINTS,
+) -> tuple[Int[Tensor, " S"], Int[Tensor, "S k"]]:
+    """Rows of random points and of their nearest neighbours.
+
+    Of more than `max_points` points a random choice of that many takes part, as in Gaussian
+    Grouping, so that a step takes the same time however many there are.
+    """
+    if len(means) > max_points:
+        order = torch.randperm(len(means), generator=generator, device=means.device)
+        some = order[:max_points]
+        sample, neighbors = sample_neighbors(
+            means[some], samples, count, generator, max_points=max_points
+        )
+        return some[sample], some[neighbors]
+    sample = torch.randint(len(means), (samples,), generator=generator, device=means.device)
+    return sample, nearest_neighbors(means, sample, count)
 
 
 def nearest_neighbors(

@@ -16,9 +16,9 @@ from stylesplat.training.adam import AdamUpdate, adam_steps
 from stylesplat.training.densification import accepted
 from stylesplat.training.losses import (
     identity_loss,
-    nearest_neighbors,
     neighbor_loss,
     photometric_loss,
+    sample_neighbors,
     split_render,
 )
 from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
@@ -149,8 +149,7 @@ def _identity_losses(
     compares = run.every(run.config.identity_every * NEIGHBOR_EVERY, state.step)
     if compares and len(splats) > NEIGHBORS:
         means, count = splats.means.detach(), min(NEIGHBOR_SAMPLES, len(splats))
-        sample = torch.randint(len(means), (count,), generator=generator, device=means.device)
-        neighbors = nearest_neighbors(means, sample, NEIGHBORS)
+        sample, neighbors = sample_neighbors(means, count, NEIGHBORS, generator)
         own, others = take_rows(splats.identities, sample), take_rows(splats.identities, neighbors)
         loss = loss + neighbor_loss(own, others, splats.classifier)
     return loss
