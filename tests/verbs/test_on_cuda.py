@@ -1,14 +1,19 @@
-"""Whatever computes on a GPU, scenes come back to the CPU; on any machine, see `fake_cuda.py`."""
+"""Whatever computes on a GPU, scenes come back to the CPU; on any machine, see `fake_cuda.py`.
+
+`sfm` and `check` have no device to set: pycolmap's wheels compute on the CPU. The stand-in has no
+generators, which training needs, and runs none of the models of `mask`: they are transformers' own.
+"""
 
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from balls import GREEN, TRAINED, assert_same_splats, opened
+from balls import BARE, GREEN, TRAINED, agreement, around, assert_same_splats, box_around, opened
 from balls import PAINTED_FAST as FAST
 from capture_files import write_ball_capture
 from fake_cuda import cuda  # noqa: F401  (a fixture)
+from stylesplat.metrics.iou import mask_iou
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.members import likeliest
 from stylesplat.stylization.style import Style
@@ -18,6 +23,7 @@ from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.import_ import import_
 from stylesplat.verbs.labels import labels
 from stylesplat.verbs.load import load
+from stylesplat.verbs.mask import mask
 from stylesplat.verbs.render import render
 from stylesplat.verbs.select import select
 from stylesplat.verbs.sheet import sheet
@@ -73,6 +79,30 @@ def test_labels_are_lifted_alike(cuda: str, tmp_path: Path):  # noqa: F811
     ):
         ids = [likeliest(verb(TRAINED, capture, device=d).splats) for d in (cuda, "cpu")]
         assert (ids[0] == ids[1]).float().mean() > 0.98
+
+
+def test_masks_of_a_scene(cuda: str):  # noqa: F811
+    picked = [
+        mask(BARE, boxes={"red": around(3, "view_004")}, device=device).objects["red"].picked
+        for device in (cuda, "cpu")
+    ]
+    assert picked[0].device.type == "cpu" and agreement(picked[0], 3) > 0.8
+    assert (picked[0] == picked[1]).float().mean() > 0.98
+
+
+def test_masks_of_photos(cuda: str, tmp_path: Path):  # noqa: F811
+    """On a scene of theirs: the splat that is trained else needs a GPU's generators."""
+    capture = load(write_ball_capture(tmp_path / "capture"))
+    box = capture.cameras.names[0], box_around(capture.labels(0) == 3, 2)
+    bare = replace(capture, label_maps=None, object_names={})
+    found, usual = (
+        mask(bare, boxes={"red": box}, scene=TRAINED, device=device) for device in (cuda, "cpu")
+    )
+    for row in range(len(capture)):
+        assert (found.labels(row) == usual.labels(row)).float().mean() > 0.98
+    assert mask_iou(found.labels(0) == 1, capture.labels(0) == 3) > 0.5
+    again = mask(found, drop={"red": box}, scene=TRAINED, device=cuda)
+    assert not (again.labels(0) == 1).any()
 
 
 def test_a_sheet_is_painted(cuda: str, stack: Path):  # noqa: F811
