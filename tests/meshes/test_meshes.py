@@ -155,8 +155,8 @@ def test_other_programs_read_the_files(mesh: TexturedMesh, tmp_path: Path):
         assert len(found.faces) == (count if name == "a.glb" else len(mesh.faces))
         assert found.visual.uv.shape == (len(found.vertices), 2)
         colors = found.visual.to_color().vertex_colors[:, :3] / 255
-        turned = found.vertices * ([-1, -1, 1] if name == "a.glb" else [1, 1, 1])
-        assert np.abs(colors - 0.5 - 0.4 * np.sin(6 * turned)).mean() < 0.06
+        in_scene = found.vertices * [-1, -1, 1]
+        assert np.abs(colors - 0.5 - 0.4 * np.sin(6 * in_scene)).mean() < 0.06
     with pytest.raises(StyleSplatError, match=r"a\.mtl exists"):
         (tmp_path / "a.obj").unlink()
         export(scene, tmp_path / "a.obj", mesh=SMALL)

@@ -9,7 +9,7 @@ from PIL import Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, refuse_file
-from stylesplat.io.splats.gltf import HALF_TURN_XYZW, VERTICES
+from stylesplat.io.splats.gltf import HALF_TURN, HALF_TURN_XYZW, VERTICES
 from stylesplat.io.splats.gltf_file import FLOAT, VERSION, glb_head, padded_json
 from stylesplat.meshes.texture import TexturedMesh
 
@@ -31,7 +31,7 @@ def refuse_mesh_file(path: Path, *, overwrite: bool) -> None:
 
 
 def write_mesh(mesh: TexturedMesh, path: Path) -> None:
-    """Write a mesh in the scene's frame; a GLB turns it by half about z, as it does splats."""
+    """Write a mesh with y up, as programs expect it: turned by half about z, as splats in a GLB."""
     if path.suffix.lower() == ".glb":
         with atomic_path(path) as draft:
             draft.write_bytes(_glb(mesh))
@@ -59,7 +59,8 @@ def _png(mesh: TexturedMesh) -> bytes:
 def _obj(mesh: TexturedMesh, material: str) -> str:
     uvs = np.stack([mesh.uvs[:, 0], 1 - mesh.uvs[:, 1]], axis=1)  # v is upwards
     lines = [f"mtllib {material}", "usemtl paint"]
-    for kind, rows in (("v", mesh.vertices), ("vt", uvs), ("vn", mesh.normals)):
+    vertices, normals = mesh.vertices @ HALF_TURN, mesh.normals @ HALF_TURN
+    for kind, rows in (("v", vertices), ("vt", uvs), ("vn", normals)):
         lines += [f"{kind} " + " ".join(f"{value:.7g}" for value in row) for row in rows.tolist()]
     corners = (" ".join(f"{n}/{n}/{n}" for n in row) for row in (mesh.faces + 1).tolist())
     lines += [f"f {row}" for row in corners]
