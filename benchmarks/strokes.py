@@ -3,10 +3,11 @@
     .venv/bin/python benchmarks/strokes.py --scene SCENE --object OBJECT --painting FILE
 
 For some sizes of strokes (`--stroke-size`) the object is painted, and its features in four held-out
-views are compared with those of the picture at many sizes. The middle of the sizes of the least mean
-distance (NNFM), as a multiple of the object's length, is the size that the strokes seem to have. It
-should double when the stroke size does, within a quarter. Lengths of strokes in pixels cannot be told by
-correlation or edges: paintings have detail of every size, and give the same length at every size.
+views are compared with those of the picture at many sizes. The middle of the sizes of the least
+mean distance (NNFM), as a multiple of the object's length, is the size that the strokes seem to
+have. It should double when the stroke size does, within a quarter. Lengths of strokes in pixels
+cannot be told by correlation or edges: paintings have detail of every size, and give the same
+length at every size.
 
 No size is larger than the picture itself, as what is enlarged is soft and resembles everything
 soft. So the views are shrunk until the picture, in the size that was asked for, has half of its own
