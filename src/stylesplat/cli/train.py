@@ -146,7 +146,7 @@ class Train(MakingCommand):
             factor = math.ceil(longest / LARGE)
             say(
                 f"The photos are {longest} pixels long. `--downscale {factor}` trains "
-                f"{factor**2} times as fast, and shows as much at usual sizes."
+                f"up to {factor**2} times as fast, and shows as much at usual sizes."
             )
         return capture
 

@@ -24,6 +24,7 @@ from stylesplat.training.checkpoint import (
     require_checkpoint,
 )
 from stylesplat.training.densification import MCMCStrategy, Strategy, accepted
+from stylesplat.training.estimate import say_estimate
 from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
@@ -111,6 +112,8 @@ def fit(
     run, state = _begin(capture, config, rows, device, continued, strategy)
     try:
         warm_up_training(run, state)
+        if continued is None:
+            say_estimate(run, state, capture)
         checkpointer = Checkpointer(saved if run.ranks.number == 0 else None)
         bar = (
             task("training", config.steps, unit="step", done=state.step)
