@@ -114,6 +114,37 @@ def test_a_variant_is_swapped_by_its_thumbnail(opened: StudioServer, tab: Tab, t
     assert_shows(tab, before)
 
 
+def test_a_folder_that_is_dropped_adds_its_pictures_and_tells_of_the_others(
+    opened: StudioServer, tab: Tab, tmp_path: Path
+):
+    folder = tmp_path / "pictures"
+    (folder / "more").mkdir(parents=True)
+    count = 12
+    for number in range(count):
+        Image.new("RGB", (64, 64), (20 * number, 90, 40)).save(folder / f"more/{number}.png")
+    (folder / "notes.txt").write_text("no picture")
+    (folder / "broken.png").write_bytes((folder / "more/0.png").read_bytes()[:60])
+    drop(tab, folder)
+    until(lambda: f"Added {count} pictures." in tab.text(), "pictures")
+    assert "image broken" in tab.text() and "notes" not in tab.text()
+    titles = [*opened.server.actions.gallery.pictures]
+    added = [title for title in titles if title.isdecimal()]
+    assert added == [str(number) for number in range(count)]
+    assert tab.place_of(f"Paint like {count - 1}"), "the last one is in sight"
+    drop(tab, folder / "notes.txt")
+    until(lambda: "image notes" in tab.text(), "a refusal")
+    (folder / "empty").mkdir()
+    drop(tab, folder / "empty")
+    until(lambda: "no picture in this folder" in tab.text(), "what is missing")
+
+
+def drop(tab: Tab, path: Path) -> None:
+    """Drop a file or folder of the desktop on the page."""
+    data = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
+    for what in ("dragEnter", "dragOver", "drop"):
+        tab.page.call("Input.dispatchDragEvent", type=what, x=600, y=400, data=data)
+
+
 def changed(tab: Tab, from_: np.ndarray) -> np.ndarray:
     """The next picture, which differs from one before."""
 

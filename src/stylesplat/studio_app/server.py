@@ -255,13 +255,26 @@ class PageServer:
                     return PlainTextResponse(too_large(size), status_code=413)
         finally:
             self._uploading -= len(content)
-        self.session.ask(lambda: self._add(name, bytes(content)))
-        return PlainTextResponse("")
+        title, error = await self._add(name, bytes(content))
+        return PlainTextResponse(error or title, status_code=415 if error else 200)
 
-    def _add(self, name: str, content: bytes) -> None:
-        picture = self.actions.gallery.upload(name, content)
-        self.session.tell(f"Added {picture.title}.")
-        self.send_state()
+    async def _add(self, name: str, content: bytes) -> tuple[str, str]:
+        """The title of a picture that the worker adds to the gallery, or why it cannot."""
+        loop = asyncio.get_running_loop()
+        added = loop.create_future()
+
+        def add() -> None:
+            title, error = "", f"{name} could not be added."
+            try:
+                title, error = self.actions.gallery.upload(name, content).title, ""
+                self.send_state()
+            except StyleSplatError as refusal:
+                error = str(refusal)
+            finally:
+                loop.call_soon_threadsafe(added.set_result, (title, error))
+
+        self.session.ask(add)
+        return await added
 
     async def _socket(self, socket: "WebSocket") -> None:
         from starlette.websockets import WebSocketDisconnect

@@ -7,8 +7,10 @@ export const state = signal(null);
 export const progress = signal({ what: "" });
 export const notes = signal([]);
 export const online = signal(true);
+export const newest = signal(null); // the title of the style picture that was added last
 
 const SECONDS = 6; // that a note stays; a failure stays three times as long
+const NAMED = 3; // files that one note names
 const handlers = {}; // of binary messages, by kind
 let socket = null, number = 0;
 
@@ -68,16 +70,29 @@ export function connect(opened) {
   };
 }
 
-export async function upload(file) {
-  const most = hello.value.max_bytes;
-  if (file.size > most) {
-    note(`${file.name} has ${Math.round(file.size / 2 ** 20)} MB. Send ${most / 2 ** 20} MB at most.`, true);
-    return;
+// Add style pictures, one after the other, and tell at the end what became of them
+export async function upload(files) {
+  const added = [], refused = [];
+  for (const file of files) {
+    const { title, error } = await send(file);
+    if (error) refused.push([file.name, error]);
+    else added.push((newest.value = title));
   }
+  if (added.length) note(added.length > 1 ? `Added ${added.length} pictures.` : `Added ${added[0]}.`);
+  if (refused.length === 1) note(refused[0][1], true);
+  if (refused.length < 2) return;
+  const names = refused.slice(0, NAMED).map(([name]) => name), others = refused.length - names.length;
+  note(`${refused.length} files were not added: ${names.join(", ")}${others ? ` and ${others} more` : ""}. ${refused.at(-1)[1]}`, true);
+}
+
+async function send(file) {
+  const most = hello.value.max_bytes, size = Math.round(file.size / 2 ** 20);
+  if (file.size > most) return { error: `${file.name} has ${size} MB. Send ${most / 2 ** 20} MB at most.` };
   try {
     const answer = await fetch(`/style?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
-    if (!answer.ok) note(await answer.text(), true);
+    const text = await answer.text();
+    return answer.ok ? { title: text } : { error: text };
   } catch {
-    note(`${file.name} could not be sent.`, true);
+    return { error: `${file.name} could not be sent.` };
   }
 }

@@ -4,7 +4,7 @@ import { render } from "./libraries/preact.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
 import "./libraries/signals.js";
 import { mode, tab } from "./choices.js";
-import { act, connect, dismiss, hello, notes, online, progress, state, upload } from "./connection.js";
+import { act, connect, dismiss, hello, note, notes, online, progress, state, upload } from "./connection.js";
 import { Dialogs } from "./dialogs.js";
 import { Layers, Objects, paint, Styles, Toolbar } from "./panels.js";
 import { isTyping, Viewport } from "./viewport.js";
@@ -118,14 +118,19 @@ window.addEventListener("dragover", (event) => event.preventDefault());
 window.addEventListener("drop", async (event) => {
   event.preventDefault();
   const entries = [...event.dataTransfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
-  for (const file of (await Promise.all(entries.map(filesIn))).flat()) await upload(file);
+  const files = (await Promise.all(entries.map(filesIn))).flat();
+  if (entries.length && !files.length) note("There is no picture in this folder.", true);
+  upload(files);
 });
 
-// The files of an entry that was dropped, a folder's too
+// The files of an entry that was dropped; of a folder the pictures, by name
 async function filesIn(entry) {
   if (entry.isFile) return [await new Promise((done, failed) => entry.file(done, failed))];
-  const reader = entry.createReader();
-  const inside = await new Promise((done, failed) => reader.readEntries(done, failed));
+  const reader = entry.createReader(), inside = [];
+  for (let more = null; more?.length !== 0; inside.push(...more)) {
+    more = await new Promise((done, failed) => reader.readEntries(done, failed)); // 100 at most
+  }
+  inside.sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
   const files = (await Promise.all(inside.map(filesIn))).flat();
   return files.filter((file) => /\.(jpe?g|png|webp|avif|bmp|gif|tiff?)$/i.test(file.name));
 }

@@ -1,7 +1,8 @@
 // The panels: tools, objects, layers with their variants, and style pictures
 
 import { brush, dialog, mode, part, radius, reach, regions, settings, tool } from "./choices.js";
-import { act, hello, note, state, upload } from "./connection.js";
+import { useEffect, useRef } from "./libraries/hooks.js";
+import { act, hello, newest, note, state, upload } from "./connection.js";
 import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
 
 const TOOLS = [
@@ -180,6 +181,8 @@ export function Styles() {
   const now = state.value, chosen = picked();
   const tried = Object.keys(now.previews).length > 0;
   const unusual = Object.keys(settings.value).length;
+  const strip = useRef(null), row = now.styles.findIndex((each) => each.title === newest.value);
+  useEffect(() => strip.current.children[row]?.scrollIntoView({ block: "nearest", inline: "nearest" }), [row]);
   return html`<section class="panel styles" aria-label="Styles">
     <div class="head"><h2>Styles</h2>
       <p class="hint">${chosen.length ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ")}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
@@ -187,7 +190,7 @@ export function Styles() {
       <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!chosen.length || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all")} />
       <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting" onClick=${() => (dialog.value = "settings")} />
       <label class="button"><${Icon} name="plus" /><span>Add pictures</span><input type="file" accept="image/*" multiple onChange=${add} /></label></div>
-    <ul class="strip">${now.styles.map((each, number) => html`<li key=${each.title}>
+    <ul class="strip" ref=${strip}>${now.styles.map((each, number) => html`<li key=${each.title}>
       <button type="button" class="card" draggable="true" title=${`Paint like ${each.title}`} onClick=${() => paint(number)}
         onDragStart=${(event) => event.dataTransfer.setData("style", String(number))}>
         <img src=${now.previews[each.title] || each.url} alt="" draggable="false" />
@@ -198,8 +201,8 @@ export function Styles() {
   </section>`;
 }
 
-async function add(event) {
+function add(event) {
   const files = [...event.target.files];
   event.target.value = "";
-  for (const file of files) await upload(file);
+  upload(files);
 }
