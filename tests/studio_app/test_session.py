@@ -282,8 +282,10 @@ def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Sess
     with pytest.raises(StyleSplatError, match="Another program has changed"):
         store.save()
     for name in ("../out", ".hidden", ""):
-        with pytest.raises(StyleSplatError):
+        with pytest.raises(StyleSplatError, match=f"No folder can be called '{name}'"):
             store.save_as(name)
+    with pytest.raises(StyleSplatError, match="balls already"):
+        store.save_as("balls")
     store.save_as("elsewhere")
     assert open(session.folder.parent / "elsewhere").splats is not None
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.atomic import changing, refuse_unwritable
-from stylesplat.scene.scene import Scene, check_name
+from stylesplat.scene.scene import Scene
+from stylesplat.studio_app.gallery import NO_NAME
 from stylesplat.studio_app.history import StudioState, replace_scene
 from stylesplat.studio_app.session import Session
 
@@ -42,10 +43,13 @@ class SceneStore:
 
     def save_as(self, name: str) -> None:
         """Save the scene into a new folder beside its own, and work on that."""
-        check_name(name)  # no slashes: it is a name and no path
-        if name.startswith("."):
-            raise StyleSplatError("A name must not begin with a dot. Choose another one.")
+        if not name.strip() or NO_NAME.search(name):  # it is a name and no path
+            raise StyleSplatError(
+                f"No folder can be called {name!r}. Use letters, digits, spaces and dashes."
+            )
         folder = self._session.folder.resolve().parent / name
+        if folder.exists():
+            raise StyleSplatError(f"There is a folder {folder} already. Choose another name.")
         scene_folder.save(self._session.state.scene, folder)
         self._finish_save(folder)
 
