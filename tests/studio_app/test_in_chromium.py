@@ -16,6 +16,7 @@ from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.gallery import MOST_BYTES
+from stylesplat.studio_app.layers import recolor_objects
 from stylesplat.studio_app.pictures import camera_of
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.style import Style
@@ -203,8 +204,15 @@ def picks(opened: StudioServer, tab: Tab) -> None:
     turned = tab.page.evaluate("studio.camera.turned")
     tab.drag((x, y), (x + 40, y))
     assert tab.page.evaluate("studio.camera.turned") != turned
+    corner = 320, 90  # where nothing is
+    tab.page.mouse("press", *corner)
+    for place in ((400, 90), corner):
+        tab.page.mouse("move", *place, button="left", buttons=1)
+    tab.page.mouse("release", *corner)
+    tab.settle()
     tab.page.evaluate("studio.camera.reset() || studio.moved()")
-    assert session.state.picked == ("3",)
+    tab.settle()
+    assert session.worker.settle() and session.state.picked == ("3",), "a drag is no click"
 
 
 def compares(tab: Tab, before: np.ndarray, painted: np.ndarray) -> None:
@@ -262,13 +270,33 @@ def saves_and_exports(opened: StudioServer, tab: Tab, file: Path) -> None:
     assert len(read_splats(file)) == len(saved.splats)
 
 
+NARROW = 390  # pixels of a telephone's screen
+SMALL = """[...document.querySelectorAll("button")]
+    .map((each) => [each, each.getBoundingClientRect()])
+    .filter(([, box]) => box.width && Math.min(box.width, box.height) < 32)
+    .map(([each]) => each.outerHTML)"""
+OVERFLOW = """[document.documentElement, document.querySelector(".bar")]
+    .map((each) => each.scrollWidth - each.clientWidth)"""
+KNOB = "Object.values(document.querySelector('.knob').getBoundingClientRect().toJSON())"
+
+
 def test_on_a_narrow_screen_everything_can_be_reached(opened: StudioServer, tmp_path: Path):
-    with studio_tab(size=(390, 760), downloads=tmp_path) as tab:
+    session = opened.session
+    with studio_tab(size=(NARROW, 760), downloads=tmp_path) as tab:
         tab.open(opened.url)
+        session.do(lambda state: recolor_objects(state, ["7"], "hue", 90.0))
         for label in ("Objects", "Layers", "Styles", "Export"):
             tab.press_button(label)
             tab.assert_accessible()
-        assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
+            assert not tab.page.evaluate(SMALL)
+        assert tab.page.evaluate(OVERFLOW) == [0, 0]
         tab.press_button("Close")
+        tab.press_button("Split")
+        for end in (0, NARROW - 1):
+            x, y = until(lambda: tab.place_of("Border between"), "the handle")
+            tab.drag((x, y), (end, y))
+            left, _, width, *_ = tab.page.evaluate(KNOB)
+            assert 0 <= left and left + width <= NARROW, "it can be dragged back"
+        tab.press_button("After")
         tab.click(*tab.middle_of("7"))
         until(lambda: opened.session.state.picked == ("7",), "a pick")

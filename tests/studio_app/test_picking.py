@@ -47,6 +47,8 @@ def test_a_ball_picks_without_labels_and_strokes_correct_it():
     less = pick_ball(more, CAMERA, place("7"), 0.25, "away")
     assert torch.equal(masks.of(less.scene, "object 1"), masks.of(first.scene, "object 1"))
     assert object_names(less.scene) == ["object 1"], "what was taken away has no name any more"
+    with pytest.raises(StyleSplatError, match="enlarge the radius"):
+        pick_ball(PLAIN, CAMERA, place("3"), 1e-6)
 
 
 def test_what_is_drawn_picks_what_shows_inside_and_corrects_a_pick():

@@ -92,12 +92,15 @@ def test_stop_keeps_what_there_is_and_continue_finishes_it(
     assert session.worker.settle()
     assert session.state.note.endswith(" steps"), said
     early = session.state.scene
-    assert early.layers and queue.can_continue
+    session.do(lambda state: pick_names(state, ["7"]))
+    assert session.worker.settle()
+    assert early.layers and queue.can_continue and "3 like stripes" in queue.stopped_note
     session.ask(queue.resume)
     assert session.worker.settle()
     assert torch.equal(session.state.scene.splats.sh0, wanted.sh0)
     assert not torch.equal(session.state.scene.splats.sh0, early.splats.sh0)
-    assert not queue.can_continue
+    assert session.state.picked == ("7",)
+    assert not queue.can_continue and not queue.stopped_note
 
 
 def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):

@@ -317,7 +317,7 @@ class Actions:
             previews=self.previews.urls,
             waiting=[(each.number, each.name, each.title) for each in self.queue.waiting],
             painting=session.painting,
-            can_continue=self.queue.can_continue,
+            stopped=self.queue.stopped_note,
             undo=history.undo_note,
             redo=history.redo_note,
             note=state.note,

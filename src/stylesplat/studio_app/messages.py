@@ -112,7 +112,8 @@ class StateMessage(Told, frozen=True, tag="state"):
     waiting: list[tuple[int, str, str]]
     """Number, object and style of paintings that wait."""
     painting: bool
-    can_continue: bool
+    stopped: str
+    """The painting that was stopped and can go on; empty if none can."""
     undo: str
     redo: str
     note: str

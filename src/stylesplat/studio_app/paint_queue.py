@@ -61,9 +61,16 @@ class PaintQueue:
 
     @property
     def can_continue(self) -> bool:
-        """Whether a painting was stopped, and nothing has changed since."""
+        """Whether a painting was stopped, and the scene is as it was left."""
         stopped, session = self._stopped, self.session
-        return stopped is not None and not session.painting and stopped[0] is session.state
+        if stopped is None or session.painting:
+            return False
+        return stopped[0].scene is session.state.scene
+
+    @property
+    def stopped_note(self) -> str:
+        """What can go on, empty if nothing can."""
+        return self._stopped[0].note if self._stopped is not None and self.can_continue else ""
 
     def paint(self, names: Sequence[str], style: Style, title: str, instead: bool = False) -> None:
         """Paint objects, one after the other.

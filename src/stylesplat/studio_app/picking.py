@@ -46,6 +46,8 @@ def pick_ball(
 ) -> StudioState:
     """Pick the ball around the surface at a place of the picture."""
     centre = surface_point(state.scene.splats, camera, _pixel_of(camera, place))
+    if not near(state.scene.splats.means, centre[None].to(state.scene.splats.means), radius).any():
+        raise StyleSplatError("Nothing lies in this ball. Click an object, or enlarge the radius.")
     sphere = tuple(round(float(number), 5) for number in (*centre.tolist(), radius))
     return _shaped(state, how, sphere=sphere)
 

@@ -71,6 +71,7 @@ export function slide(line, knob, canvas, share, changed) {
   const move = (value) => {
     share = Math.max(0, Math.min(1, value));
     line.style.left = `${100 * share}%`;
+    line.style.setProperty("--share", share);
     knob.setAttribute("aria-valuenow", Math.round(100 * share));
     changed(share);
   };

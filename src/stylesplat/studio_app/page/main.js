@@ -67,7 +67,7 @@ const Views = () => html`<${Button} icon="home" label="Home: what is picked, or 
 
 function Progress() {
   const { what, share, left, doing, export: exporting } = progress.value, now = state.value;
-  if (!what && !now.can_continue && !now.waiting.length) return null;
+  if (!what && !now.stopped && !now.waiting.length) return null;
   const percent = Math.round(100 * share);
   const time = left == null ? "" : left < 90 ? `${Math.round(left)} s left` : `${Math.round(left / 60)} min left`;
   return html`<section class="progress" aria-label="Progress">
@@ -77,7 +77,7 @@ function Progress() {
       <div class="meter" role="progressbar" aria-label=${what} aria-valuenow=${percent} aria-valuemin="0" aria-valuemax="100"><i style=${`width:${percent}%`}></i></div>`}
     ${now.waiting.map(([number, object, title]) => html`<div class="line waiting" key=${number}><span>Next: ${object} like ${title}</span>
       <${Button} small icon="close" label=${`Do not paint ${object}`} onClick=${() => act("remove", { number })} /></div>`)}
-    ${!what && now.can_continue && html`<div class="line"><span>${now.note}</span>
+    ${!what && now.stopped && html`<div class="line"><span>${now.stopped}</span>
       <${Button} small icon="play" text="Continue" label="Go on with this painting" onClick=${() => act("resume")} /></div>`}
   </section>`;
 }

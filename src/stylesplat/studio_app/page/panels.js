@@ -84,7 +84,7 @@ export function Objects({ viewport }) {
   };
   return html`<aside class="panel objects" aria-label="Objects">
     <h2>Objects</h2>
-    ${!now.objects.length && html`<p class="hint">This scene has no labels. Click with the ball or draw around what is meant.</p>`}
+    ${!now.objects.length && html`<p class="hint">This scene has no labels. Click a thing in the picture: the wand picks what looks alike around it, as far as <i>Reach</i>. Shift adds, Ctrl removes. Then give it a name.</p>`}
     <ul class="cards">${now.objects.map((each) => html`<li key=${each.name} class=${each.hidden ? "off" : ""}>
       <button type="button" class="card" aria-pressed=${each.picked} title=${`${each.name}: ${each.count?.toLocaleString() ?? "counting"} Gaussians`}
         onClick=${(event) => choose(event, each)} onDblClick=${() => each.centre && viewport().approach(each.centre, each.radius)}

@@ -54,7 +54,7 @@ export class Tools {
     }
     if (event.button !== 0 || hello.value.readonly) return false;
     const at = this.place(event);
-    this.start = { at, how: howOf(event), handle: this.handleAt(at) };
+    this.start = { at, how: howOf(event), handle: this.handleAt(at), still: true };
     const draws = DRAWING.includes(tool.value) && !event.altKey;
     const frames = tool.value === "object" && this.start.how !== "new";
     this.start.draws = draws || frames;
@@ -73,6 +73,7 @@ export class Tools {
       if (!event.buttons) this.point(at);
       return;
     }
+    start.still &&= Math.hypot(at[0] - start.at[0], at[1] - start.at[1]) < STILL; // a drag that comes back is no click
     if (start.handle?.name) this.turnStrokes(start.handle, at);
     else if (start.handle) this.drag(start.handle, at);
     else if (start.draws && this.start.draws) {
@@ -88,9 +89,7 @@ export class Tools {
   release(event) {
     const { start, overlay } = this;
     if (!start) return;
-    const at = this.place(event);
-    const still = Math.max(...[at, ...overlay.line].map(([x, y]) => Math.hypot(x - start.at[0], y - start.at[1]))) < STILL;
-    const line = overlay.line;
+    const at = this.place(event), { still } = start, { line } = overlay;
     this.reset();
     if (start.handle) return;
     if (start.draws && !(still && tool.value !== "brush")) this.finish(start, line, at);
