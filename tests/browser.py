@@ -282,7 +282,14 @@ def _tensor(values: Any) -> torch.Tensor:
 T = TypeVar("T")
 
 PATIENCE = 120.0  # seconds: of a machine that does much else
-KEYS = {"Home": 36, "End": 35, "ArrowRight": 39, "b": 66}  # as the protocol numbers them
+KEYS = {
+    "Home": 36,
+    "End": 35,
+    "ArrowLeft": 37,
+    "ArrowRight": 39,
+    "Enter": 13,
+    "b": 66,
+}  # as the protocol numbers them
 # The middle of an element that lies on top and no longer moves
 RESTING = """async (found) => {
     if (!found) return null;
@@ -333,9 +340,10 @@ class Tab:
             self.page.mouse("move", *place, button="left", buttons=1, **options)
         self.page.mouse("release", *end, **options)
 
-    def key(self, key: str, down: bool) -> None:
+    def key(self, key: str, down: bool, **options: Any) -> None:
         words = {"type": "keyDown" if down else "keyUp", "key": key, "code": key}
-        self.page.call("Input.dispatchKeyEvent", **words, windowsVirtualKeyCode=KEYS[key])
+        options |= {"windowsVirtualKeyCode": KEYS[key]}
+        self.page.call("Input.dispatchKeyEvent", **words, **options)
 
     def press_button(self, label: str) -> None:
         """Click the button that is labelled so or has these words on it, as soon as it is there."""

@@ -146,6 +146,35 @@ def drop(tab: Tab, path: Path) -> None:
         tab.page.call("Input.dispatchDragEvent", type=what, x=600, y=400, data=data)
 
 
+def test_an_object_and_a_part_of_a_picture_are_chosen_by_keyboard(opened: StudioServer, tab: Tab):
+    session = opened.session
+    tab.press_button("7")
+    until(lambda: session.state.picked == ("7",), "a pick")
+    tab.press_button("Home")
+    middle = "studio.overlay.objectAt(...studio.size.map((side) => side / 2))"
+    until(lambda: tab.page.evaluate(middle) == "7", "it in the middle")
+    tab.press_button("3")
+    pick = "document.querySelector('.objects h3').innerText"
+    until(lambda: tab.page.evaluate(pick) == "3", "another one")
+    tab.settle()  # it flies there
+    tab.page.evaluate("studio.canvas.focus()")
+    tab.key("Enter", True)
+    tab.key("Enter", False)
+    until(lambda: session.state.picked == ("7",), "the pick in the middle")
+    tab.press_button("Choose a part of stripes")
+    part = "document.querySelector('.part')"
+    until(lambda: tab.page.evaluate(f"Boolean({part})"), "the picture")
+    tab.page.evaluate(f"{part}.focus()")
+    for key, modifiers in (("ArrowLeft", 8), ("ArrowLeft", 8), ("ArrowRight", 0)):
+        tab.key(key, True, modifiers=modifiers)
+        tab.key(key, False)
+    style = f"{part}.querySelector('i').style"
+    until(lambda: tab.page.evaluate(f"parseFloat({style}.left)") > 0, "a part")
+    left, wide = (tab.page.evaluate(f"parseFloat({style}.{name})") for name in ("left", "width"))
+    assert 0 < left < 10 and 85 < wide < 95 and left + wide < 100
+    tab.assert_accessible()
+
+
 def changed(tab: Tab, from_: np.ndarray) -> np.ndarray:
     """The next picture, which differs from one before."""
 

@@ -51,6 +51,15 @@ function Part({ style, onClose }) {
     const [[a, b], [x, y]] = [start.current, at(event)];
     drawn.value = [Math.min(a, x), Math.min(b, y), Math.max(a, x), Math.max(b, y)];
   };
+  const keys = (event) => {
+    const axis = { ArrowLeft: 0, ArrowRight: 0, ArrowUp: 1, ArrowDown: 1 }[event.key];
+    if (axis === undefined) return;
+    event.preventDefault();
+    const part = drawn.value ?? [0, 0, ...style.size], most = style.size[axis], low = part[axis], high = part[axis + 2];
+    const step = Math.round(0.05 * most) * (/Left|Up/.test(event.key) ? -1 : 1);
+    const by = Math.min(most - high, Math.max(step, event.shiftKey ? low + 2 - high : -low));
+    drawn.value = part.map((value, row) => (row === axis + 2 || (row === axis && !event.shiftKey) ? value + by : value));
+  };
   const use = (region) => {
     const { [style.number]: _, ...rest } = regions.value;
     regions.value = region ? { ...rest, [style.number]: region } : rest;
@@ -59,8 +68,8 @@ function Part({ style, onClose }) {
   const share = (value, axis) => `${(100 * value) / style.size[axis]}%`;
   const [x0, y0, x1, y1] = drawn.value ?? [0, 0, ...style.size];
   return html`<${Dialog} title=${`Part of ${style.title}`} onClose=${onClose} wide>
-    <p class="hint">Drag a rectangle over the part to paint with.</p>
-    <div class="part" ref=${frame} onPointerDown=${press} onPointerMove=${move} onPointerUp=${() => (start.current = null)}>
+    <p class="hint">Drag a rectangle over the part to paint with; or move it by the arrow keys, with Shift its lower right corner.</p>
+    <div class="part" ref=${frame} tabindex="0" role="application" aria-label="The part" onKeyDown=${keys} onPointerDown=${press} onPointerMove=${move} onPointerUp=${() => (start.current = null)}>
       <img src=${style.url} alt=${style.title} draggable="false" />
       <i style=${`left:${share(x0, 0)};top:${share(y0, 1)};width:${share(x1 - x0, 0)};height:${share(y1 - y0, 1)}`}></i></div>
     <div class="row"><${Button} text="Whole picture" label="Use the whole picture" onClick=${() => use(null)} /><span class="grow"></span>
@@ -114,7 +123,7 @@ async function copy(text) {
 const KEYS = [
   ["Drag", "turn"], ["Right drag", "move"], ["Wheel", "come closer"], ["Double click", "go to an object"],
   ["W A S D Q E", "fly"], ["Arrows", "turn"], ["H", "home"], ["B", "hold: before painting"],
-  ["Ctrl+Z, Ctrl+Y", "undo, redo"], ["Ctrl+S", "save"], ["Esc", "pick nothing"],
+  ["Ctrl+Z, Ctrl+Y", "undo, redo"], ["Ctrl+S", "save"], ["Enter", "pick what is in the middle"], ["Esc", "pick nothing"],
 ];
 
 function View({ viewport, onClose }) {
@@ -133,7 +142,7 @@ function View({ viewport, onClose }) {
     ${photos.length > 1 && html`<${Slider} label="Fly to photo" value=${row.value} high=${photos.length - 1} step="1" show=${(value) => photos[value].name} onInput=${fly} />
       <label class="check"><input type="checkbox" checked=${showPhotos.value} onChange=${(event) => (showPhotos.value = event.target.checked)} /><span>Show the cameras of photos; click one to fly there</span></label>`}
     ${!readonly && html`<label class="check"><input type="color" value=${code} onInput=${color} /><span>Background</span></label>`}
-    <dl>${KEYS.filter(([key]) => !readonly || !/Ctrl|Esc/.test(key)).map(([key, words]) => html`<dt>${key}</dt><dd>${words}</dd>`)}</dl>
+    <dl>${KEYS.filter(([key]) => !readonly || !/Ctrl|Esc|Enter/.test(key)).map(([key, words]) => html`<dt>${key}</dt><dd>${words}</dd>`)}</dl>
     <p class="hint">${gaussians.toLocaleString()} Gaussians</p>
   </${Dialog}>`;
 }

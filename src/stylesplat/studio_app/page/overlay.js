@@ -163,6 +163,13 @@ export class Overlay {
       circle(context, knob.at, 9);
       context.fill();
     }
+    if (canvas.matches(":focus-visible")) {
+      const [x, y] = [width / 2, height / 2], cross = [[[x - 9, y], [x + 9, y]], [[x, y - 9], [x, y + 9]]];
+      for (const [style, thickness] of [["#000", 4], ["#fff", 2]]) {
+        Object.assign(context, { strokeStyle: style, lineWidth: thickness });
+        for (const line of cross) context.stroke(path(line));
+      }
+    }
     if (this.ball) {
       context.lineWidth = 2;
       context.strokeStyle = "#fff";

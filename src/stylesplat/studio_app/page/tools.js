@@ -28,6 +28,8 @@ export class Tools {
     canvas.addEventListener("pointercancel", () => this.reset());
     canvas.addEventListener("pointerleave", () => this.point(null));
     canvas.addEventListener("dblclick", (event) => this.focus(event));
+    canvas.addEventListener("keydown", (event) => event.key === "Enter" && this.pickMiddle(event));
+    for (const name of ["focus", "blur"]) canvas.addEventListener(name, () => this.overlay.draw());
     effect(() => {
       if (tool.value !== "box") this.overlay.box = null;
       else if (!this.dragged && state.value) this.overlay.box = state.value.box.map((each) => [...each]);
@@ -124,6 +126,11 @@ export class Tools {
     }
     if (tool.value === "ball") act("pick_at", { place: this.share(at), how, radius: radius.value });
     if (tool.value === "object") this.pickIn(at, at, how);
+  }
+
+  // A click without a pointer
+  pickMiddle(event) {
+    if (!hello.value.readonly) this.click({ how: howOf(event) }, this.viewport.size.map((side) => side / 2));
   }
 
   // The object that shows most in a rectangle; if that is not known yet, as soon as it is

@@ -16,7 +16,7 @@ const SHOWN_FOR = 400; // milliseconds that a pattern shows at least, until a dr
 const SLOW = 400; // milliseconds after which the next picture is asked for without an answer
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 const PARTS = `<canvas class="drawn" hidden></canvas><canvas class="exact"></canvas><canvas class="exact before"></canvas>
-<canvas class="overlay" tabindex="0" role="img" aria-label="The scene. Drag to turn it, click an object to pick it."></canvas>
+<canvas class="overlay" tabindex="0" role="img" aria-label="The scene. Drag or use the arrow keys to turn it; click an object to pick it, or press Enter for the one in the middle."></canvas>
 <div class="cut" hidden><span>before</span><span>after</span><div class="knob" role="slider" tabindex="0" aria-label="Border between before and after" aria-valuemin="0" aria-valuemax="100"><i></i></div></div>
 <div class="pointed" hidden></div>`;
 
