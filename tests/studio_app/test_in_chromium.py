@@ -163,7 +163,7 @@ def test_an_object_and_a_part_of_a_picture_are_chosen_by_keyboard(opened: Studio
     until(lambda: session.state.picked == ("7",), "the pick in the middle")
     tab.press_button("Choose a part of stripes")
     part = "document.querySelector('.part')"
-    until(lambda: tab.page.evaluate(f"Boolean({part})"), "the picture")
+    until(lambda: tab.page.evaluate("document.querySelector('dialog')?.open"), "the dialog")
     tab.page.evaluate(f"{part}.focus()")
     for key, modifiers in (("ArrowLeft", 8), ("ArrowLeft", 8), ("ArrowRight", 0)):
         tab.key(key, True, modifiers=modifiers)
