@@ -94,13 +94,13 @@ def test_stop_keeps_what_there_is_and_continue_finishes_it(
     early = session.state.scene
     session.do(lambda state: pick_names(state, ["7"]))
     assert session.worker.settle()
-    assert early.layers and queue.can_continue and "3 like stripes" in queue.stopped_note
+    assert early.layers and "3 like stripes" in queue.stopped_note
     session.ask(queue.resume)
     assert session.worker.settle()
     assert torch.equal(session.state.scene.splats.sh0, wanted.sh0)
     assert not torch.equal(session.state.scene.splats.sh0, early.splats.sh0)
     assert session.state.picked == ("7",)
-    assert not queue.can_continue and not queue.stopped_note
+    assert not queue.stopped_note
 
 
 def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):
@@ -116,7 +116,7 @@ def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):
     session.ask(lambda: queue.paint(("3", "7"), quick_style(), "stripes"))
     assert session.worker.settle()
     assert prepared[0].startswith("finding") and len(prepared) < 3
-    assert session.state is before and not session.painting and not queue.can_continue
+    assert session.state is before and not session.painting and not queue.stopped_note
     assert session.preview is None and not queue.waiting
     painted(session, "3")
     assert strengths_of(session.state.scene) == {"3": 1.0}, "it can be painted afterwards"

@@ -44,9 +44,7 @@ class SceneStore:
     def save_as(self, name: str) -> None:
         """Save the scene into a new folder beside its own, and work on that."""
         if not name.strip() or NO_NAME.search(name):  # it is a name and no path
-            raise StyleSplatError(
-                f"No folder can be called {name!r}. Use letters, digits, spaces and dashes."
-            )
+            raise StyleSplatError(f"No folder can be called {name!r}. Use letters and digits.")
         folder = self._session.folder.resolve().parent / name
         if folder.exists():
             raise StyleSplatError(f"There is a folder {folder} already. Choose another name.")

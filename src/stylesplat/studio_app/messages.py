@@ -28,10 +28,8 @@ class Look(msgspec.Struct, frozen=True, tag="look", tag_field="do", forbid_unkno
     focal: Positive
     size: tuple[Side, Side]
     moving: bool = False
-    before: bool = False
-    """Whether the picture before painting is wanted, too."""
-    draws: bool = False
-    """Whether the browser draws the Gaussians itself while the camera moves."""
+    before: bool = False  # whether the picture before painting is wanted, too
+    draws: bool = False  # whether the browser draws the Gaussians itself while the camera moves
 
 
 class Told(msgspec.Struct, frozen=True, tag_field="kind"):
@@ -51,14 +49,12 @@ class Setting(msgspec.Struct, frozen=True):
 class Hello(Told, frozen=True, tag="hello"):
     title: str
     readonly: bool
-    start: dict[str, Any]
-    """The first view: position, target, up, slopes."""
+    start: dict[str, Any]  # the first view: position, target, up, slopes
     photos: list[dict[str, Any]]
     settings: tuple[Setting, ...]
     recolorings: tuple[Setting, ...]
     formats: tuple[str, ...]
-    extent: float
-    """Size of the content in world units."""
+    extent: float  # size of the content in world units
     gaussians: int
     max_bytes: int
 
@@ -70,8 +66,7 @@ class ObjectInfo(msgspec.Struct, frozen=True):
     named: bool
     painted: bool
     thumbnail: str
-    count: int | None = None
-    """Of its Gaussians; None until they are found."""
+    count: int | None = None  # of its Gaussians; None until they are found
     centre: Vector | None = None
     radius: float = 0.0
 
@@ -85,8 +80,7 @@ class LayerInfo(msgspec.Struct, frozen=True):
     visible: bool
     locked: bool
     settings: str
-    recolor: dict[str, Any] | None = None
-    """The settings of a recolouring; None for paint."""
+    recolor: dict[str, Any] | None = None  # the settings of a recolouring; None for paint
 
 
 class Variant(msgspec.Struct, frozen=True):
@@ -100,30 +94,23 @@ class Variant(msgspec.Struct, frozen=True):
 
 class StateMessage(Told, frozen=True, tag="state"):
     objects: list[ObjectInfo]
-    layers: list[LayerInfo]
-    """The lowest first."""
+    layers: list[LayerInfo]  # the lowest first
     variants: list[Variant]
-    current: list[int]
-    """The variants that are shown."""
+    current: list[int]  # the variants that are shown
     snapshots: list[str]
     styles: list[StylePicture]
-    previews: dict[str, str]
-    """The addresses of pictures of what is picked, by the titles of styles."""
-    waiting: list[tuple[int, str, str]]
-    """Number, object and style of paintings that wait."""
+    previews: dict[str, str]  # the addresses of pictures of what is picked, by the titles of styles
+    waiting: list[tuple[int, str, str]]  # number, object and style of paintings that wait
     painting: bool
-    stopped: str
-    """The painting that was stopped and can go on; empty if none can."""
+    stopped: str  # the painting that can go on; empty if none can
     undo: str
     redo: str
     note: str
     unsaved: bool
     folder: str
-    command: str
-    """What gives the saved scene once more; empty if nothing is painted."""
+    command: str  # what gives the saved scene once more; empty if nothing is painted
     compared: int | None
-    box: tuple[Vector, Vector]
-    """Around what is picked, or around the content."""
+    box: tuple[Vector, Vector]  # around what is picked, or around the content
 
 
 class Progress(Told, frozen=True, tag="progress"):
@@ -131,12 +118,9 @@ class Progress(Told, frozen=True, tag="progress"):
 
     what: str = ""
     share: float = 0.0
-    left: float | None = None
-    """Estimated seconds that it still takes."""
-    doing: str = ""
-    """The preparation that is under way."""
-    export: bool = False
-    """Whether it is an export, which can be cancelled."""
+    left: float | None = None  # estimated seconds that it still takes
+    doing: str = ""  # the preparation that is under way
+    export: bool = False  # whether it is an export, which can be cancelled
 
 
 class Note(Told, frozen=True, tag="note"):

@@ -60,17 +60,12 @@ class PaintQueue:
         session.interrupt = self.stop
 
     @property
-    def can_continue(self) -> bool:
-        """Whether a painting was stopped, and the scene is as it was left."""
-        stopped, session = self._stopped, self.session
-        if stopped is None or session.painting:
-            return False
-        return stopped[0].scene is session.state.scene
-
-    @property
     def stopped_note(self) -> str:
-        """What can go on, empty if nothing can."""
-        return self._stopped[0].note if self._stopped is not None and self.can_continue else ""
+        """The painting that was stopped, if the scene is as it was left; otherwise empty."""
+        stopped, session = self._stopped, self.session
+        if stopped is None or session.painting or stopped[0].scene is not session.state.scene:
+            return ""
+        return stopped[0].note
 
     def paint(self, names: Sequence[str], style: Style, title: str, instead: bool = False) -> None:
         """Paint objects, one after the other.
@@ -99,7 +94,7 @@ class PaintQueue:
         self.session.on_change.call()
 
     def resume(self) -> None:
-        if self._stopped is None or not self.can_continue:
+        if self._stopped is None or not self.stopped_note:
             raise StyleSplatError("No stopped painting can go on. Paint the object again.")
         _, job, lives = self._stopped
         self._begin(job, lives)

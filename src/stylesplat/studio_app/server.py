@@ -255,26 +255,20 @@ class PageServer:
                     return PlainTextResponse(too_large(size), status_code=413)
         finally:
             self._uploading -= len(content)
-        title, error = await self._add(name, bytes(content))
-        return PlainTextResponse(error or title, status_code=415 if error else 200)
+        added = asyncio.get_running_loop().create_future()
+        self.session.ask(lambda: self._add(name, bytes(content), added))
+        status, text = await added
+        return PlainTextResponse(text, status_code=status)
 
-    async def _add(self, name: str, content: bytes) -> tuple[str, str]:
-        """The title of a picture that the worker adds to the gallery, or why it cannot."""
-        loop = asyncio.get_running_loop()
-        added = loop.create_future()
-
-        def add() -> None:
-            title, error = "", f"{name} could not be added."
-            try:
-                title, error = self.actions.gallery.upload(name, content).title, ""
-                self.send_state()
-            except StyleSplatError as refusal:
-                error = str(refusal)
-            finally:
-                loop.call_soon_threadsafe(added.set_result, (title, error))
-
-        self.session.ask(add)
-        return await added
+    def _add(self, name: str, content: bytes, added: "asyncio.Future[tuple[int, str]]") -> None:
+        answer = 500, f"{name} could not be added."
+        try:
+            answer = 200, self.actions.gallery.upload(name, content).title
+            self.send_state()
+        except StyleSplatError as error:
+            answer = 415, str(error)
+        finally:
+            added.get_loop().call_soon_threadsafe(added.set_result, answer)
 
     async def _socket(self, socket: "WebSocket") -> None:
         from starlette.websockets import WebSocketDisconnect
