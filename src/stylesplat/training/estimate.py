@@ -24,7 +24,7 @@ def estimate_seconds(run: Run, state: State) -> float:
     Schedules are shares of the run. So a run of ten rounds has photos as small and as large, and as
     few and as many Gaussians, as the whole run. Each round is taken twice: first to read its photos
     and to add Gaussians, which the whole run does more seldom, then to measure the rest.
-    For the fox, in processor time, this was 10 to 36 % too short, most at 540x960 in 500 steps.
+    For the fox, in processor time, this was up to 36 % too short, most at 540x960 in 500 steps.
     """
     config = replace(run.config, steps=ROUNDS * run.batch, refine_every=1, sh_degree_every=None)
     constant = replace(config, refine_every=config.steps + 1)
