@@ -69,7 +69,7 @@ def distance(image: Tensor, form: list[FormBand]) -> float:
 
 def test_an_eye_stands_out_of_a_plain_ball():
     form = form_of(WITH_EYE)
-    for detail, weight in form:
+    for detail, weight, _ in form:
         assert detail[NEAR_EYE].abs().max() > 10 * detail[FAR].abs().max()
         assert weight[NEAR_EYE].mean() > 1.5 * weight[FAR].mean()
 
@@ -95,7 +95,7 @@ def test_dots_all_over_do_not_stand_out():
     assert distance(SOME, flat) < 1e-2, "so that it asks for nothing"
     inside = XS.square() + YS.square() < (0.35 * LENGTH) ** 2
     bands = detail_bands(DOTTED @ LUMA, MASK, LENGTH)
-    for (detail, _), band in zip(dots, bands, strict=True):
+    for (detail, *_), band in zip(dots, bands, strict=True):
         assert detail[inside].square().sum() < 0.1 * band[inside].square().sum()
 
 

@@ -148,8 +148,8 @@ def blur_colors(
     total, weights = torch.zeros_like(splats.sh0), torch.zeros_like(splats.sh0)
     for view in views:
         image, own = view.render(matte), view.pixels[..., None]
-        blurred = [smooth(channel, view.pixels, deviation) for channel in image.unbind(2)]
-        total += view.backproject(matte, torch.stack(blurred, dim=2))
+        blurred = smooth(image.permute(2, 0, 1), view.pixels, deviation).permute(1, 2, 0)
+        total += view.backproject(matte, blurred)
         weights += view.backproject(matte, own.expand_as(image).to(image))
     mean = (total / weights.clamp(min=HIDDEN) - 0.5) / SH_C0
     visible = mask[:, None, None] & (weights > HIDDEN)
@@ -157,8 +157,8 @@ def blur_colors(
 
 
 def smooth(
-    values: Float[Tensor, "H W"], mask: Bool[Tensor, "H W"], deviation: float
-) -> Float[Tensor, "H W"]:
+    values: Float[Tensor, "*B H W"], mask: Bool[Tensor, "H W"], deviation: float
+) -> Float[Tensor, "*B H W"]:
     """A Gaussian blur of values inside a mask, to which what lies outside adds nothing."""
     if deviation < LEAST_DEVIATION:
         return values * mask
@@ -166,9 +166,9 @@ def smooth(
     return inside * blur(values * inside, deviation) / blur(inside, deviation).clamp(min=1e-3)
 
 
-def blur(values: Float[Tensor, "H W"], deviation: float) -> Float[Tensor, "H W"]:
+def blur(values: Float[Tensor, "*B H W"], deviation: float) -> Float[Tensor, "*B H W"]:
     """A Gaussian blur with zeros around, of no particular sum: two products of matrices."""
-    height, width = values.shape
+    height, width = values.shape[-2:]
     rows, columns = (
         blur_matrix(size, deviation, values.device).to(values) for size in (height, width)
     )

@@ -61,6 +61,8 @@ class FormBand(NamedTuple):
     """Luminance that stands out, in 0..1 units."""
     weight: Float[Tensor, "H W"]
     """How much each pixel counts; the sum is at most 1."""
+    energy: Float[Tensor, "H W"]
+    """The detail's square, blurred."""
 
 
 @torch.no_grad()
@@ -71,9 +73,9 @@ def survey_form(
     energies = []
     hue = main_hue(torch.cat([i[mask] for i, mask in zip(images, masks, strict=True)]))
     for image, mask in zip(images, masks, strict=True):
-        squares = (band.square() for band in object_detail(image, mask, length, hue))
-        energies.append([smooth(each, mask, ENERGY_DEVIATION * length)[mask] for each in squares])
-    bands = [torch.cat(views) for views in zip(*energies, strict=True)]
+        squares = torch.stack(object_detail(image, mask, length, hue)).square()
+        energies.append(smooth(squares, mask, ENERGY_DEVIATION * length)[:, mask])
+    bands = torch.cat(energies, dim=1).unbind()
     variations = [float(energy.std() / (energy.mean() + TINY)) for energy in bands]
     return FormSurvey([float(energy.median()) for energy in bands], variations, hue)
 
@@ -94,10 +96,9 @@ def object_detail(
 ) -> list[Float[Tensor, "H W"]]:
     """The detail of an unpainted object, by bands, as luminance, to whose contrast hues add."""
     near = NEAR * length
-    lumas = detail_bands(image @ luma_weights(image.device, image.dtype), mask, length)
-    hues = detail_bands(CHROMA * (image @ hue.to(image)), mask, length)
+    weights = torch.stack([luma_weights(image.device, image.dtype), CHROMA * hue.to(image)])
     details = []
-    for luma, chroma in zip(lumas, hues, strict=True):
+    for luma, chroma in detail_bands(torch.einsum("hwc,dc->dhw", image, weights), mask, length):
         together = blur(luma * chroma, near) + _faint_energy(near)
         details.append(luma + together.sign() * chroma)
     return details
@@ -114,13 +115,16 @@ def measure_form(
     bimodal = bimodality(luma, mask, BAND_DEVIATIONS[-1] * length)
     two = ((bimodal - MANY) / (TWO - MANY)).clamp(0, 1)
     even = EVEN + two * (EVEN_OF_TWO - EVEN)
-    for band, typical, variation in zip(bands, survey.energies, survey.variations, strict=True):
+    energies = smooth(torch.stack(bands).square(), mask, ENERGY_DEVIATION * length)
+    typical_of = zip(bands, energies, survey.energies, survey.variations, strict=True)
+    for band, energy, typical, variation in typical_of:
         share = ((variation - even) / (UNEVEN - EVEN)).clamp(0, 1)
-        energy = smooth(band.square(), mask, ENERGY_DEVIATION * length)
         least = (1 - two) * SALIENT * typical + FAINT**2
         weight = (1 - least / energy.maximum(least)) * mask
         area = (weight + RARE * mask).sum()
-        found.append(FormBand(share * weight * band, share * weight / area))
+        detail = share * weight * band
+        around = blur(detail.square(), NEAR * length)
+        found.append(FormBand(detail, share * weight / area, around))
     return found
 
 
@@ -129,8 +133,8 @@ def bimodality(
 ) -> Float[Tensor, "H W"]:
     """Sarle's coefficient of bimodality around each place: 1 for two values, 1/3 for a normal
     distribution, nearly 0 for what is faint."""
-    powers = [smooth(grey.double() ** n, mask, deviation) for n in (1, 2, 3, 4)]
-    mean, square, cube, fourth = powers
+    powers = torch.stack([grey.double() ** n for n in (1, 2, 3, 4)])
+    mean, square, cube, fourth = smooth(powers, mask, deviation)
     variance = (square - mean**2).clamp(min=0)
     third = cube - 3 * mean * square + 2 * mean**3
     fourth = fourth - 4 * mean * cube + 6 * mean**2 * square - 3 * mean**4
@@ -151,8 +155,8 @@ def form_distance(
     total, near = image.new_zeros(()), NEAR * length
     faint = _faint_energy(near)
     bands = detail_bands(image @ luma_weights(image.device, image.dtype), mask, length)
-    for band, (detail, weight) in zip(bands, form, strict=True):
-        norms = blur(band.square(), near) * blur(detail.square(), near)
+    for band, (detail, weight, energy) in zip(bands, form, strict=True):
+        norms = blur(band.square(), near) * energy
         correlation = blur(band * detail, near) / (norms + faint**2).sqrt()
         total = total + (weight * (1 - correlation)).sum()
     return total
@@ -201,8 +205,8 @@ def form_relief(
 
 
 def detail_bands(
-    grey: Float[Tensor, "H W"], mask: Bool[Tensor, "H W"], length: float
-) -> list[Float[Tensor, "H W"]]:
-    """A grey image between each two of `BAND_DEVIATIONS`, inside the mask alone; 0 elsewhere."""
+    grey: Float[Tensor, "*B H W"], mask: Bool[Tensor, "H W"], length: float
+) -> list[Float[Tensor, "*B H W"]]:
+    """Grey images between each two of `BAND_DEVIATIONS`, inside the mask alone; 0 elsewhere."""
     levels = [smooth(grey * mask, mask, size * length) for size in BAND_DEVIATIONS]
     return [fine - coarse for fine, coarse in pairwise(levels)]
