@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from stylesplat.progress import say
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.one_line import counted
 from stylesplat.training.densification import MCMCStrategy
 from stylesplat.training.state import Run, State
 from stylesplat.training.step import train_step
@@ -61,9 +62,10 @@ def say_estimate(run: Run, state: State, capture: Capture) -> None:
         factor = round(max(width, height) / FIRST_LOOK_SIZE) * capture.downscale
         smaller = f" --downscale {factor:g}" if factor > capture.downscale else ""
         advice = f" `{FIRST_LOOK}{smaller}` gives a first look."
+    photos = f"{counted(len(run.rows), 'photo')} of {width}x{height}"
     say(
-        f"{len(run.rows)} photos of {width}x{height}, at most {config.max_gaussians:,} Gaussians: "
-        f"{config.steps:,} steps take about {_duration(seconds)} on this machine.{quality}{advice}"
+        f"{photos}, at most {config.max_gaussians:,} Gaussians: {config.steps:,} steps take "
+        f"about {_duration(seconds)} on this machine.{quality}{advice}"
     )
 
 
