@@ -52,6 +52,7 @@ WINDOW = 160  # pixels: a step in a window costs as much as a coarse step
 GROWTH = 4.0  # times as many Gaussians with a canvas
 MOST_GROWTH = 16.0  # of objects that have few
 MANY_DISCS = 60_000  # objects of few Gaussians get as many discs: fewer show no strokes
+MOST_FINER = 4.0  # times as many for small strokes, which larger discs cannot show
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,8 @@ class StyleConfig:
         if self.quality == "draft" or self.published:
             return 0
         growth = max(GROWTH, 1 + MANY_DISCS / max(gaussians, 1))
-        return int((min(growth, MOST_GROWTH) - 1) * gaussians)
+        finer = min(max(USUAL_SCALE / self.scale, 1.0), MOST_FINER)
+        return int(finer * (min(growth, MOST_GROWTH) - 1) * gaussians)
 
     def stages(self, photo_length: float) -> list[Stage]:
         """The sizes at which the object is rendered, coarse first.
