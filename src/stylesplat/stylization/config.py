@@ -83,7 +83,7 @@ class _Row:
 
 
 PLANS: dict[Quality, tuple[_Row, ...]] = {
-    "draft": (_Row(90, of_pattern=0.6), _Row(30, of_pattern=1.0)),
+    "draft": (_Row(55, of_pattern=0.6), _Row(30, of_pattern=1.0)),
     "normal": (
         _Row(40, of_pattern=0.6),
         _Row(30, of_pattern=1.0),
