@@ -45,8 +45,9 @@ def pick_ball(
     state: StudioState, camera: Cameras, place: Place, radius: float, how: How = "new"
 ) -> StudioState:
     """Pick the ball around the surface at a place of the picture."""
-    centre = surface_point(state.scene.splats, camera, _pixel_of(camera, place))
-    if not near(state.scene.splats.means, centre[None].to(state.scene.splats.means), radius).any():
+    splats = state.scene.splats
+    centre = surface_point(splats, camera, _pixel_of(camera, place))
+    if not near(splats.means, centre[None].to(splats.means), radius).any():
         raise StyleSplatError("Nothing lies in this ball. Click an object, or enlarge the radius.")
     sphere = tuple(round(float(number), 5) for number in (*centre.tolist(), radius))
     return _shaped(state, how, sphere=sphere)

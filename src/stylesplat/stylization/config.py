@@ -164,7 +164,8 @@ class StyleConfig:
     def max_discs(self, gaussians: int) -> int:
         """How many discs a canvas may have on an object of so many Gaussians.
 
-        Smooth objects have few Gaussians and need more discs than a multiple of these.
+        Smooth objects have few Gaussians and need more discs than a multiple of these. Strokes that
+        are smaller than usual need as many more discs as they are smaller.
         """
         if self.quality == "draft" or self.published:
             return 0

@@ -116,8 +116,8 @@ def measure_form(
     two = ((bimodal - MANY) / (TWO - MANY)).clamp(0, 1)
     even = EVEN + two * (EVEN_OF_TWO - EVEN)
     energies = smooth(torch.stack(bands).square(), mask, ENERGY_DEVIATION * length)
-    typical_of = zip(bands, energies, survey.energies, survey.variations, strict=True)
-    for band, energy, typical, variation in typical_of:
+    by_band = zip(bands, energies, survey.energies, survey.variations, strict=True)
+    for band, energy, typical, variation in by_band:
         share = ((variation - even) / (UNEVEN - EVEN)).clamp(0, 1)
         least = (1 - two) * SALIENT * typical + FAINT**2
         weight = (1 - least / energy.maximum(least)) * mask
