@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-Content = Literal["capture", "splat", "scene", "files"]
+from stylesplat.io.kinds import Kind, Noun
+
+Content = Kind | Literal["files"]
 POSITIONAL = ("capture",)  # options that have no name on the command line
 TUPLES = ("region",)  # options that take several values at once; others are repeated
 
@@ -17,7 +19,7 @@ class JobVerb:
     """A verb of the command line that a job can run, and what a job file has to know of it."""
 
     name: str
-    takes: tuple[Content, ...]
+    takes: tuple[Noun, ...]
     makes: Content | None
     """What its result is; None if that is what it works on."""
     flags: frozenset[str]
@@ -94,8 +96,7 @@ class Job:
         """The words after the verb that the job file asks for."""
         positional, options = [str(source)], []
         for name, value in self.values.items():
-            words = value.words
-            if words is None:
+            if (words := value.words) is None:
                 continue
             if name in self.verb.outputs:
                 words = [str(folder / word) for word in words]

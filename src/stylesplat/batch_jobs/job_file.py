@@ -2,10 +2,9 @@
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from hashlib import sha256
-from itertools import product, zip_longest
+from itertools import islice, product, zip_longest
 from math import prod
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -16,49 +15,34 @@ from msgspec import Meta
 from stylesplat.batch_jobs.job import Content, Job, JobVerb, Needs, OptionValue
 from stylesplat.errors import StyleSplatError, brief, some, within
 from stylesplat.io.files import is_there, read_bytes
-from stylesplat.io.kinds import SPLATS, Kind, kind_of, wrong_kind
+from stylesplat.io.kinds import NOUNS, SPLATS, kind_of, wrong_kind
 from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
 from stylesplat.stylization.config import convert_settings
 from stylesplat.stylization.style_image import is_material
 
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks
-CONTENTS: dict[Kind, Content] = {"scene": "scene", "capture": "capture", "splat": "splat"}
 ADDRESS = re.compile(r"[A-Za-z][\w+.-]+:/")  # a scheme is longer than the letter of a drive
 LONGEST = 120  # characters of a name: file systems take 255 bytes, and suffixes are appended
 UNFIT = re.compile(r"[^\w.+~]+")  # characters that names of results do not have
 SET_BY_BATCH = ("json", "overwrite", "restart", "finish", "output", "file", "pick")
 SPELLINGS = {"stylise": "stylize"}
-STYLE = "style"  # the option that is OBJECT=IMAGE on the command line, and a map in a job file
 Scenes = list[str] | dict[str, str]
 # What a file and a job may hold, and of what types; a job has a verb as well
 FILE = {"scenes": Scenes, "jobs": Annotated[list[Any], Meta(min_length=1)]}
 NEEDS = get_type_hints(Needs, include_extras=True)
 BESIDE = {"name": str | int | None, "needs": dict, "scenes": Scenes | None, "then": list}
 
-Combinations = Sequence[tuple[Sequence[str], Mapping[str, OptionValue]]]
-"""Parts of names of results, and the options."""
-
 
 def plan_batch(path: Path, verbs: Mapping[str, JobVerb]) -> tuple[Job, ...]:
-    """The jobs of a file, each behind the one that it follows.
-
-    Args:
-        path: The YAML file; paths in it are relative to its folder.
-        verbs: The verbs that jobs can run, by name.
-
-    Raises:
-        StyleSplatError: If the file is wrong, something that it names is missing, or two jobs
-            would have the same result. The message names the line.
-    """
+    """The jobs of a YAML file, each behind the one that it follows; errors name the line."""
     with within(f"Cannot use the jobs in {path}"):
         refuse_address(path)
         text = read_bytes(path, most=MAX_YAML)
-        content, planner, jobs = parse_yaml(text), _Planner(path.parent, verbs, text), list[Job]()
-        for job in planner.jobs(content):
-            jobs.append(job)
-            _check_count(len(jobs))
+        planner = _Planner(path.parent, verbs, text)
+        jobs = (*islice(planner.jobs(parse_yaml(text)), MAX_JOBS + 1),)
+        _check_count(len(jobs))
         _check_names(jobs)
-        return tuple(jobs)
+        return jobs
 
 
 def refuse_address(path: str | Path) -> None:
@@ -70,21 +54,6 @@ def refuse_address(path: str | Path) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _Entry:
-    """A job of the file, over whatever it works on."""
-
-    place: Place
-    verb: JobVerb
-    label: str
-    """What its results are called."""
-    combinations: Combinations
-    needs: Needs
-    scenes: dict[str, Path] | None
-    """Its own."""
-    then: list["_Entry"]
-
-
 class _Planner:
     """Reads one file, whose lines it knows."""
 
@@ -94,70 +63,52 @@ class _Planner:
     def jobs(self, content: Any) -> Iterator[Job]:
         file = self._checked(content, FILE, ())
         shared = self._scenes(file.get("scenes", []), ("scenes",))
-        listed = enumerate(file.get("jobs", []))
-        for entry in [self._entry(each, ("jobs", number)) for number, each in listed]:
-            scenes = shared if entry.scenes is None else entry.scenes
+        for number, each in enumerate(file.get("jobs", [])):
+            place: Place = ("jobs", number)
+            verb, jobs_over = self._entry(each, place)
+            own = each.get("scenes")
+            scenes = shared if own is None else self._scenes(own, (*place, "scenes"))
             if not scenes:
-                fact = f"{entry.verb.name} has no scenes. List `scenes:`."
-                raise self._error(entry.place, fact)
+                raise self._error(place, f"{verb.name} has no scenes. List `scenes:`.")
             for name, path in scenes.items():
-                with within(f"line {self._line(entry.place)}"):
-                    kind = CONTENTS.get(kind_of(path))
-                    if kind is None:
-                        wanted = entry.verb.takes[0]
-                        assert wanted != "files"  # which verbs make and do not take
-                        raise wrong_kind(path, wanted)
-                yield from self._expand(entry, name, kind, source=path)
+                with within(f"line {self._line(place)}"):
+                    if (kind := kind_of(path)) not in NOUNS:
+                        raise wrong_kind(path, verb.takes[0])
+                yield from jobs_over(name, kind, source=path)
 
-    def _expand(
-        self,
-        entry: _Entry,
-        base: str,
-        content: Content,
-        *,
-        source: Path | None = None,
-        after: str | None = None,
-    ) -> Iterator[Job]:
-        """The jobs of an entry over one scene or result, each before those that follow it."""
-        verb = entry.verb
-        line = self._line((*entry.place, verb.name))
-        if content not in verb.takes:
-            takes = " and ".join(f"{each}s" for each in verb.takes)
-            raise StyleSplatError(f"line {line}: {verb.name} works on {takes}, not on {base}.")
-        for parts, values in entry.combinations:
-            name = _result_name(base, entry.label, *parts)
-            yield Job(name, verb, line, source, content, after, values, entry.needs)
-            for each in entry.then:
-                yield from self._expand(each, name, verb.makes or content, after=name)
-
-    def _entry(self, content: Any, place: Place) -> _Entry:
-        verbs = (*self._verbs, *SPELLINGS)
-        entry = self._checked(content, BESIDE | dict.fromkeys(verbs, dict | None), place)
-        found = [name for name in verbs if name in entry]
+    def _entry(self, content: Any, place: Place) -> tuple[JobVerb, Callable[..., Iterator[Job]]]:
+        """The verb of a job of the file, and what makes its jobs over one scene or result."""
+        known = (*self._verbs, *SPELLINGS)
+        entry = self._checked(content, BESIDE | dict.fromkeys(known, dict | None), place)
+        found = [name for name in known if name in entry]
         if len(found) != 1:
             got = " and ".join(found) or "none"
             raise self._error(place, f"a job has one verb, got {got}. Begin each with a dash.")
         (name,) = found
-        verb, scenes = self._verbs[SPELLINGS.get(name, name)], entry.get("scenes")
-        if "then" in place and scenes is not None:
+        verb, label = self._verbs[SPELLINGS.get(name, name)], entry.get("name")
+        if "then" in place and entry.get("scenes") is not None:
             raise self._error((*place, "scenes"), "what follows a job works on its result.")
         if entry.get("then") and verb.makes == "files":
             fact = f"nothing can follow {name}: it makes files."
             raise self._error((*place, "then", 0), fact)
-        label = entry.get("name")
-        needs = self._checked(entry.get("needs", {}), NEEDS, (*place, "needs"))
-        return _Entry(
-            place,
-            verb,
-            label=verb.name if label is None else str(label),
-            combinations=self._combinations(verb, entry[name] or {}, (*place, name)),
-            needs=Needs(**needs),
-            scenes=None if scenes is None else self._scenes(scenes, (*place, "scenes")),
-            then=[
-                self._entry(each, (*place, "then", number))
-                for number, each in enumerate(entry.get("then", []))
-            ],
-        )
+        needs = Needs(**self._checked(entry.get("needs", {}), NEEDS, (*place, "needs")))
+        combinations = self._combinations(verb, entry[name] or {}, (*place, name))
+        listed, line = enumerate(entry.get("then", [])), self._line((*place, name))
+        then = [self._entry(each, (*place, "then", number))[1] for number, each in listed]
+
+        def jobs_over(
+            base: str, content: Content, *, source: Path | None = None, after: str | None = None
+        ) -> Iterator[Job]:
+            if content not in verb.takes:
+                takes = " and ".join(f"{each}s" for each in verb.takes)
+                raise StyleSplatError(f"line {line}: {verb.name} works on {takes}, not on {base}.")
+            for parts, values in combinations:
+                result = _result_name(base, verb.name if label is None else str(label), *parts)
+                yield Job(result, verb, line, source, content, after, values, needs)
+                for following in then:
+                    yield from following(result, verb.makes or content, after=result)
+
+        return verb, jobs_over
 
     def _checked(self, content: Any, hints: Mapping[str, Any], place: Place) -> dict[str, Any]:
         """The values of a map of the file, of the types that the hints give."""
@@ -169,7 +120,10 @@ class _Planner:
                 found |= convert_settings({key: value}, hints)
         return found
 
-    def _combinations(self, verb: JobVerb, options: dict[str, Any], place: Place) -> Combinations:
+    def _combinations(
+        self, verb: JobVerb, options: dict[str, Any], place: Place
+    ) -> list[tuple[list[str], dict[str, OptionValue]]]:
+        """Parts of names of results, and the options."""
         axes: dict[str, list[tuple[str, OptionValue]]] = {}
         for key, listed in options.items():
             name = key.replace("_", "-")
@@ -187,9 +141,9 @@ class _Planner:
             if fault:
                 named = [key for key in options if f"--{key.replace('_', '-')}" in fault]
                 raise self._error((*place, *named[:1]), fault)
+        rows = product(*axes.values())
         return [
-            ([part for part, _ in chosen], dict(zip(axes, (v for _, v in chosen), strict=True)))
-            for chosen in product(*axes.values())
+            ([part for part, _ in r], dict(zip(axes, (v for _, v in r), strict=True))) for r in rows
         ]
 
     def _scenes(self, scenes: Scenes, place: Place) -> dict[str, Path]:
@@ -201,10 +155,8 @@ class _Planner:
                 own = path.stem if path.suffix.lower() in SPLATS else path.name
                 name = own if isinstance(key, int) else key
                 if name in found:
-                    raise StyleSplatError(
-                        f"two scenes have one name, {name}. "
-                        "Name them: `scenes: {one: FOLDER, other: FOLDER}`."
-                    )
+                    remedy = "Name them: `scenes: {one: FOLDER, other: FOLDER}`."
+                    raise StyleSplatError(f"two scenes have one name, {name}. {remedy}")
             found[name] = path
         return found
 
@@ -266,7 +218,7 @@ def _option_values(name: str, verb: JobVerb, listed: Any, folder: Path) -> list[
     values = listed if isinstance(listed, list) else [listed]
     if not values:
         raise StyleSplatError(f"{name} lists nothing. Leave it out.")
-    if name == STYLE:
+    if name == "style":  # OBJECT=IMAGE on the command line, a map in a job file
         found = [each for styles in values for each in _styles(styles, folder)]
     else:
         found = [_option_value(name, verb, each, folder) for each in values]
@@ -316,11 +268,10 @@ def _styles(value: Any, folder: Path) -> list[OptionValue]:
         raise StyleSplatError("style is a map: write {vase: wave.jpg}.") from error
     axes = []
     for name, listed in styles.items():
-        several = listed if isinstance(listed, list) else [listed]
-        each_in_turn = [[each] if isinstance(each, str) else each for each in several]
         paths = [
             tuple(p if is_material(p) else _absolute(folder, p) for p in pictures)
-            for pictures in each_in_turn
+            for each in (listed if isinstance(listed, list) else [listed])
+            for pictures in [[each] if isinstance(each, str) else each]
         ]
         if not all(paths) or not paths:
             raise StyleSplatError(f"style lists no pictures for {name}.")

@@ -40,8 +40,6 @@ ctypes.CDLL(None).prctl(1, 15)
 if os.getppid() == int(sys.argv[1]):
     os.execv(sys.argv[2], sys.argv[2:])
 """
-
-
 Status = Literal["done", "failed", "skipped"]
 
 
@@ -80,9 +78,8 @@ RunJob = Callable[[Job], JobRecord]
 @contextmanager
 def local_processes(output: Path, workers: int) -> Iterator[RunJob]:
     """Yields what runs a job as a process of this machine, which ends with the context."""
-    has_affinity = hasattr(os, "sched_getaffinity")
-    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
-    stopping, share = Event(), max(1, cores // workers)
+    affinity = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
+    stopping, share = Event(), max(1, len(affinity(0)) // workers)
     try:
         yield lambda job: run_job(job, output, job.needs.cpus or share, stopping)
     finally:

@@ -33,12 +33,7 @@ REMEDY = (
 
 @contextmanager
 def ray_tasks(jobs: Sequence[Job], output: Path, address: str) -> Iterator[RunJob]:
-    """Yields what runs a job on a cluster, whose nodes share the output folder.
-
-    Raises:
-        StyleSplatError: If Ray is missing, the cluster cannot be reached, or no node has the
-            resources that a job needs.
-    """
+    """Yields what runs a job on a cluster, whose nodes share the output folder."""
     ray, is_ours = _connect(address)
     tasks: list[Any] = []
 

@@ -20,7 +20,6 @@ from stylesplat.batch_jobs.job_page import PAGE, write_job_page
 from stylesplat.batch_jobs.job_process import JobRecord, RunJob, ended_job, local_processes
 from stylesplat.errors import StyleSplatError, some, within
 from stylesplat.io.atomic import PARTIAL, atomic_path, changing, refuse_occupied
-from stylesplat.io.json_files import strict_json
 from stylesplat.io.kinds import SOG_META
 from stylesplat.progress import say, task
 
@@ -54,12 +53,7 @@ class BatchResult:
 def run_batch(
     jobs: tuple[Job, ...], output: Path, *, workers: int = 1, ray: str | None = None
 ) -> BatchResult:
-    """Run jobs, except for those that an earlier run has done in the same folder.
-
-    Raises:
-        StyleSplatError: If an input cannot be read, the folder holds something else, or the
-            cluster cannot be reached. Jobs that fail raise nothing.
-    """
+    """Run jobs, except for those that an earlier run has done in the same folder."""
     if workers < 1:
         raise StyleSplatError(f"Jobs need at least one worker, got {workers}. Use --workers 1.")
     if ray is not None and workers != 1:
@@ -83,17 +77,24 @@ def run_batch(
         }
         kept = [r for n, r in earlier.items() if n in done or n not in prints]
         with atomic_path(path) as temporary:
-            temporary.write_text("".join(map(_line, kept)), encoding="utf-8")
+            temporary.write_bytes(b"".join(map(_line, kept)))
         records, todo = dict(done), [job for job in jobs if job.name not in done]
+        slots, runner = workers, local_processes(output, workers)
+        if ray is not None:
+            from stylesplat.batch_jobs.ray_tasks import MOST_TASKS, ray_tasks
+
+            slots, runner = min(len(todo), MOST_TASKS), ray_tasks(todo, output, ray)
         try:
-            for number, record in enumerate(_run(todo, {*done}, output, workers, ray)):
-                record = replace(record, fingerprint=prints[record.job])
-                if number == 0:
-                    say(HEAD)
-                say(_row(record))
-                with path.open("a", encoding="utf-8") as file:
-                    file.write(_line(record))
-                records[record.job] = record
+            with task("batch", len(jobs), unit="job", done=len(done)) as bar:
+                for record in run_in_order(todo, {*done}, runner, slots, bar.note):
+                    record = replace(record, fingerprint=prints[record.job])
+                    if len(records) == len(done):
+                        say(HEAD)
+                    say(_row(record))
+                    with path.open("ab") as file:
+                        file.write(_line(record))
+                    records[record.job] = record
+                    bar.advance()
         finally:
             known = [(job, records[job.name]) for job in jobs if job.name in records]
             page = write_job_page(output / PAGE, known, of=len(jobs))
@@ -108,6 +109,8 @@ def run_in_order(
     note: Callable[[str], None] = lambda text: None,
 ) -> Iterator[JobRecord]:
     """Run up to `slots` jobs at a time, each after the one that it follows; yields the records."""
+    if not todo:  # no cluster is needed
+        return
     waiting, done, failed = {job.name: job for job in todo}, set(done), set[str]()
     running: dict[Future[JobRecord], str] = {}
     with ThreadPoolExecutor(slots) as pool, runner as run:
@@ -124,22 +127,6 @@ def run_in_order(
                 del running[future]
                 (done if record.status == "done" else failed).add(record.job)
                 yield record
-
-
-def _run(
-    todo: Sequence[Job], done: set[str], output: Path, workers: int, ray: str | None
-) -> Iterator[JobRecord]:
-    if not todo:
-        return
-    slots, runner = workers, local_processes(output, workers)
-    if ray is not None:
-        from stylesplat.batch_jobs.ray_tasks import MOST_TASKS, ray_tasks
-
-        slots, runner = min(len(todo), MOST_TASKS), ray_tasks(todo, output, ray)
-    with task("batch", len(todo) + len(done), unit="job", done=len(done)) as bar:
-        for record in run_in_order(todo, done, runner, slots, bar.note):
-            yield record
-            bar.advance()
 
 
 def fingerprints(jobs: Sequence[Job]) -> dict[str, str]:
@@ -190,8 +177,8 @@ def read_records(path: Path) -> dict[str, JobRecord]:
     return found
 
 
-def _line(record: JobRecord) -> str:
-    return strict_json(msgspec.to_builtins(record)) + "\n"
+def _line(record: JobRecord) -> bytes:
+    return msgspec.json.encode(record) + b"\n"
 
 
 def _row(record: JobRecord) -> str:

@@ -25,6 +25,7 @@ from stylesplat.cli.sheet import Sheet
 from stylesplat.cli.stylize import Recolor, Stylize
 from stylesplat.cli.train import Train
 from stylesplat.errors import StyleSplatError, some
+from stylesplat.io.kinds import Noun
 
 if TYPE_CHECKING:
     from stylesplat.batch_jobs.run_batch import BatchResult
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 NAMED = 5  # failed jobs in the last line; the table and the page have all
 OUTPUTS = {"export": ("output", "each"), "render": ("output",), "sheet": ("output",)}
 MAKES_FILE = ("export", "sheet")  # the suffix of the file that they make says of which kind it is
-JOB_VERBS: dict[str, tuple[type, tuple[Content, ...], Content | None]] = {
+JOB_VERBS: dict[str, tuple[type, tuple[Noun, ...], Content | None]] = {
     "train": (Train, ("capture",), "scene"),
     "import": (Import, ("splat",), "scene"),
     "mask": (Mask, ("capture", "scene"), None),

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from inspect import getdoc
-from io import BytesIO
 from pathlib import Path
 from subprocess import DEVNULL
 from typing import TYPE_CHECKING, Any
@@ -72,6 +71,8 @@ def _tool(verb: str, root: Path) -> Callable[..., Any]:
     from mcp.server.mcpserver import Image
     from mcp.server.mcpserver.exceptions import ToolError
 
+    from stylesplat.io.images import jpeg_thumbnail
+
     async def tool(arguments: list[str]) -> list[Any]:
         try:
             check_confined(arguments, root)
@@ -83,7 +84,8 @@ def _tool(verb: str, root: Path) -> Callable[..., Any]:
         if done.returncode:
             raise ToolError(done.stderr.decode(errors="replace").strip()[-2000:])
         pictures = [*_pictures(answer, root)][:MOST_PICTURES]
-        return [answer, *(Image(data=_shrunk(each), format="jpeg") for each in pictures)]
+        contents = (jpeg_thumbnail(each, LONGER_SIDE) for each in pictures)
+        return [answer, *(Image(data=content, format="jpeg") for content in contents)]
 
     return tool
 
@@ -110,13 +112,3 @@ def _pictures(answer: str, root: Path) -> Iterator[Path]:
             continue
         inside = sorted(path.rglob("*")) if name == "output" and path.is_dir() else [path]
         yield from (e for e in inside if e.suffix.lower() in PICTURES and e.is_file())
-
-
-def _shrunk(path: Path) -> bytes:
-    from PIL import Image
-
-    with Image.open(path) as image:
-        small, content = image.convert("RGB"), BytesIO()
-    small.thumbnail((LONGER_SIDE, LONGER_SIDE))
-    small.save(content, "JPEG", quality=90)
-    return content.getvalue()

@@ -4,21 +4,19 @@ from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from io import BytesIO
 from pathlib import Path
 from string import Template
 from typing import Any
 
 from jaxtyping import UInt8
-from PIL import Image
 from torch import Tensor
 
 from stylesplat.evaluation.summary import flat
+from stylesplat.io.images import jpeg
 from stylesplat.scene.scene import Scene
 
 STYLE = Path(__file__).with_name("page_style.css")
 MIME = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
-QUALITY = 90  # of JPEG: pictures to look at, not to measure
 TEMPLATE = Path(__file__).with_name("comparison_page.html")
 
 
@@ -66,13 +64,11 @@ def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def file_url(path: Path) -> str:
-    return _url(path.read_bytes(), path.suffix)
+    return data_url(path.read_bytes(), path.suffix)
 
 
 def picture_url(picture: UInt8[Tensor, "H W 3"]) -> str:
-    content = BytesIO()
-    Image.fromarray(picture.cpu().numpy()).save(content, "JPEG", quality=QUALITY)
-    return _url(content.getvalue(), ".jpg")
+    return data_url(jpeg(picture.cpu().numpy()), ".jpg")
 
 
 def _figure(figure: Figure) -> str:
@@ -88,7 +84,7 @@ def _figure(figure: Figure) -> str:
     return f"<figure>{media}<figcaption>{caption}</figcaption></figure>"
 
 
-def _url(content: bytes, suffix: str) -> str:
+def data_url(content: bytes, suffix: str) -> str:
     return f"data:{MIME[suffix]};base64,{b64encode(content).decode()}"
 
 

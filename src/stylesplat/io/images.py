@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
@@ -44,6 +45,7 @@ QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 MAX_GREY = 0xFFFF  # Pillow's mode I has 32 bits, but it also holds 16-bit grey of PGM files
 WHITE = 255
 QUALITY = 95  # of JPEG, with colours at full resolution: losses are hardly visible
+LOOK_QUALITY = 90  # of JPEG in pages and answers, where files are to be small
 PNG_LEVEL = 4  # of 9: half the time of the usual 6, and files larger by a twentieth
 
 ColorPicture = UInt8[Tensor, "H W 3"] | UInt8[Tensor, "H W 4"]
@@ -165,6 +167,21 @@ def write_image(
             exif=exif,
             icc_profile=icc_profile,
         )
+
+
+def jpeg(pixels: UInt8[np.ndarray, "H W 3"], quality: int = LOOK_QUALITY) -> bytes:
+    """A picture to look at, not to measure, as the content of a file."""
+    content = BytesIO()
+    Image.fromarray(pixels).save(content, "JPEG", quality=quality)
+    return content.getvalue()
+
+
+def jpeg_thumbnail(path: Path, side: int) -> bytes:
+    """A picture of at most `side` pixels in width and height, as the content of a file."""
+    with open_image(path) as image:
+        small = image.convert("RGB")
+        small.thumbnail((side, side))
+        return jpeg(np.asarray(small))
 
 
 def write_numbers(numbers: Float[Tensor, "H W"], path: Path | str) -> None:

@@ -1,6 +1,5 @@
 """The style pictures to paint with, and the files that pages fetch."""
 
-import io
 import re
 import tempfile
 from collections import deque
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import to_uint8
+from stylesplat.io.images import jpeg
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.progress import say
 from stylesplat.stylization.style_image import PREFIX, read_style
@@ -28,12 +28,6 @@ PICTURE = "picture.jpg"  # the name of what is shown and not downloaded
 DOWNLOADS = 2  # that are kept
 
 Pixels = UInt8[np.ndarray, "H W 3"]
-
-
-def jpeg(pixels: Pixels, quality: int = 88) -> bytes:
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "JPEG", quality=quality)
-    return file.getvalue()
 
 
 class Files(dict[str, tuple[str, bytes]]):

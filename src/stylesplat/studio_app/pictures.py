@@ -25,6 +25,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.packed import pack
 from stylesplat.figures.pictures import to_uint8
+from stylesplat.io.images import jpeg
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import coverage, render_shares
 from stylesplat.scene.cameras import Cameras
@@ -33,7 +34,7 @@ from stylesplat.scene.framing import centred_K
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import MIN_COVERAGE
-from stylesplat.studio_app.gallery import Pixels, jpeg
+from stylesplat.studio_app.gallery import Pixels
 from stylesplat.studio_app.history import object_names
 from stylesplat.studio_app.messages import Look
 from stylesplat.studio_app.session import Display, Session

@@ -12,11 +12,12 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.best_views import close_up
 from stylesplat.figures.pictures import to_uint8
+from stylesplat.io.images import jpeg
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats
-from stylesplat.studio_app.gallery import Files, Gallery, StylePicture, jpeg
+from stylesplat.studio_app.gallery import Files, Gallery, StylePicture
 from stylesplat.studio_app.history import StudioState, require_picked
 from stylesplat.studio_app.messages import Progress
 from stylesplat.studio_app.paint_queue import preview_colors
