@@ -17,10 +17,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.color.lab import LUMA
 from stylesplat.evaluation.changes import largest_area
 from stylesplat.evaluation.consistency import view_consistency
 from stylesplat.evaluation.style import content_ssim
-from stylesplat.metrics.lab import LUMA
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras

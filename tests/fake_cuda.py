@@ -16,8 +16,8 @@ from torch.overrides import TorchFunctionMode
 
 from fake_gsplat import install_training_kernels
 from rendering.native_gsplat import install
-from stylesplat.metrics.lab import luma_weights
-from stylesplat.stylization.colors import blur_matrix
+from stylesplat.color.blur import blur_matrix
+from stylesplat.color.lab import luma_weights
 
 MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__set__}  # pyright: ignore
 INDEXES = {Tensor.__getitem__, Tensor.index_put, Tensor.index_put_}

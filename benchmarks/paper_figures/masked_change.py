@@ -3,9 +3,9 @@
 from jaxtyping import Float
 from torch import Tensor
 
+from stylesplat.color.lab import lab_from_rgb
 from stylesplat.evaluation.changes import CHANGED
 from stylesplat.metrics.images import decibels
-from stylesplat.metrics.lab import lab_from_rgb
 from stylesplat.scene.labels import Mask
 
 

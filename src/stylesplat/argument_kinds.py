@@ -1,13 +1,17 @@
-"""Arguments of the public verbs, whose types are checked before anything is computed."""
+"""Arguments and settings of the public verbs, checked before anything is computed."""
 
 import inspect
+import json
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
 from functools import wraps
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
+
+import msgspec
 
 from stylesplat.errors import StyleSplatError, brief, some
 
@@ -91,3 +95,34 @@ def _refuse(verb: str, name: str, value: Any, kinds: list[Any]) -> None:
         f"Cannot call {verb} with this `{name}`: it must be {' or '.join(dict.fromkeys(names))}, "
         f"and is {given}. {remedies[0]}"
     )
+
+
+def check_limits(config: Any, verb: str, limits: Mapping[str, tuple[Any, Any]]) -> None:
+    """Refuse settings beyond their least and most values; None is no value."""
+    for name, (least, most) in limits.items():
+        value = getattr(config, name)
+        if value is not None and not least <= value <= most:
+            raise StyleSplatError(f"Cannot {verb} with {name} {value}: use {least:,} to {most:,}.")
+
+
+def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the values of an entry to their types: lists to tuples, 2 to 2.0."""
+    fit = {}
+    for key, value in entry.items():
+        if key not in hints:
+            near = get_close_matches(str(key), hints, n=1)
+            remedy = f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(hints)}."
+            raise StyleSplatError(f"there is no key {key!r}. {remedy}")
+        try:
+            fit[key] = msgspec.convert(value, hints[key])
+        except msgspec.ValidationError as error:
+            shown = brief(json.dumps(value, ensure_ascii=False, default=str))
+            choices = [
+                word
+                for each in (hints[key], *get_args(hints[key]))
+                for word in get_args(each)
+                if get_origin(each) is Literal
+            ]
+            remedy = f" Use {' or '.join(choices)}." if choices else ""
+            raise StyleSplatError(f"{key} cannot be {shown}: {error}.{remedy}") from error
+    return fit

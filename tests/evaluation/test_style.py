@@ -12,6 +12,7 @@ from balls import CAMERAS, FAST, SPLATS, ball, with_settings
 from balls import RED as PICKED
 from balls import STRIPED_SCENE as SCENE
 from scenes import rand, randn
+from stylesplat.color.lab import PIXELS
 from stylesplat.evaluation import style
 from stylesplat.evaluation.style import (
     TOLERANCE,
@@ -21,7 +22,6 @@ from stylesplat.evaluation.style import (
     off_palette,
     own_nnfm,
 )
-from stylesplat.metrics.lab import PIXELS
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats

@@ -18,20 +18,16 @@ from balls import (
     dense_ball,
 )
 from scenes import rand, randn, random_splats
+from stylesplat.color.lab import LUMA, lab_from_rgb, nearest_colors
+from stylesplat.color.palette import NEAR, build_palette
+from stylesplat.color.transfer import NOISE, color_map, map_colors, mapped
 from stylesplat.evaluation.style import TOLERANCE, off_palette
-from stylesplat.metrics.lab import LUMA, lab_from_rgb, nearest_colors
 from stylesplat.rendering.reference import spherical_harmonics
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.colors import (
-    NEAR,
-    NOISE,
     SHADING,
     VARIATION,
     blur_colors,
-    build_palette,
-    color_map,
-    map_colors,
-    mapped,
     object_colors,
     project_to_palette,
     remove_pattern,

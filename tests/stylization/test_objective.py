@@ -9,8 +9,8 @@ from balls import CAMERAS, cropped
 from balls import RED as PICKED
 from balls import STRIPED_SCENE as SCENE
 from scenes import rand, randn
+from stylesplat.color.palette import build_palette
 from stylesplat.scene.splats import SH_C0, Splats
-from stylesplat.stylization.colors import build_palette
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.form import FormSurvey

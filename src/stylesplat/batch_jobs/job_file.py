@@ -12,12 +12,12 @@ from typing import Annotated, Any, get_type_hints
 import msgspec
 from msgspec import Meta
 
+from stylesplat.argument_kinds import convert_settings
 from stylesplat.batch_jobs.job import Content, Job, JobVerb, Needs, OptionValue
 from stylesplat.errors import StyleSplatError, brief, some, within
 from stylesplat.io.files import is_there, read_bytes
 from stylesplat.io.kinds import NOUNS, SPLATS, kind_of, wrong_kind
 from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
-from stylesplat.stylization.config import convert_settings
 from stylesplat.stylization.style_image import is_material
 
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks

@@ -28,11 +28,12 @@ from stylesplat.cli.results import (
     pasted,
     unused,
 )
+from stylesplat.color.recolor import RecolorConfig
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
 from stylesplat.progress import say
 from stylesplat.runtime import tidy_heap
-from stylesplat.stylization.config import RecolorConfig, StyleConfig
+from stylesplat.stylization.config import StyleConfig
 
 if TYPE_CHECKING:
     from stylesplat.stylization.style import Recipe

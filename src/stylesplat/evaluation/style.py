@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.color.lab import LUMA, cells, distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.changes import measure_changes
 from stylesplat.evaluation.consistency import view_consistency
 from stylesplat.metrics.images import ssim_map
-from stylesplat.metrics.lab import LUMA, cells, distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.progress import say
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, colors_and_coverage

@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from stylesplat.color.lab import lab_from_rgb
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import CELL
-from stylesplat.metrics.lab import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import render

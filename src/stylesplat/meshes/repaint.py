@@ -19,6 +19,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
+from stylesplat.color.palette import build_palette
 from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.surface import MeshViews, face_areas
 from stylesplat.meshes.texture import Texels, TexturedMesh, texels_of
@@ -26,7 +27,6 @@ from stylesplat.progress import task
 from stylesplat.rendering.shares import COVERED
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
-from stylesplat.stylization.colors import build_palette
 from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings, without_retired
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import (

@@ -18,6 +18,7 @@ import msgspec
 import torch
 from PIL import Image
 
+from stylesplat.color.recolor import RecolorConfig
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.orbits import turned_view
 from stylesplat.figures.web_page import start_of
@@ -40,7 +41,7 @@ from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of, render_display
 from stylesplat.studio_app.session import Display, Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
-from stylesplat.stylization.config import RecolorConfig, StyleConfig
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_image import MATERIALS, PREFIX
 from stylesplat.verbs.export import export

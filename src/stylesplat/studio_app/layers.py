@@ -4,12 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from stylesplat.color.recolor import RecolorConfig
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.layer import RECOLOR, Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.history import StudioState
-from stylesplat.stylization.config import RecolorConfig, StyleConfig, plain_settings
+from stylesplat.stylization.config import StyleConfig, plain_settings
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.recolor import recolor
 

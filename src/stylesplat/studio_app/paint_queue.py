@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from stylesplat.color.transfer import color_map, map_colors
 from stylesplat.errors import StyleSplatError
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
@@ -22,7 +23,6 @@ from stylesplat.studio_app.history import StudioState, hidden_rows, replace_scen
 from stylesplat.studio_app.layers import refuse_locked
 from stylesplat.studio_app.messages import Progress
 from stylesplat.studio_app.session import Display, Session, Stopped
-from stylesplat.stylization.colors import color_map, map_colors
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.style_image import all_colors

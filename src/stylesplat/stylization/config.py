@@ -4,15 +4,10 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from difflib import get_close_matches
 from itertools import accumulate, pairwise
-from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_type_hints
 
-import msgspec
-from PIL import ImageColor
-
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.argument_kinds import check_limits, convert_settings
 from stylesplat.progress import say
 from stylesplat.scene.arguments import MAX_INTENSITY
 
@@ -27,14 +22,6 @@ LIMITS = {  # of settings, the least and the most: what lies beyond is a slip of
     "object_size": (1, 10_000),
     "lr": (1e-9, 10_000),
     "seed": (-(10**18), 10**18),  # torch takes somewhat larger ones
-}
-
-RECOLOR_LIMITS = {  # of settings; with larger factors hardly anything but clipped colours is left
-    "hue": (-360, 360),
-    "saturation": (0, 4),
-    "temperature": (-1, 1),
-    "brightness": (0, 4),
-    "contrast": (0, 4),
 }
 
 Network = Literal["compact", "vgg16", "vgg19"]
@@ -99,13 +86,6 @@ PLANS: dict[Quality, tuple[_Row, ...]] = {
 }
 
 
-def _check_limits(config: Any, verb: str, limits: Mapping[str, tuple[Any, Any]]) -> None:
-    for name, (least, most) in limits.items():
-        value = getattr(config, name)
-        if value is not None and not least <= value <= most:
-            raise StyleSplatError(f"Cannot {verb} with {name} {value}: use {least:,} to {most:,}.")
-
-
 @dataclass(frozen=True)
 class StyleConfig:
     """How to repaint an object."""
@@ -145,7 +125,7 @@ class StyleConfig:
     full, at the photos' size, in a quarter of the views, at a constant rate."""
 
     def __post_init__(self) -> None:
-        _check_limits(self, "stylise", LIMITS)
+        check_limits(self, "stylise", LIMITS)
 
     @property
     def all_steps(self) -> int:
@@ -241,78 +221,3 @@ def without_retired(settings: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(kept.get("layers"), list) and len(kept["layers"]) == 1:
         (kept["block"],) = kept.pop("layers")
     return kept
-
-
-def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the values of an entry to their types: lists to tuples, 2 to 2.0."""
-    fit = {}
-    for key, value in entry.items():
-        if key not in hints:
-            near = get_close_matches(str(key), hints, n=1)
-            remedy = f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(hints)}."
-            raise StyleSplatError(f"there is no key {key!r}. {remedy}")
-        try:
-            fit[key] = msgspec.convert(value, hints[key])
-        except msgspec.ValidationError as error:
-            shown = brief(json.dumps(value, ensure_ascii=False, default=str))
-            choices = [
-                word
-                for each in (hints[key], *get_args(hints[key]))
-                for word in get_args(each)
-                if get_origin(each) is Literal
-            ]
-            remedy = f" Use {' or '.join(choices)}." if choices else ""
-            raise StyleSplatError(f"{key} cannot be {shown}: {error}.{remedy}") from error
-    return fit
-
-
-@dataclass(frozen=True)
-class RecolorConfig:
-    """How to change colours, in this order. Hue to contrast are as the filters of CSS."""
-
-    match: str | None = None
-    """File of a picture whose colours the object is to have, in mean and covariance."""
-    tint: str | None = None
-    """Colour that the object is to have, but for its light and shade: #rrggbb or a name."""
-    hue: float = 0.0
-    """Degrees to turn the hues by; luma stays."""
-    saturation: float = 1.0
-    """Distance of the colours from grey: 0 for grey, 1 as it is, up to 4."""
-    temperature: float = 0.0
-    """-1 for bluish light to 1 for yellowish light."""
-    brightness: float = 1.0
-    """Factor on the colours, 0 to 4."""
-    contrast: float = 1.0
-    """Factor on their distance from mid-grey, 0 to 4."""
-
-    def __post_init__(self) -> None:
-        _check_limits(self, "recolor", RECOLOR_LIMITS)
-        if self.tint is not None:
-            parse_color(self.tint)
-
-    @property
-    def changed(self) -> dict[str, Any]:
-        """The settings that are not the defaults."""
-        return {k: v for k, v in asdict(self).items() if v != getattr(RecolorConfig, k)}
-
-
-def recolor_config(settings: Mapping[str, Any]) -> RecolorConfig:
-    """The settings of a recolouring, which are not all the defaults."""
-    settings = {name: str(v) if isinstance(v, Path) else v for name, v in settings.items()}
-    config = RecolorConfig(**convert_settings(settings, get_type_hints(RecolorConfig)))
-    if not config.changed:
-        raise StyleSplatError(
-            "Nothing to recolor. Pass a --hue, --saturation, --brightness, --contrast, "
-            "--temperature, --tint or --match."
-        )
-    return config
-
-
-def parse_color(text: str) -> tuple[float, ...]:
-    """The red, green and blue of `#rrggbb` or a name, in 0..1."""
-    try:
-        return tuple(level / 255 for level in ImageColor.getrgb(text)[:3])
-    except ValueError:
-        raise StyleSplatError(
-            f"There is no color {brief(text)!r}. Use #rrggbb or a name such as teal."
-        ) from None

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from stylesplat.metrics.lab import LUMA
+from stylesplat.color.lab import LUMA
 from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.shares import COVERED, coverage, without_looks

@@ -17,10 +17,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.metrics.lab import luma_weights
+from stylesplat.color.blur import blur, smooth
+from stylesplat.color.lab import luma_weights
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import SH_C0, Splats
-from stylesplat.stylization.colors import HIDDEN, STRIDE, blur, smooth
+from stylesplat.stylization.colors import HIDDEN, STRIDE
 from stylesplat.stylization.views import ObjectView, with_fixed_bands
 
 BAND_DEVIATIONS = (0.004, 0.015, 0.05)  # of blurs whose differences are bands, in lengths

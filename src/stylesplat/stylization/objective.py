@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.color.palette import Palette
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.colors import Palette
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.form import FormBand, FormSurvey, form_distance, measure_form

@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from stylesplat.color.palette import Palette, build_palette
+from stylesplat.color.transfer import color_map, mapped
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
 from stylesplat.rendering.shares import COVERED, colors_and_coverage
@@ -18,12 +20,8 @@ from stylesplat.selection.soft_picks import own_shares
 from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.colors import (
     DARKEST,
-    Palette,
     add_luminance,
     blur_colors,
-    build_palette,
-    color_map,
-    mapped,
     object_colors,
     project_to_palette,
     remove_pattern,

@@ -5,7 +5,8 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
 
-from stylesplat.argument_kinds import check_arguments
+from stylesplat.argument_kinds import check_arguments, convert_settings
+from stylesplat.color.recolor import recolor_config
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
@@ -19,8 +20,6 @@ from stylesplat.stylization.config import (
     Network,
     Precision,
     StyleConfig,
-    convert_settings,
-    recolor_config,
     with_settings,
     without_retired,
 )

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stylesplat.color.recolor import RecolorConfig
 from stylesplat.errors import StyleSplatError, check_choice, some
 from stylesplat.io.files import read_bytes
 from stylesplat.scene.layer import Source
@@ -19,7 +20,6 @@ from stylesplat.stylization.config import (
     PRESETS,
     Network,
     Precision,
-    RecolorConfig,
     StyleConfig,
     with_settings,
 )

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 
 from stylesplat.argument_kinds import check_arguments
+from stylesplat.color.recolor import RecolorConfig, recolor_config, recolor_map
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
 from stylesplat.scene.arguments import check_intensity
@@ -14,11 +15,11 @@ from stylesplat.scene.compose import beneath, family, with_layers
 from stylesplat.scene.layer import RECOLOR, recoloring
 from stylesplat.scene.scene import Scene, check_name_or_id
 from stylesplat.selection.choose import background_of, find_object
-from stylesplat.stylization.colors import recolor_map
-from stylesplat.stylization.config import RecolorConfig, recolor_config
 from stylesplat.stylization.style import source_of
+from stylesplat.stylization.style_image import all_colors, read_style, resize
 
 BACKGROUND = "background"
+PICTURE_SIDE = 256.0  # pixels of the picture whose colours are matched
 
 
 @check_arguments
@@ -76,10 +77,13 @@ def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) 
         under, place = with_layers(scene, layers), len(layers)
     own = torch.zeros(len(scene.unpainted), dtype=torch.bool).index_fill(0, rows, True)
     mask = own[family(under)].to(under.splats.device)
+    picture = None
+    if config.match:
+        picture = all_colors([resize(read_style(config.match), PICTURE_SIDE)])
     layer = recoloring(
         name,
         rows,
-        recolor_map(config, under.splats, mask, scene.cameras),
+        recolor_map(config, under.splats, mask, scene.cameras, picture),
         strength=strength,
         styles=(source_of(config.match),) if config.match else (),
         settings={key: value for key, value in config.changed.items() if key != "match"},

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from stylesplat.argument_kinds import check_arguments
+from stylesplat.argument_kinds import check_arguments, convert_settings
 from stylesplat.errors import StyleSplatError, printable, some
 from stylesplat.figures.capture_picture import capture_picture
 from stylesplat.io.atomic import atomic_folder, changing, partial_of, refuse_occupied
@@ -43,7 +43,6 @@ from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct
 from stylesplat.structure_from_motion.undistort import write_colmap
 from stylesplat.structure_from_motion.world_frame import move_to_working_frame
-from stylesplat.stylization.config import convert_settings
 from stylesplat.verbs.check import advices, check
 from stylesplat.verbs.load import load
 

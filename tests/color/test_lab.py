@@ -3,7 +3,7 @@
 import torch
 
 from scenes import rand
-from stylesplat.metrics.lab import cells, distinct, lab_from_rgb, nearest_colors
+from stylesplat.color.lab import cells, distinct, lab_from_rgb, nearest_colors
 
 
 def test_lab_of_the_primaries_and_of_grey():
