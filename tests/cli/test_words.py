@@ -34,13 +34,13 @@ def test_a_painted_scene_and_its_picture(styled: Path, said):
     lines = said("adjust", styled, "--intensity", 1)
     assert f"{styled}: 3 at 100 %, 7 at 100 % of the style." in lines
     assert any(x.startswith(f"Picture: {styled / 'before_after.png'} (view 000") for x in lines)
-    assert f"Next: stylesplat export {styled} {styled}.ply" in lines
+    assert f"Next: stylesplat export {styled} -o {styled}.ply" in lines
     assert (styled / "before_after.png").read_bytes() != before, "it is drawn anew"
     assert not any("Picture" in x for x in said("adjust", styled, "--intensity", 1, "--no-picture"))
     assert not (styled / "before_after.png").exists(), "it would show another strength"
     out = styled.with_name("plain")
     lines = said("adjust", styled, "--undo", "-o", out)
-    assert lines == [f"{out}: as before it was painted.", f"Next: {EXPORT} {out} {out}.ply"]
+    assert lines == [f"{out}: as before it was painted.", f"Next: {EXPORT} {out} -o {out}.ply"]
     assert not (out / "before_after.png").exists()
 
 

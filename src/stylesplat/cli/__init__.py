@@ -22,31 +22,10 @@ from stylesplat.cli.train import Train
 from stylesplat.cli.view import StudioCommand, ViewCommand
 from stylesplat.progress import observed, write_lines
 
-VERBS: dict[str, type] = {
-    "demo": Demo,
-    "check": Check,
-    "sfm": Sfm,
-    "mask": Mask,
-    "train": Train,
-    "import": Import,
-    "labels": Labels,
-    "objects": Objects,
-    "select": Select,
-    "rename": Rename,
-    "delete": Delete,
-    "stylize": Stylize,
-    "recolor": Recolor,
-    "adjust": Adjust,
-    "sheet": Sheet,
-    "render": Render,
-    "export": Export,
-    "evaluate": Evaluate,
-    "batch": Batch,
-    "view": ViewCommand,
-    "studio": StudioCommand,
-    "mcp": Mcp,
-    "doctor": Doctor,
-}
+COMMANDS = (Demo, Check, Sfm, Mask, Train, Import, Labels, Objects, Select, Rename, Delete)
+COMMANDS += (Stylize, Recolor, Adjust, Sheet, Render, Export, Evaluate, Batch)
+COMMANDS += (ViewCommand, StudioCommand, Mcp, Doctor)
+VERBS = {each.__name__.removesuffix("Command").lower(): each for each in COMMANDS}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if command.json:
                 print(strict_json(answer.values), flush=True)
             else:
-                write_lines(*answer.lines)
+                write_lines(*answer.text())
             command.after_answer(answer.values)
     except (Exception, KeyboardInterrupt) as error:
         status = exit_status(error, command)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from stylesplat.cli.options import CONTINUES, Command, Device, MakingCommand, Output
-from stylesplat.cli.results import Answer, mask_command, next_lines
+from stylesplat.cli.results import Answer, mask_command
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
 
@@ -45,7 +45,7 @@ class Demo(MakingCommand):
             f"Video: {made['video']}",
             f"It took {made['seconds']} s.",
         ]
-        return Answer(made, [*lines, *next_lines(mask_command(Path("MyPhotos")))])
+        return Answer(made, lines, [mask_command(Path("MyPhotos"))])
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from tyro.conf import Positional
 
 import stylesplat as ss
 from stylesplat.cli.options import Device, MakingCommand, OptionalOutput, SceneFolder
-from stylesplat.cli.results import Answer, next_lines, video_command
+from stylesplat.cli.results import Answer, next_command
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
 from stylesplat.io.json_files import write_json
@@ -75,7 +75,7 @@ class Evaluate(MakingCommand):
         if "changed_gaussians" in metrics:
             measured = {**metrics.get("nnfm_after", {}), **metrics.get("content_ssim", {})}
             lines += style_lines(metrics, measured)
-        return Answer(metrics, [*lines, *next_lines(video_command(self.scene))])
+        return Answer(metrics, lines, [next_command("render", self.scene, "--views", "orbit")])
 
     def _photos(
         self, scene: "ss.Scene", path: Path, *, required: bool = False

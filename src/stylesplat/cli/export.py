@@ -9,7 +9,7 @@ from tyro.conf import Positional, UseAppendAction
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config
 from stylesplat.cli.options import MakingCommand, OptionalOutput, SceneFolder
-from stylesplat.cli.results import Answer, next_lines, video_command
+from stylesplat.cli.results import Answer, next_command
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
 from stylesplat.meshes.mesh_config import MeshConfig
@@ -89,4 +89,4 @@ class Export(MakingCommand):
         if self.sidecar:
             lines.append(f"Objects: {file}.objects.npz, for `import --labels`.")
         values = {"file": file, f"{noun.lower()}s": count}
-        return Answer(values, [*lines, *next_lines(video_command(self.scene))])
+        return Answer(values, lines, [next_command("render", self.scene, "--views", "orbit")])

@@ -60,7 +60,7 @@ class Import(MakingCommand):
             photos = self.capture is not None or self.like is not None
             about = describe_scene(scene, capture, self.output, device=self.device, photos=photos)
         lines = [*self._lines(scene.metrics), *about.lines]
-        return Answer({**scene.metrics, **about.values}, lines)
+        return Answer({**scene.metrics, **about.values}, lines, about.following)
 
     def _lines(self, metrics: Mapping[str, Any]) -> Iterator[str]:
         close = f", {metrics['psnr']:.1f} dB from the photos" if "psnr" in metrics else ""

@@ -19,11 +19,10 @@ from stylesplat.cli.options import (
 )
 from stylesplat.cli.results import (
     Answer,
-    next_lines,
+    next_command,
     optional_picture,
     rewrite_scene,
     stylize_command,
-    train_command,
 )
 from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.errors import StyleSplatError
@@ -190,7 +189,7 @@ class Mask(MakingCommand):
             lines += [MEND] if self.box or self._corrects else []
         values = {"masks": output, "preview": preview if is_drawn else None, "photos": len(found)}
         values |= {"of": len(masked), "ids": ids, "names": called}
-        return Answer(values, [*lines, *next_lines(train_command(self.capture))])
+        return Answer(values, lines, [next_command("train", self.capture)])
 
     def _mask_scene(self) -> Answer:
         self.refuse_given(("scene",), "a scene, which is that scene itself")
@@ -257,7 +256,6 @@ def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> Answer:
         write_image(mask_preview(replace(small, label_maps=maps), names), place / SCENE_PREVIEW)
         preview, photos = place / SCENE_PREVIEW, sum(bool(labels.any()) for labels in maps)
         lines.append(f"Picture: {preview}, the objects of its Gaussians in some views.")
-    if names:
-        lines += next_lines(stylize_command(place, [*names.values()][-1]))
+    following = [stylize_command(place, name) for name in [*names.values()][-1:]]
     values = {"scene": place, "preview": preview, "photos": photos, "of": len(scene.cameras)}
-    return Answer({**values, "ids": list(ids), "names": names}, lines)
+    return Answer({**values, "ids": list(ids), "names": names}, lines, following)

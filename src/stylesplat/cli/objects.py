@@ -13,7 +13,6 @@ from stylesplat.cli.arguments import parse_place
 from stylesplat.cli.options import EditingCommand, MakingCommand, OptionalOutput, SceneFolder
 from stylesplat.cli.results import (
     Answer,
-    next_lines,
     object_commands,
     optional_picture,
     selection_file,
@@ -59,10 +58,9 @@ class Objects(MakingCommand):
         lines = [*_object_lines(found, places)]
         if sheet is not None:
             lines.append(f"Picture: {sheet}")
-        if found or places["named"]:
-            command = object_commands(self.scene, [*places["named"]], labelled=True)[-1]
-            lines += next_lines(command)
-        return Answer({"objects": found, "sheet": sheet, **places}, lines)
+        commands = object_commands(self.scene, [*places["named"]], labelled=True)
+        following = commands[-1:] if found or places["named"] else []
+        return Answer({"objects": found, "sheet": sheet, **places}, lines, following)
 
 
 def _object_lines(objects: list[dict[str, Any]], places: dict[str, Any]) -> Iterator[str]:
@@ -166,8 +164,8 @@ class Select(EditingCommand):
             f"--minus {self.name} takes them away from another selection."
             for whole in within
         ]
-        lines += next_lines(stylize_command(self.folder, self.name))
-        return Answer({**values, "scene": self.folder, "picture": picture}, lines)
+        values |= {"scene": self.folder, "picture": picture}
+        return Answer(values, lines, [stylize_command(self.folder, self.name)])
 
     def after_answer(self, values: dict[str, Any]) -> None:
         if self.picture and not self.json and (picture := self._draw()):
@@ -235,8 +233,8 @@ class Rename(EditingCommand):
         picture = selection_file(self.folder, self.new)
         values = {"name": self.new, "was": self.old, **after.objects[self.new].how}
         values |= {"scene": self.folder, "picture": picture if picture.is_file() else None}
-        command = stylize_command(self.folder, self.new)
-        return Answer(values, [f"{self.old} is called {self.new} now.", *next_lines(command)])
+        line = f"{self.old} is called {self.new} now."
+        return Answer(values, [line], [stylize_command(self.folder, self.new)])
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from stylesplat.scene.arguments import pasted
 from stylesplat.signals import WHOLE, report_interruption
 
 BEFORE_AFTER = "before_after.png"  # in the folder of a painted scene
+ENDINGS = {"stylize": "-painted", "train": "-scene", "export": ".ply", "render": ".mp4"}
 PICTURE = "PICTURE.jpg"  # stands for any picture of the user's
 PIPE_CLOSED = 141  # as shells report it, after `| head`
 # Words of torch, OpenCV and CUDA, in errors of many kinds
@@ -36,7 +37,14 @@ class Answer:
     values: dict[str, Any]
     """What `--json` prints."""
     lines: Sequence[str] = ()
-    """For people: what was made, and the next commands."""
+    """For people: what was made."""
+    following: Sequence[str] = ()
+    """Commands that may follow."""
+
+    def text(self) -> list[str]:
+        """The lines for people."""
+        heads = ["Next: "] + ["      "] * len(self.following)
+        return [*self.lines, *map(str.__add__, heads, self.following)]
 
 
 @contextmanager
@@ -159,7 +167,7 @@ def describe_scene(
         values["picture"] = target
         lines = [f"Picture: {target}", *lines]
     commands = object_commands(folder, names, labelled=labelled, photos=photos)
-    return Answer(values, [*lines, *next_lines(*commands)])
+    return Answer(values, lines, commands)
 
 
 @contextmanager
@@ -183,30 +191,17 @@ def unused(near: Path, ending: str) -> Path:
     return place
 
 
-def next_lines(*commands: str) -> list[str]:
-    """The commands, one a line, each below the first."""
-    return [f"{'      ' if number else 'Next: '}{each}" for number, each in enumerate(commands)]
+def next_command(verb: str, source: Path, *options: object, ending: str = "") -> str:
+    """A command whose result lies beside what it works on, by a name that is free."""
+    return pasted(verb, source, *options, "-o", unused(source, ending or ENDINGS[verb]))
 
 
 def stylize_command(scene: Path, name: str) -> str:
-    style = f"{name}={PICTURE}"
-    return pasted("stylize", scene, "--style", style, "-o", unused(scene, "-painted"))
+    return next_command("stylize", scene, "--style", f"{name}={PICTURE}")
 
 
-def train_command(capture: Path) -> str:
-    return pasted("train", capture, "-o", unused(capture, "-scene"))
-
-
-def export_command(scene: Path) -> str:
-    return pasted("export", scene, unused(scene, ".ply"))
-
-
-def video_command(scene: Path) -> str:
-    return pasted("render", scene, "-o", unused(scene, ".mp4"), "--views", "orbit")
-
-
-def mask_command(capture: Path) -> str:
-    return pasted("mask", capture, "--box", "NAME=PHOTO:x0,y0,x1,y1")
+def mask_command(capture: Path, view: str = "PHOTO") -> str:
+    return pasted("mask", capture, "--box", f"NAME={view}:x0,y0,x1,y1")
 
 
 def object_commands(
@@ -221,9 +216,8 @@ def object_commands(
     if labelled:
         return [pasted("objects", scene), pasted("select", scene, "--name", "NAME", "--id", "ID")]
     by_place = pasted("select", scene, "--name", "NAME", "--sphere", "VIEW:x,y,RADIUS")
-    by_box = pasted("mask", scene, "--box", "NAME=VIEW:x0,y0,x1,y1")
-    look = pasted("render", scene, "-o", unused(scene, "-views"))
-    return [look, by_place if photos else by_box]
+    look = next_command("render", scene, ending="-views")
+    return [look, by_place if photos else mask_command(scene, "VIEW")]
 
 
 def exit_status(error: BaseException, command: object = None) -> int | None:

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, parse_place
 from stylesplat.cli.options import CONTINUES, MakingCommand, OptionalOutput, Output
-from stylesplat.cli.results import Answer, mask_command, next_lines, train_command
+from stylesplat.cli.results import Answer, mask_command, next_command
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, partial_of
 from stylesplat.progress import say
@@ -69,7 +69,7 @@ class Sfm(MakingCommand):
         posed = f"{record.registered} of {record.given} photos with their cameras"
         picture = f"{self.output / PICTURE}, the cameras and points from above and the side"
         lines = (f"{self.output}: {posed}.", f"Picture: {picture}.")
-        return Answer(values, [*lines, *next_lines(mask_command(self.output))])
+        return Answer(values, lines, [mask_command(self.output)])
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ class Check(MakingCommand):
             values["picture"] = self.output
             lines.append(f"Picture: {self.output}, the cameras and points from above and the side.")
         masked = (self.capture / OBJECT_MASK).is_dir()
-        command = train_command(self.capture) if masked else mask_command(self.capture)
-        return Answer(values, [*lines, *next_lines(command)])
+        following = next_command("train", self.capture) if masked else mask_command(self.capture)
+        return Answer(values, lines, [following])
 
 
 def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path:

@@ -9,10 +9,9 @@ from tyro.conf import Positional, UseAppendAction
 
 from stylesplat.cli.arguments import from_config, parse_style
 from stylesplat.cli.options import Device, Features, MakingCommand, Output, StylePreset, Weights
-from stylesplat.cli.results import Answer, unused
+from stylesplat.cli.results import Answer, next_command
 from stylesplat.cli.stylize import SETTINGS
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.scene.arguments import pasted
 from stylesplat.stylization.config import StyleConfig
 
 VARIED = ("preset", "stroke_size", *SETTINGS.__annotations__)  # options of `stylize`
@@ -131,4 +130,4 @@ class Sheet(MakingCommand):
                 values = value if isinstance(value, tuple) else (value,)
                 shown = (f"{each:g}" if isinstance(each, float) else each for each in values)
                 words += [f"--{key.replace('_', '-')}", *shown]
-        return pasted("stylize", self.scene, *words, "-o", unused(self.scene, "-painted"))
+        return next_command("stylize", self.scene, *words)

@@ -22,11 +22,8 @@ from stylesplat.cli.results import (
     BEFORE_AFTER,
     Answer,
     draw_before_after,
-    export_command,
     new_scene,
-    next_lines,
-    pasted,
-    unused,
+    next_command,
 )
 from stylesplat.color.recolor import RecolorConfig
 from stylesplat.errors import StyleSplatError
@@ -106,15 +103,13 @@ class Stylize(MakingCommand):
             )
             revise(replace(styled, metrics={}), styled, self.output)
         numbers = {name: value for name, value in styled.metrics.items() if name != "train"}
-        softer = unused(self.output, "-softer")
-        adjust = pasted("adjust", self.output, "--intensity", 0.7, "-o", softer)
-        lines = (
-            f"{self.output}: painted.",
-            *picture.lines,
-            *next_lines(adjust, export_command(self.output)),
-            *style_lines(numbers, numbers["seconds_by_object"]),
+        softer = next_command("adjust", self.output, "--intensity", 0.7, ending="-softer")
+        measured = style_lines(numbers, numbers["seconds_by_object"])
+        return Answer(
+            {"scene": self.output, **picture.values, **numbers},
+            [f"{self.output}: painted.", *picture.lines, *measured],
+            [softer, next_command("export", self.output)],
         )
-        return Answer({"scene": self.output, **picture.values, **numbers}, lines)
 
     def _recipe(self) -> "Recipe":
         """The recipe in the file, or that of the styles, which all have the same settings."""
@@ -163,15 +158,13 @@ class Recolor(EditingCommand):
 
         with changing(self.folder):
             picture = draw_before_after(self.rewrite(change), self.folder)
-        place, name = unused(self.folder, "-before"), f"{self.object[0]}/recolor"
-        undo = pasted("adjust", self.folder, "--object", name, "--undo", "-o", place)
-        lines = (
-            f"{self.folder}: {', '.join(self.object)} recoloured.",
-            *picture.lines,
-            *next_lines(undo, export_command(self.folder)),
+        options = ("--object", f"{self.object[0]}/recolor", "--undo")
+        undo = next_command("adjust", self.folder, *options, ending="-before")
+        return Answer(
+            {"scene": self.folder, "recolored": list(self.object), **picture.values},
+            [f"{self.folder}: {', '.join(self.object)} recoloured.", *picture.lines],
+            [undo, next_command("export", self.folder)],
         )
-        values = {"scene": self.folder, "recolored": list(self.object), **picture.values}
-        return Answer(values, lines)
 
 
 @dataclass(frozen=True)
@@ -219,5 +212,5 @@ class Adjust(EditingCommand):
         else:
             strengths = (f"{name} at {100 * share:.0f} %" for name, share in painted.items())
             how = f"{', '.join(strengths)} of the style"
-        command = export_command(self.folder)
-        return Answer(values, [f"{self.folder}: {how}.", *picture.lines, *next_lines(command)])
+        lines = [f"{self.folder}: {how}.", *picture.lines]
+        return Answer(values, lines, [next_command("export", self.folder)])

@@ -120,7 +120,7 @@ class Train(MakingCommand):
                 self._delete_checkpoints()
                 about = describe_scene(scene, capture, self.output, device=self.device)
         lines = (*self.outcome(scene.metrics), *about.lines)
-        return Answer({**scene.metrics, **about.values}, lines)
+        return Answer({**scene.metrics, **about.values}, lines, about.following)
 
     def outcome(self, metrics: Mapping[str, Any]) -> Iterator[str]:
         """How far it came; what the PSNR of photos held out means, and what to do about it."""
