@@ -21,6 +21,7 @@ from stylesplat.stylization.form import (
     form_distance,
     form_relief,
     measure_form,
+    pool_form,
     survey_form,
 )
 from stylesplat.stylization.paint import paint
@@ -155,6 +156,25 @@ def test_sizes_follow_the_object():
     for (one, *_), (other, *_) in zip(large, small, strict=True):
         shrunk = one.reshape(SIDE, 2, SIDE, 2).mean(dim=(1, 3))
         assert (shrunk - other).abs().max() < 0.15 * other.abs().max() + 0.01
+
+
+def test_a_large_view_is_pooled_and_has_the_same_form():
+    survey = survey_form([WITH_EYE], [MASK], LENGTH)
+    for image in (grey(PLAIN), WITH_EYE, DOTTED):
+        distances = []
+        for factor in (1, 6):
+            views = (
+                torch.where(MASK[..., None], each, SOME)  # which has no part in it
+                .repeat_interleave(factor, 0)
+                .repeat_interleave(factor, 1)
+                for each in (WITH_EYE, image)
+            )
+            mask = MASK.repeat_interleave(factor, 0).repeat_interleave(factor, 1)
+            before, after = (pool_form(each, mask, factor * LENGTH) for each in views)
+            pooled = 2 if factor > 1 else 1
+            assert after[0].shape[0] == len(after[1]) == factor * SIDE // pooled
+            distances.append(float(form_distance(*after, measure_form(*before, survey))))
+        assert distances[1] == pytest.approx(distances[0], abs=0.03)
 
 
 FINE = enlarged(CAMERAS, 4)

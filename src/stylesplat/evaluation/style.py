@@ -106,7 +106,7 @@ def measure_style(
     boxes = boxes or require_boxes(context, target)
     zoom = LENGTH / typical_length(boxes)
     views = object_views(context, target, evenly(boxes, VIEWS), zoom)
-    style_feats = target_features(context, target.config, target.styles, LENGTH)
+    style_feats = target_features(network, target.config, target.styles, LENGTH)
     images = renders(styled, views)
     before, after = (
         object_nnfm(each, views, style_feats, network, block)

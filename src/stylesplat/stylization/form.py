@@ -42,6 +42,7 @@ NEAR = 0.04  # deviation of the window of a local correlation, in lengths
 FAINT = 0.01  # of 1: detail of less contrast is not seen
 ROUNDS = 6  # of `form_relief`: with 1 eyes are blurred, 12 show no more
 RARE = 0.05  # share of an object: less form than that counts less
+LEAST_DEVIATION = 1.2  # pixels of the finest band's blur that are enough to show it
 
 
 class FormSurvey(NamedTuple):
@@ -103,6 +104,22 @@ def object_detail(
         together = blur(luma * chroma, near) + _faint_energy(near)
         details.append(luma + together.sign() * chroma)
     return details
+
+
+def pool_form(
+    image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float
+) -> tuple[Float[Tensor, "h w 3"], Bool[Tensor, "h w"], float]:
+    """A view of an object as small as shows its form as well, which takes less time.
+
+    Pixels are averaged over squares, inside the mask alone. The third value is the object's length.
+    """
+    side = max(1, int(BAND_DEVIATIONS[0] * length / LEAST_DEVIATION))
+    if side == 1:
+        return image, mask, length
+    own = mask[None].to(image)
+    covered = F.avg_pool2d(own, side)
+    pooled = F.avg_pool2d(image.permute(2, 0, 1) * own, side) / covered.clamp(min=1e-3)
+    return pooled.permute(1, 2, 0), covered[0] > 0.5, length / side
 
 
 @torch.no_grad()

@@ -13,7 +13,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.form import FormBand, FormSurvey, form_distance, measure_form
+from stylesplat.stylization.form import FormBand, FormSurvey, form_distance, measure_form, pool_form
 from stylesplat.stylization.matching import StyleIndex, cosine_distance
 from stylesplat.stylization.views import ObjectView, per_view
 
@@ -71,7 +71,7 @@ class Objective:
             if self.config.form > 0 or self.config.content > 0:
                 image = rasterize(original, view.camera)[0][0]
                 if self.config.form > 0:
-                    form = measure_form(image, view.pixels, self.length, self.form)
+                    form = measure_form(*pool_form(image, view.pixels, self.length), self.form)
                 if self.config.content > 0:
                     content = self._features(image, cells)
             shapes = None if painted is None else _large_shapes(view, view.render(painted))
@@ -93,7 +93,8 @@ class Objective:
         matches = self.style.nearest(feats.detach())
         nnfm = total = cosine_distance(feats, self.style.directions.index_select(0, matches))
         if target.form is not None:
-            distance = form_distance(image, view.pixels, self.length, target.form)
+            pooled = pool_form(image, view.pixels, self.length)
+            distance = form_distance(*pooled, target.form)
             total = total + FORM * self.config.form * distance
         if target.content is not None:
             before = target.content.float()

@@ -30,6 +30,7 @@ from stylesplat.stylization.colors import (
 )
 from stylesplat.stylization.config import ColorMode, Stage, StyleConfig
 from stylesplat.stylization.confine import confine_canvas
+from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.form import SURVEY_LENGTH, FormSurvey, form_relief, survey_form
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective, ViewTarget
@@ -328,13 +329,14 @@ def stage_objective(
     is_fine_surface: bool,
 ) -> Objective:
     """The objective of a stage; a canvas or a texture takes smaller steps."""
-    features = target_features(context, config, pictures, stage.length)
+    network = context.network.to(context.splats.device, context.precision)
+    features = target_features(network, config, pictures, stage.length)
     if stage.fine:
         generator = torch.Generator().manual_seed(config.seed)
         features = features[torch.randperm(len(features), generator=generator)[:STYLE_FEATURES]]
     rate = stage.rate * (CANVAS_RATE if is_fine_surface else 1.0)
     return Objective(
-        network=context.network.to(context.splats.device, context.precision),
+        network=network,
         style=build_index(features, context.precision, balanced=not config.published),
         config=replace(config, lr=rate * config.lr),
         length=stage.length,
@@ -387,13 +389,13 @@ def optimize_colors(
 
 
 def target_features(
-    context: PaintContext, config: StyleConfig, pictures: Sequence[Tensor], length: float
+    network: FeatureNetwork, config: StyleConfig, pictures: Sequence[Tensor], length: float
 ) -> Float[Tensor, "Q D"]:
     """The features of all style images together, beside an object so long."""
     size = config.scale * length
     generator = torch.Generator().manual_seed(config.seed)
     features = [
-        style_features(part, context.network, config.block, length=size * share)
+        style_features(part, network, config.block, length=size * share)
         for picture in pictures
         for part, share in style_parts(picture, size, generator)
     ]
