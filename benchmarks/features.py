@@ -33,6 +33,7 @@ from torch.nn import functional as F
 
 import stylesplat as ss
 from stylesplat.evaluation.style import measure_style
+from stylesplat.io.style_pictures import read_style, resize
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.sampling import evenly
 from stylesplat.selection.pick import pick
@@ -42,7 +43,7 @@ from stylesplat.stylization.features.weights import PACKAGED, load_weights
 from stylesplat.stylization.matching import most_similar
 from stylesplat.stylization.optimize import paint_steps
 from stylesplat.stylization.paint import paint_context
-from stylesplat.stylization.style_image import read_style, resize, style_features
+from stylesplat.stylization.style_image import style_features
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import ObjectView, object_views, require_boxes
 

@@ -30,6 +30,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 import stylesplat as ss
+from stylesplat.io.style_pictures import read_style, resize
 from stylesplat.rendering.shares import COVERED
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.config import StyleConfig
@@ -37,7 +38,6 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.matching import most_similar
 from stylesplat.stylization.paint import paint
-from stylesplat.stylization.style_image import read_style, resize
 
 LAYER = 3  # group of the network's layers, as the default paints with
 VIEWS = 4

@@ -1,6 +1,6 @@
 """Draws the materials that the package has as styles, such as `material:bronze`.
 
-`python scripts/draw_materials.py` writes src/stylesplat/stylization/materials/NAME.jpg. A recipe
+`python scripts/draw_materials.py` writes src/stylesplat/io/materials/NAME.jpg. A recipe
 holds the digest of its picture, so that recipes with an older drawing are refused.
 """
 
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from PIL import Image
 from scipy.spatial import KDTree
 
-FOLDER = Path(__file__).parents[1] / "src/stylesplat/stylization/materials"
+FOLDER = Path(__file__).parents[1] / "src/stylesplat/io/materials"
 SIDE = 512  # pixels
 QUALITY = 80  # of JPEG: no file is larger than 60 KB
 Random = np.random.RandomState  # draws the same numbers in all versions of numpy

@@ -12,6 +12,7 @@ from torch import Tensor
 import stylesplat as ss
 from stylesplat.demo.demo_run import TRAINING, copy_capture
 from stylesplat.io.captures.capture_folder import exact_masks
+from stylesplat.io.style_pictures import read_style
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -23,7 +24,6 @@ from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import pick
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
-from stylesplat.stylization.style_image import read_style
 
 # Many Gaussians on the demo's objects carry the strokes.
 JOINT_TRAINING = replace(TRAINING, object_growth=10.0)

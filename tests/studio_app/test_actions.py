@@ -18,6 +18,7 @@ from balls import CAMERAS, SPLATS, enlarged
 from browser import QUICK, stripes, until
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.scene_folder import open, save
+from stylesplat.io.style_pictures import MATERIALS
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
@@ -28,7 +29,6 @@ from stylesplat.studio_app.pictures import camera_of, weightiest
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_image import MATERIALS
 
 CAMERA = enlarged(CAMERAS, 4)[0]
 WIDTH, HEIGHT = CAMERA.size

@@ -16,6 +16,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import read_json
 from stylesplat.io.scene_folder import open as open_scene
 from stylesplat.io.scene_folder import save
+from stylesplat.io.style_pictures import MATERIALS
 from stylesplat.rendering.render import render
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
@@ -23,7 +24,6 @@ from stylesplat.scene.splats import map_bands, rgb_from_sh0, sh0_from_rgb, sh_ba
 from stylesplat.stylization.config import LIMITS
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_image import MATERIALS
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.recolor import recolor

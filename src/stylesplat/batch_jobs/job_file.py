@@ -18,7 +18,7 @@ from stylesplat.errors import StyleSplatError, brief, some, within
 from stylesplat.io.files import is_there, read_bytes
 from stylesplat.io.kinds import NOUNS, SPLATS, kind_of, wrong_kind
 from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
-from stylesplat.stylization.style_image import is_material
+from stylesplat.io.style_pictures import is_material
 
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks
 ADDRESS = re.compile(r"[A-Za-z][\w+.-]+:/")  # a scheme is longer than the letter of a drive

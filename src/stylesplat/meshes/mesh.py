@@ -5,6 +5,7 @@ from importlib.util import find_spec
 import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.style_pictures import picture_file
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.meshes.surface import find_mesh_surface, mesh_views, simplify
 from stylesplat.meshes.texture import TexturedMesh, bake, unwrap
@@ -12,7 +13,6 @@ from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.style_image import picture_file
 
 MODULES = ("skimage", "fast_simplification", "xatlas")
 BAKED = (160, 768)  # pixels of the views that give the texture, at least and at most

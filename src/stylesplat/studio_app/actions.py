@@ -23,6 +23,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.orbits import turned_view
 from stylesplat.figures.web_page import start_of
 from stylesplat.io.layers import RECIPE
+from stylesplat.io.style_pictures import MATERIALS, PREFIX
 from stylesplat.io.video import write_video
 from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras, up_vector
@@ -43,7 +44,6 @@ from stylesplat.studio_app.session import Display, Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_image import MATERIALS, PREFIX
 from stylesplat.verbs.export import export
 from stylesplat.verbs.render import orbit, render
 

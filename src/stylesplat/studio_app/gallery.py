@@ -17,8 +17,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import jpeg
 from stylesplat.io.kinds import PHOTOS
+from stylesplat.io.style_pictures import PREFIX, read_style
 from stylesplat.progress import say
-from stylesplat.stylization.style_image import PREFIX, read_style
 
 MOST_BYTES = 40 * 2**20  # of an upload
 MOST_PICTURES = 60  # in the gallery

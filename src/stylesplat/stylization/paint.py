@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from stylesplat.io.style_pictures import Picture, read_style
 from stylesplat.progress import task
 from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.rendering.visibility import LARGE, in_view, visible
@@ -24,7 +25,6 @@ from stylesplat.stylization.confine import reached_pixels
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.features.weights import load_weights
 from stylesplat.stylization.optimize import PaintState, paint_steps
-from stylesplat.stylization.style_image import Picture, read_style
 from stylesplat.stylization.target import PaintContext, PaintTarget, check_targets, paint_context
 from stylesplat.stylization.views import Box, find_boxes, per_view
 

@@ -12,6 +12,7 @@ from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of
 from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
+from stylesplat.io.style_pictures import is_material, picture_file
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.config import (
@@ -24,7 +25,6 @@ from stylesplat.stylization.config import (
     without_retired,
 )
 from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
-from stylesplat.stylization.style_image import is_material, picture_file
 
 Preset = Literal["default", "paper"]
 Strength = Intensity | None  # pyright: ignore[reportOperatorIssue]

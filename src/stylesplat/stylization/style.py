@@ -13,6 +13,7 @@ from torch import Tensor
 from stylesplat.color.recolor import RecolorConfig
 from stylesplat.errors import StyleSplatError, check_choice, some
 from stylesplat.io.files import read_bytes
+from stylesplat.io.style_pictures import Picture, is_material, picture_file, read_style
 from stylesplat.scene.layer import Source
 from stylesplat.scene.one_line import one_line
 from stylesplat.stylization.config import (
@@ -23,7 +24,6 @@ from stylesplat.stylization.config import (
     StyleConfig,
     with_settings,
 )
-from stylesplat.stylization.style_image import Picture, is_material, picture_file, read_style
 
 
 @dataclass(frozen=True, init=False, eq=False)

@@ -9,6 +9,7 @@ import torch
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.color.recolor import RecolorConfig, recolor_config, recolor_map
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.style_pictures import read_style, resize
 from stylesplat.progress import say
 from stylesplat.scene.arguments import check_intensity
 from stylesplat.scene.compose import beneath, family, with_layers
@@ -16,7 +17,7 @@ from stylesplat.scene.layer import RECOLOR, recoloring
 from stylesplat.scene.scene import Scene, check_name_or_id
 from stylesplat.selection.choose import background_of, find_object
 from stylesplat.stylization.style import source_of
-from stylesplat.stylization.style_image import all_colors, read_style, resize
+from stylesplat.stylization.style_image import all_colors
 
 BACKGROUND = "background"
 PICTURE_SIDE = 256.0  # pixels of the picture whose colours are matched

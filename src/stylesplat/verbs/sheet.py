@@ -14,6 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.best_views import close_up
 from stylesplat.figures.grid import GridPicture, Row, draw_grid
 from stylesplat.figures.pictures import to_uint8
+from stylesplat.io.style_pictures import Picture
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.cameras import Cameras
@@ -25,7 +26,6 @@ from stylesplat.selection.choose import find_object
 from stylesplat.stylization.config import Network
 from stylesplat.stylization.paint import check_targets
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_image import Picture
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.verbs.stylize import stylize
 

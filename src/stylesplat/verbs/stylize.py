@@ -11,6 +11,7 @@ import torch
 
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.evaluation.style import measure_painted
+from stylesplat.io.style_pictures import Picture
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.compose import (
@@ -29,7 +30,6 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.optimize import check_visible
 from stylesplat.stylization.paint import paint_layer
 from stylesplat.stylization.style import Recipe, Style, as_recipe
-from stylesplat.stylization.style_image import Picture
 from stylesplat.stylization.target import (
     MAX_MEMORY,
     PaintContext,

@@ -10,7 +10,7 @@ from capture_files import save_noise
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.images import image_sizes, read_image
 from stylesplat.io.label_maps import read_label_map
-from stylesplat.stylization.style_image import read_style
+from stylesplat.io.style_pictures import read_style
 
 SUFFIXES = ("png", "jpg", "webp", "tiff", "bmp", "gif", "ppm", "tga", "avif")
 PIXELS = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
