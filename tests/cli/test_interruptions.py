@@ -1,5 +1,6 @@
 """Ctrl-C and SIGTERM at processes of the command line: one line, and the status of shells."""
 
+import gc
 import os
 import pty
 import signal
@@ -15,8 +16,10 @@ import pytest
 
 import stylesplat
 from processes import run, wait_until
+from stylesplat.__main__ import main as process
 from stylesplat.cli.options import CONTINUES
 from stylesplat.cli.train import FINISHES
+from stylesplat.signals import WHOLE, kept_signals
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
@@ -107,6 +110,23 @@ def test_the_viewer(scene: Path, tmp_path: Path):
     begun.wait_for(lambda begun: begun.says("Ctrl-C closes the viewer."))
     assert begun.says("StyleSplat: http://127.0.0.1:") and begun.says("/?token=")
     assert begun.ended_by(signal.SIGINT) == "The viewer is closed."
+
+
+def test_signals_are_ignored_once_the_work_is_done(capsys, monkeypatch):
+    """As a process does it, but here: what the verb gets, and what comes after it."""
+
+    def verb() -> int:
+        signal.raise_signal(signal.SIGTERM)
+        return 0
+
+    monkeypatch.setattr("stylesplat.cli.main", verb)
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    with kept_signals():
+        assert process() == 128 + signal.SIGTERM
+        signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    gc.unfreeze()
+    assert capsys.readouterr().err == f"stylesplat: terminated. {WHOLE}\n"
 
 
 TAKE = "import pathlib, signal, sys, time\nfrom stylesplat.signals import take_signals\n"

@@ -9,37 +9,44 @@ from typing import Any
 import anyio
 import pytest
 
+from stylesplat.cli import VERBS
 from stylesplat.cli.mcp import check_confined, mcp_server
 from stylesplat.errors import StyleSplatError
 
 
-def test_tools_over_stdio(scene: Path):
-    """Another process serves; what is wrong is told, what is drawn comes as a picture."""
-    pytest.importorskip("mcp")
-    from mcp import Client, StdioServerParameters
+def talk(server: Any, *calls: tuple[str, list[str]]) -> tuple[set[str], list[Any]]:
+    """The names of a server's tools, and what it answers to calls."""
+    from mcp import Client
 
-    root = scene.parent
-    words = ["-m", "stylesplat", "mcp", str(root)]
-    server = StdioServerParameters(command=sys.executable, args=words, env={**os.environ})
-    found = dict[str, Any]()
-
-    async def talk() -> None:
+    async def answers() -> tuple[set[str], list[Any]]:
         async with Client(server, read_timeout_seconds=120) as client:
-            found["tools"] = (await client.list_tools()).tools
-            for key, verb, words in (
-                ("made", "recolor", ["scene", "--object", "3", "--hue", "90"]),
-                ("wrong", "recolor", ["scene", "--object", "4", "--hue", "90"]),
-                ("outside", "objects", ["../scene"]),
-            ):
-                found[key] = await client.call_tool(verb, {"arguments": words})
+            tools = {each.name for each in (await client.list_tools()).tools}
+            return tools, [await client.call_tool(v, {"arguments": words}) for v, words in calls]
 
-    anyio.run(talk)
-    assert {"stylize", "recolor", "export"} <= {each.name for each in found["tools"]}
-    answer, picture = found["made"].content
+    return anyio.run(answers)
+
+
+def test_a_process_serves_over_stdin_and_stdout(tmp_path: Path):
+    mcp = pytest.importorskip("mcp")
+    words = ["-m", "stylesplat", "mcp", str(tmp_path)]
+    server = mcp.StdioServerParameters(command=sys.executable, args=words, env={**os.environ})
+    tools, (outside,) = talk(server, ("objects", ["../scene"]))
+    assert {"stylize", "recolor", "export"} <= tools and not {"studio", "mcp"} & tools
+    assert outside.is_error and "leads out of" in outside.content[0].text
+
+
+def test_what_is_drawn_comes_as_a_picture_and_what_is_wrong_is_told(scene: Path):
+    pytest.importorskip("mcp")
+    root = scene.parent
+    _, (made, wrong) = talk(
+        mcp_server(root, VERBS),
+        ("recolor", ["scene", "--object", "3", "--hue", "90"]),
+        ("recolor", ["scene", "--object", "4", "--hue", "90"]),
+    )
+    answer, picture = made.content
     assert json.loads(answer.text)["recolored"] == ["3"]
     assert picture.type == "image" and (root / "scene/layers.json").is_file()
-    assert found["wrong"].is_error and "Object 4 does not exist" in found["wrong"].content[0].text
-    assert found["outside"].is_error and "leads out of" in found["outside"].content[0].text
+    assert wrong.is_error and "Object 4 does not exist" in wrong.content[0].text
 
 
 @pytest.mark.parametrize(
