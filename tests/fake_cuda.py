@@ -23,6 +23,10 @@ MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__se
 INDEXES = {Tensor.__getitem__, Tensor.index_put, Tensor.index_put_}
 KERNELS = ("rasterization", "rasterize_to_pixels", "spherical_harmonics")
 KERNELS += ("fully_fused_projection", "isect_tiles", "isect_offset_encode")
+DEVICE, IS_CUDA = Tensor.device.__get__, Tensor.is_cuda.__get__  # pyright: ignore
+# What has neither a device nor tensors in its answer: most calls, as types are checked
+PLAIN = {getattr(Tensor, name).__get__ for name in ("shape", "ndim", "dtype", "requires_grad")}
+PLAIN |= {Tensor.size, Tensor.dim, Tensor.numel, Tensor.__len__, Tensor.is_floating_point}
 TO_NUMPY = {Tensor.numpy, Tensor.__array__, Tensor.data_ptr}
 
 
@@ -82,10 +86,12 @@ class FakeCuda(TorchFunctionMode):
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = dict(kwargs or {})
+        if func in PLAIN:
+            return func(*args, **kwargs)
         own = args[0] if args and isinstance(args[0], Tensor) else None
-        if func == Tensor.device.__get__:  # pyright: ignore
+        if func == DEVICE:
             return torch.device("cuda", 0) if on_gpu(args[0]) else func(*args)
-        if func == Tensor.is_cuda.__get__:  # pyright: ignore
+        if func == IS_CUDA:
             return on_gpu(args[0])
         if func in TO_NUMPY and on_gpu(args[0]):
             raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu().")

@@ -10,7 +10,7 @@ from PIL import Image
 NOTEBOOK = Path(__file__).parents[2] / "examples" / "paint.ipynb"
 TINY = {
     "TRAIN_STEPS": 60,
-    "DOWNSCALE": 4.0,
+    "DOWNSCALE": 8.0,
     "PAINT": {"quality": "draft", "steps": 4, "object_size": 60},
 }
 

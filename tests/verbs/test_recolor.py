@@ -172,7 +172,7 @@ def test_the_colours_of_a_material_can_be_matched(name: str):
 
 
 def quick(picture: Path) -> Style:
-    return Style(picture, steps=2, block=1, quality="draft")
+    return Style(picture, steps=2, block=1, object_size=30, quality="draft")
 
 
 @pytest.mark.parametrize(
