@@ -9,11 +9,15 @@ import time
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 
 import stylesplat as ss
 from processes import complaint, planned, wait_until
+from stylesplat.batch_jobs.job import Job
+from stylesplat.batch_jobs.job_process import JobRecord, ended_job
 from stylesplat.batch_jobs.ray_tasks import ray_resources, refuse_oversized
 from stylesplat.batch_jobs.run_batch import RECORDS
 from stylesplat.errors import StyleSplatError
@@ -41,26 +45,59 @@ def test_resources_are_those_of_the_job_file(tmp_path: Path):
         refuse_oversized(stylize, [small, {**large, "memory": 7e9}])
 
 
-STAND_IN = """
-from types import SimpleNamespace
-class RayError(Exception):
-    pass
-exceptions = SimpleNamespace(RayError=RayError)
-def is_initialized():
-    return False
-def init(**_):
-    raise RayError("Failed to connect to 10.0.0.1. See the manual.\\nIt may help.")
-"""
+@pytest.fixture
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A module in place of Ray's, whose tasks run when they are asked for."""
+    ray: Any = ModuleType("ray")
+    ray.exceptions = SimpleNamespace(RayError=type("RayError", (Exception,), {}))
+    ray.is_initialized = lambda: False
+    ray.init, ray.ended = lambda **options: None, []
+    alive = {"Alive": True, "Resources": {"CPU": 2.0}}
+    ray.nodes = lambda: [alive, {"Alive": False, "Resources": {"CPU": 99.0}}]
+    ray.remote = lambda function: SimpleNamespace(
+        options=lambda **_: SimpleNamespace(remote=lambda *words: (function, words))
+    )
+    ray.get = lambda task: task[0](*task[1])
+    ray.cancel = lambda task: ray.ended.append(task[1][0].name)
+    ray.shutdown = lambda: ray.ended.append("all")
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    return ray
 
 
-def test_something_else_answers(scene: Path, capsys, monkeypatch):
-    (scene.parent / "ray.py").write_text(STAND_IN)
-    monkeypatch.syspath_prepend(scene.parent)
-    monkeypatch.delitem(sys.modules, "ray", raising=False)
+def test_something_else_answers(stand_in: Any, scene: Path, capsys):
+    def fail(**_: object) -> None:
+        fact = "Failed to connect to 10.0.0.1. See the manual.\nIt may help."
+        raise stand_in.exceptions.RayError(fact)
+
+    stand_in.init = fail
     with socket.create_server(("127.0.0.1", 0)) as server:
         line = refused(scene, capsys, f"127.0.0.1:{server.getsockname()[1]}")
-    sys.modules.pop("ray", None)
     assert ": Failed to connect to 10.0.0.1. " in line and "manual" not in line
+
+
+def test_what_tasks_answer(stand_in: Any, scene: Path, capsys, monkeypatch: pytest.MonkeyPatch):
+    """One is done; one has written where nobody sees it, one fails, and one fits nowhere."""
+
+    def work(job: Job, output: Path, threads: int) -> JobRecord:
+        if job.name.endswith("2"):
+            raise RuntimeError("the worker died")
+        if job.name.endswith("1"):
+            (output / job.name).mkdir()
+        return ended_job(job, "done", f"{threads} threads")
+
+    monkeypatch.setattr("stylesplat.batch_jobs.ray_tasks.run_job", work)
+    jobs, out = scene.with_name("jobs.yaml"), scene.with_name("out")
+    text = "scenes: [scene]\njobs: [{render: {downscale: [1, 2, 4]}, needs: {cpus: %d}}]\n"
+    jobs.write_text(text % 2)
+    done, died, elsewhere = ss.batch(jobs, out, ray="local").jobs
+    assert (done.status, done.reason, done.node) == ("done", "2 threads", socket.gethostname())
+    assert (died.status, elsewhere.status) == ("failed", "failed")
+    assert "Ray task failed: the worker died" in died.reason
+    assert f"another {out}" in elsewhere.reason
+    assert stand_in.ended == [done.job, died.job, elsewhere.job, "all"]
+    jobs.write_text(text % 64)
+    line = complaint(capsys, "batch", jobs, "-o", out, "--ray", "local")
+    assert "needs CPU 64, and no node" in line and stand_in.ended[-2:] == ["all", "all"]
 
 
 def refused(scene: Path, capsys, address: str) -> str:

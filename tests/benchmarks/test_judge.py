@@ -98,7 +98,7 @@ def test_free_pixels_come_closer_and_leave_the_rest(compact: FeatureNetwork):
 def test_strokes_seem_as_large_as_the_picture_that_they_are_cut_from():
     network, picture = load_weights("compact", depth=3), torch.from_numpy(line_print()) / 255
     mask = torch.ones(120, 120, dtype=torch.bool)
-    for size in (1, 2, 4):
+    for size in (1, 4):
         image = resize(picture, size * 150.0)[-120:, -120:]
         assert apparent_size(network, [(image, mask)], picture, 150.0)[0] == size
 
