@@ -60,15 +60,14 @@ def test_masks_say_what_is_posed(photos: Path, tmp_path: Path):
     assert_posed(ss.sfm(photos, tmp_path / "capture", masks=photos / "masks"))
 
 
-@pytest.mark.parametrize("level", [None, 255])
-def test_cut_outs_are_posed_by_what_they_show(tmp_path: Path, level: int | None):
+def test_cut_outs_are_posed_by_what_they_show(tmp_path: Path):
+    """Half of them before white, the others transparent."""
     folder = tmp_path / "cut-outs"
-    write_photos(folder, turning(np.full_like(ROOM, level or 0)))
-    if level is None:  # transparent
-        for path in [*folder.glob("*.jpg")]:
-            pixels = np.dstack([np.asarray(Image.open(path)), 255 * OBJECT.astype(np.uint8)])
-            Image.fromarray(pixels).save(path.with_suffix(".png"))
-            path.unlink()
+    write_photos(folder, turning(np.full_like(ROOM, 255)))
+    for path in sorted(folder.glob("*.jpg"))[: COUNT // 2]:
+        pixels = np.dstack([np.asarray(Image.open(path)), 255 * OBJECT.astype(np.uint8)])
+        Image.fromarray(pixels).save(path.with_suffix(".png"))
+        path.unlink()
     assert_posed(ss.sfm(folder, tmp_path / "capture"))
 
 
