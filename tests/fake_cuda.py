@@ -1,7 +1,8 @@
 """A GPU for machines without one: tensors of the CPU that count as CUDA's, and refuse to mix.
 
-It finds what a GPU would refuse: an operation on tensors of both devices, numpy's view of a GPU's
-tensor. gsplat is the stand-in of `rendering/native_gsplat.py`. What torch does backwards is not
+It finds what a GPU would refuse: an operation on tensors of both devices, random numbers by the
+generator of another device, numpy's view of a GPU's tensor. `HostTrips` finds what the host would
+wait for. gsplat is the stand-in of `rendering/native_gsplat.py`. What torch does backwards is not
 looked at.
 """
 
@@ -18,8 +19,10 @@ from fake_gsplat import install_training_kernels
 from rendering.native_gsplat import install
 from stylesplat.color.blur import blur_matrix
 from stylesplat.color.lab import luma_weights
+from stylesplat.metrics.images import ssim_window
 
 MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__set__}  # pyright: ignore
+MOVES |= {torch._has_compatible_shallow_copy_type}  # pyright: ignore  (asked as modules move)
 INDEXES = {Tensor.__getitem__, Tensor.index_put, Tensor.index_put_}
 KERNELS = ("rasterization", "rasterize_to_pixels", "spherical_harmonics")
 KERNELS += ("fully_fused_projection", "isect_tiles", "isect_offset_encode")
@@ -28,6 +31,12 @@ DEVICE, IS_CUDA = Tensor.device.__get__, Tensor.is_cuda.__get__  # pyright: igno
 PLAIN = {getattr(Tensor, name).__get__ for name in ("shape", "ndim", "dtype", "requires_grad")}
 PLAIN |= {Tensor.size, Tensor.dim, Tensor.numel, Tensor.__len__, Tensor.is_floating_point}
 TO_NUMPY = {Tensor.numpy, Tensor.__array__, Tensor.data_ptr}
+TO_HOST = {Tensor.item, Tensor.tolist, Tensor.__bool__, Tensor.__int__, Tensor.__float__}
+TO_HOST |= {Tensor.nonzero, Tensor.unique, Tensor.__format__, torch.bincount}
+FROM_HOST = {torch.tensor, torch.as_tensor, Tensor.new_tensor}
+BY_MASK = {Tensor.__getitem__, Tensor.__setitem__}
+CONSTANTS = (blur_matrix, luma_weights, ssim_window)
+GENERATOR = torch.Generator  # before it is replaced
 
 
 @pytest.fixture(params=["stand-in", pytest.param("real", marks=pytest.mark.cuda)])
@@ -41,6 +50,7 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     for name in KERNELS:
         monkeypatch.setattr(gsplat, name, _kernel(getattr(gsplat, name)))
     install_training_kernels(monkeypatch, _kernel)
+    monkeypatch.setattr(torch, "Generator", FakeGenerator)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda: False)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
@@ -48,7 +58,11 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: card)
     with FakeCuda():
         yield "cuda"
-    for cached in (blur_matrix, luma_weights):  # else a real GPU is given the stand-in's tensors
+    for cached in (
+        blur_matrix,
+        luma_weights,
+        ssim_window,
+    ):  # else a real GPU is given the stand-in's tensors
         cached.cache_clear()
 
 
@@ -81,6 +95,30 @@ def on_gpu(tensor: Tensor) -> bool:
     return getattr(tensor, "_on_fake_gpu", False)
 
 
+class _GeneratorType(type(GENERATOR)):
+    """Makes annotations with the stand-in's class accept every generator."""
+
+    def __instancecheck__(cls, instance: object) -> bool:
+        return isinstance(instance, GENERATOR)
+
+
+class FakeGenerator(GENERATOR, metaclass=_GeneratorType):
+    """Draws on each device what the CPU's generator draws."""
+
+    _device: torch.device
+
+    def __new__(cls, device: torch.device | str = "cpu") -> "FakeGenerator":
+        made = super().__new__(cls, "cpu")  # pyright: ignore[reportCallIssue]
+        made._device = torch.device(device)
+        return made
+
+    def __init__(self, *_: object) -> None: ...
+
+    @property
+    def device(self) -> torch.device:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._device
+
+
 class FakeCuda(TorchFunctionMode):
     """Follows which tensors count as a GPU's."""
 
@@ -97,16 +135,23 @@ class FakeCuda(TorchFunctionMode):
             raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu().")
         if func in (Tensor.to, Tensor.cpu):
             return self._moved(func, *args, **kwargs)
+        if func is Tensor.pin_memory:
+            assert not on_gpu(args[0]), "only the host's memory can be pinned"
+            pinned = args[0].clone()
+            pinned._is_pinned = True
+            return pinned
+        if func is Tensor.is_pinned:
+            return getattr(args[0], "_is_pinned", False)
         given = _tensors((args, kwargs))
         place = kwargs.get("device")
         if place is not None:
-            kwargs["device"] = "cpu"
             gpu = torch.device(place).type == "cuda"
-            generator = kwargs.get("generator")
-            if generator is not None and gpu:
-                raise RuntimeError("Expected a 'cuda' device type for generator, found 'cpu'.")
+            kwargs["device"] = "cpu" if gpu else place
         else:
             gpu = self._same_device(func, own, given)
+        generator = kwargs.get("generator")
+        if generator is not None and (generator.device.type == "cuda") != gpu:
+            raise RuntimeError(f"The generator is of another device: {generator.device}.")
         found = func(*args, **kwargs)
         if func is Tensor.__iter__:
             return iter([_marked(each, gpu) for each in found])
@@ -125,7 +170,7 @@ class FakeCuda(TorchFunctionMode):
                 gpu = torch.device(each).type == "cuda"
             elif isinstance(each, Tensor):
                 gpu, kwargs["dtype"] = on_gpu(each), each.dtype
-            elif each is not None:
+            elif isinstance(each, torch.dtype):  # else None, or whether the host may go on
                 rest.append(each)
         found = func(tensor, *rest, **kwargs) if rest or kwargs else tensor
         if gpu == on_gpu(tensor) or found is not tensor:
@@ -143,6 +188,28 @@ class FakeCuda(TorchFunctionMode):
             name = getattr(func, "__name__", func)
             raise RuntimeError(f"{name}: Expected all tensors to be on the same device.")
         return any(on_gpu(each) for each in given)
+
+
+class HostTrips(TorchFunctionMode):
+    """Notes the calls for which the host waits for a GPU; pinned memory is sent without."""
+
+    def __init__(self) -> None:
+        self.found: list[str] = []
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        own = args[0] if args and isinstance(args[0], Tensor) else None
+        was_there = own is not None and own.is_cuda
+        result = func(*args, **(kwargs or {}))
+        is_there = isinstance(result, Tensor) and result.is_cuda
+        by_mask = func in BY_MASK and isinstance(args[1], Tensor) and args[1].dtype == torch.bool
+        left = was_there and (func in TO_HOST or by_mask)
+        came = is_there and func in FROM_HOST
+        moved = func in (Tensor.to, Tensor.cpu) and is_there != was_there
+        pinned = moved and is_there and own is not None and own.is_pinned()
+        is_sent = pinned and (kwargs or {}).get("non_blocking")
+        if left or came or (moved and not is_sent):
+            self.found.append(getattr(func, "__name__", str(func)))
+        return result
 
 
 def _marked(tensor: Tensor, gpu: bool) -> Tensor:

@@ -123,7 +123,12 @@ CPU = torch.device("cpu")
 
 
 def begun(
-    capture: Capture, config: TrainConfig, batch: int = 1, *, of_photos: bool = False
+    capture: Capture,
+    config: TrainConfig,
+    batch: int = 1,
+    *,
+    of_photos: bool = False,
+    device: torch.device = CPU,
 ) -> tuple[Run, State]:
     """On all photos, from a hundred Gaussians; with what is learned of photos, if it is wanted."""
     ids = (0, 3, 7) if capture.label_maps is not None else ()
@@ -131,10 +136,10 @@ def begun(
     run = Run(
         config=config,
         rows=tuple(rows),
-        views=training_views(capture, rows, ids=ids, device=CPU, max_memory=1.0),
+        views=training_views(capture, rows, ids=ids, device=device, max_memory=1.0),
         cameras=capture.cameras,
         extent=scene_extent(capture.cameras),
-        device=CPU,
+        device=device,
         strategy=MCMCStrategy(config, scene_extent(capture.cameras)),
         batch=batch,
     )
@@ -145,7 +150,7 @@ def begun(
         generator=torch.Generator().manual_seed(0),
         ids=ids,
     )
-    state = first_state(splats)
+    state = first_state(splats.to(device))
     return run, state.with_photos(initial_photo_params(run, capture.points)) if of_photos else state
 
 

@@ -5,10 +5,9 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
-from torch.overrides import TorchFunctionMode
 
 from balls import CAMERAS, SPLATS, ball
-from fake_cuda import cuda  # noqa: F401  (a fixture)
+from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
 from stylesplat.rendering.linear import RasterizedContributions
 from stylesplat.rendering.render import rasterize
 from stylesplat.stylization.config import StyleConfig
@@ -16,30 +15,6 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.optimize import paint_steps
 from stylesplat.stylization.target import PaintTarget, paint_context
 from stylesplat.stylization.views import find_boxes, object_views
-
-TO_HOST = {Tensor.item, Tensor.tolist, Tensor.__bool__, Tensor.__int__, Tensor.__float__}
-TO_HOST |= {Tensor.nonzero, Tensor.unique, Tensor.__format__}
-FROM_HOST = {torch.tensor, torch.as_tensor, Tensor.new_tensor}
-INDEXING = {Tensor.__getitem__, Tensor.__setitem__}
-
-
-class HostTrips(TorchFunctionMode):
-    """Notes the calls for which the host waits for a GPU."""
-
-    def __init__(self) -> None:
-        self.found: list[str] = []
-
-    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        own = args[0] if args and isinstance(args[0], Tensor) else None
-        was_there = own is not None and own.is_cuda
-        result = func(*args, **(kwargs or {}))
-        is_there = isinstance(result, Tensor) and result.is_cuda
-        by_mask = func in INDEXING and isinstance(args[1], Tensor) and args[1].dtype == torch.bool
-        left = was_there and (func in TO_HOST or by_mask)
-        came = is_there and func in FROM_HOST
-        if left or came or (func in (Tensor.to, Tensor.cpu) and is_there != was_there):
-            self.found.append(getattr(func, "__name__", str(func)))
-        return result
 
 
 @pytest.mark.usefixtures("quick_painting")

@@ -36,10 +36,10 @@ def decibels(error: Float[Tensor, ""]) -> Float[Tensor, ""]:
 
 
 @lru_cache
-def ssim_window() -> Float[Tensor, " 11"]:
+def ssim_window(device: torch.device) -> Float[Tensor, " 11"]:
     x = torch.arange(WINDOW) - WINDOW // 2
     window = torch.exp(-(x**2) / (2 * SIGMA**2))
-    return window / window.sum()
+    return (window / window.sum()).to(device)
 
 
 def ssim(image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
@@ -51,17 +51,18 @@ def ssim_map(
     image: Float[Tensor, "D H W"], target: Float[Tensor, "D H W"]
 ) -> Float[Tensor, "D H W"]:
     """The structural similarity around each pixel, channel by channel."""
-    window = ssim_window().to(image)
-
-    def blur(stack: Tensor) -> Tensor:
-        rows = conv2d(stack, window.view(1, 1, -1, 1), padding=(WINDOW // 2, 0))
-        return conv2d(rows, window.view(1, 1, 1, -1), padding=(0, WINDOW // 2))
-
-    x, y = image[:, None], target[:, None]  # [D, 1, H, W]
-    mean_x, mean_y, xx, yy, xy = (blur(t) for t in (x, y, x * x, y * y, x * y))
+    x, y = image.contiguous(), target.contiguous()
+    maps = torch.cat([x, y, x * x, y * y, x * y])[None]  # [1, 5 D, H, W]
+    count, window = maps.shape[1], ssim_window(image.device).to(image)
+    # One group per map: on a GPU, cuDNN would round what goes into other convolutions to TF32
+    rows = window.view(1, 1, -1, 1).expand(count, -1, -1, -1)
+    columns = window.view(1, 1, 1, -1).expand(count, -1, -1, -1)
+    maps = conv2d(maps, rows, padding=(WINDOW // 2, 0), groups=count)
+    maps = conv2d(maps, columns, padding=(0, WINDOW // 2), groups=count)
+    mean_x, mean_y, xx, yy, xy = maps[0].chunk(5)
     var_x, var_y, covar = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
     luminance = (2 * mean_x * mean_y + C1) / (mean_x**2 + mean_y**2 + C1)
-    return (luminance * (2 * covar + C2) / (var_x + var_y + C2))[:, 0]
+    return luminance * (2 * covar + C2) / (var_x + var_y + C2)
 
 
 @torch.no_grad()

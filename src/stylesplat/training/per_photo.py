@@ -139,9 +139,13 @@ def shift_cameras(cameras: Cameras, shifts: Float[Tensor, "C 6"], unit: float) -
     A row of shifts is axis times angle in the world, in radians, and the shift in units of length.
     """
     viewmats = cameras.viewmats.to(shifts)
-    axes, basis = shifts[:, :3], torch.eye(3).to(shifts).expand(len(shifts), 3, 3)
-    cross = torch.linalg.cross(axes[:, None].expand(-1, 3, -1), basis).mT  # as the product with it
-    turns = torch.linalg.matrix_exp(cross)  # [C, 3, 3]
+    axes = shifts[:, :3]
+    identity = torch.eye(3, dtype=shifts.dtype, device=shifts.device)
+    cross = torch.linalg.cross(axes[:, None].expand(-1, 3, -1), identity.expand(len(axes), 3, 3))
+    cross = cross.mT  # as the product with it
+    # Rodrigues' formula, for which a GPU is not waited for, as for a matrix exponential
+    angles = axes.norm(dim=1)[:, None, None] / torch.pi
+    turns = identity + angles.sinc() * cross + (angles / 2).sinc() ** 2 / 2 * cross @ cross
     rotations = viewmats[:, :3, :3] @ turns.mT
     positions = cameras.positions.to(shifts) + unit * shifts[:, 3:]
     upper = torch.cat([rotations, -rotations @ positions[:, :, None]], dim=2)

@@ -174,7 +174,7 @@ class Photometric(Function):
         inside = np.zeros(stride, np.float32)
         inside[:n] = 1
         v_maps = np.zeros(3 * len(x), np.float32)
-        window = ssim_window().float().numpy()
+        window = ssim_window(torch.device("cpu")).numpy()
         pair = Pair(window, x, y, stride)
         totals = np.zeros((get_num_threads(), 3))
         forward(pair, inside, v_maps, totals)

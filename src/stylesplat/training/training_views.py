@@ -1,6 +1,7 @@
 """Training photos and label classes: which there are, and at every size the schedule asks for."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from threading import Lock
 from typing import NamedTuple
 
@@ -128,6 +129,7 @@ def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> TrainingView:
     photo, alpha, classes = (None if t is None else upload(t) for t in pixels)
     assert photo is not None
     alpha = None if alpha is None else alpha[..., None].float().div_(255)
+    camera = replace(camera, viewmats=upload(camera.viewmats), Ks=upload(camera.Ks))
     return TrainingView(camera, photo.float().div_(255), alpha, classes)
 
 
