@@ -1,21 +1,31 @@
 """Whatever computes on a GPU, scenes come back to the CPU; on any machine, see `fake_cuda.py`.
 
-`sfm` and `check` have no device to set: pycolmap's wheels compute on the CPU. The stand-in has no
-generators, which training needs, and runs none of the models of `mask`: they are transformers' own.
+`train` is tested in `test_doctor.py` and `training/test_on_device.py`. `sfm` and `check` have no
+device to set, as pycolmap's wheels compute on the CPU.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
+import torch
+from torch import Tensor
 
 from balls import BARE, GREEN, TRAINED, agreement, around, assert_same_splats, box_around, opened
 from balls import PAINTED_FAST as FAST
 from capture_files import write_ball_capture
 from fake_cuda import cuda  # noqa: F401  (a fixture)
+from right_ids import right_pixels
+from stylesplat.masks import from_model
+from stylesplat.masks.sam import FAMILIES, Method, load_propagator, load_proposer
+from stylesplat.masks.tracking import labels_to_masks
 from stylesplat.metrics.iou import mask_iou
+from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.members import likeliest
+from stylesplat.selection.text import load_detector
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.compare import compare
@@ -91,7 +101,6 @@ def test_masks_of_a_scene(cuda: str):  # noqa: F811
 
 
 def test_masks_of_photos(cuda: str, tmp_path: Path):  # noqa: F811
-    """On a scene of theirs: the splat that is trained else needs a GPU's generators."""
     capture = load(write_ball_capture(tmp_path / "capture"))
     box = capture.cameras.names[0], box_around(capture.labels(0) == 3, 2)
     bare = replace(capture, label_maps=None, object_names={})
@@ -103,6 +112,85 @@ def test_masks_of_photos(cuda: str, tmp_path: Path):  # noqa: F811
     assert mask_iou(found.labels(0) == 1, capture.labels(0) == 3) > 0.5
     again = mask(found, drop={"red": box}, scene=TRAINED, device=cuda)
     assert not (again.labels(0) == 1).any()
+
+
+class Oracle:
+    """Knows the masks of photos."""
+
+    def __init__(self, photos: Sequence[Tensor], maps: Sequence[Tensor]) -> None:
+        self.photos, self.maps = photos, maps
+
+    def propose(self, photo: Tensor) -> list[Tensor]:
+        row = next(row for row, known in enumerate(self.photos) if known.equal(photo))
+        return [*labels_to_masks(self.maps[row]).values()]
+
+
+def maps_of(capture: Capture) -> list[Tensor]:
+    found = [capture.labels(row) for row in range(len(capture))]
+    return [labels for labels in found if labels is not None]
+
+
+def noise(*size: int) -> Tensor:
+    generator = torch.Generator().manual_seed(0)
+    return torch.randint(256, size, generator=generator).to(torch.uint8)
+
+
+def test_masks_are_propagated_by_a_splat(
+    cuda: str,  # noqa: F811
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    capture = load(write_ball_capture(tmp_path / "capture"))
+    oracle = Oracle(capture.photos, maps_of(capture))
+    monkeypatch.setattr(from_model, "load_proposer", lambda *_: oracle)
+    found, usual = (
+        mask(capture, method="sam", scene=TRAINED, device=device) for device in (cuda, "cpu")
+    )
+    for one, other in zip(maps_of(found), maps_of(usual), strict=True):
+        assert (one == other).float().mean() > 0.98
+    assert right_pixels(maps_of(found), oracle.maps) > 0.8
+
+
+@pytest.mark.parametrize("method", get_args(Method))
+def test_models_of_masks(cuda: str, method: Method, tiny_model: Callable[[str], Path]):  # noqa: F811
+    """In bfloat16 on both devices."""
+    photos = [
+        *torch.randint(256, (3, 40, 56, 3), generator=torch.Generator().manual_seed(0)).to(
+            torch.uint8
+        )
+    ]
+    loose = {"min_iou": -1e9, "min_stability": 0.0, "max_overlap": 1.0, "points_per_side": 3}
+    proposer, usual = (
+        replace(load_proposer(method, str(tiny_model(method)), device), **loose)
+        for device in (cuda, "cpu")
+    )
+    usual.model.to(proposer.model.dtype)
+    found, expected = (each.propose(photos[0]) for each in (proposer, usual))
+    assert proposer.model.device.type == "cuda" and found[0].device.type == "cpu"
+    assert len(found) == pytest.approx(len(expected), abs=2) and len(found) > 9
+    if FAMILIES[method].video_types:
+        propagator = load_propagator(method, str(tiny_model(method)), cuda)
+        head = propagator.model.mask_decoder.pred_obj_score_head.proj_out  # how sure, as a logit
+        head.weight.zero_()
+        head.bias.fill_(5.0)
+        seed = torch.zeros(40, 56, dtype=torch.bool)
+        seed[5:20, 5:20] = True
+        followed = propagator.propagate(photos, {3: seed})
+        masks = [each for some in followed for each in some.values()]
+        assert len(followed) == 3 and len(masks) > 1
+        assert all(each.device.type == "cpu" and each.shape == seed.shape for each in masks)
+
+
+def test_detectors_of_phrases(cuda: str, tiny_model: Callable[[str], Path]):  # noqa: F811
+    picture = noise(48, 64, 3)
+    found, expected = (
+        replace(load_detector(str(tiny_model("grounding-dino")), device), min_score=0.0).detect(
+            picture, "red ball"
+        )
+        for device in (cuda, "cpu")
+    )
+    torch.testing.assert_close(found.boxes, expected.boxes, atol=0.1, rtol=0)
+    torch.testing.assert_close(found.scores, expected.scores, atol=1e-2, rtol=0)
 
 
 def test_a_sheet_is_painted(cuda: str, stack: Path):  # noqa: F811
