@@ -11,7 +11,7 @@ from PIL import Image
 from balls import CAMERAS, GREEN, RED, SPLATS, TRAINED, assert_same_splats
 from processes import run
 from scenes import plain_layer
-from stylesplat.color.recolor import RECOLOR_LIMITS
+from stylesplat.color.recolor_config import RECOLOR_LIMITS
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import read_json
 from stylesplat.io.scene_folder import open as open_scene

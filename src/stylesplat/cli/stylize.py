@@ -25,7 +25,7 @@ from stylesplat.cli.results import (
     new_scene,
     next_command,
 )
-from stylesplat.color.recolor import RecolorConfig
+from stylesplat.color.recolor_config import RecolorConfig
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
 from stylesplat.progress import say

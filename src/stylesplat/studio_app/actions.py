@@ -18,7 +18,7 @@ import msgspec
 import torch
 from PIL import Image
 
-from stylesplat.color.recolor import RecolorConfig
+from stylesplat.color.recolor_config import RecolorConfig
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.orbits import turned_view
 from stylesplat.figures.web_page import start_of

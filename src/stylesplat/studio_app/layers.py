@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from stylesplat.color.recolor import RecolorConfig
+from stylesplat.color.recolor_config import RecolorConfig
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.layer import RECOLOR, Layer

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stylesplat.argument_kinds import check_arguments, convert_settings
-from stylesplat.color.recolor import recolor_config
+from stylesplat.color.recolor_config import recolor_config
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
 from stylesplat.io.kinds import kind_of

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.color.recolor import RecolorConfig
+from stylesplat.color.recolor_config import RecolorConfig
 from stylesplat.errors import StyleSplatError, check_choice, some
 from stylesplat.io.files import read_bytes
 from stylesplat.io.style_pictures import Picture, is_material, picture_file, read_style

@@ -7,7 +7,8 @@ from typing import Any
 import torch
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.color.recolor import RecolorConfig, recolor_config, recolor_map
+from stylesplat.color.recolor import recolor_map
+from stylesplat.color.recolor_config import RecolorConfig, recolor_config
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.style_pictures import read_style, resize
 from stylesplat.progress import say
