@@ -1,174 +1,47 @@
-"""Objects of a splat without labels, by clicks: a graph over its surface, cut around the clicks.
+"""Objects of a splat without labels, by clicks: the graph of its surface, cut around the clicks.
 
-Visible Gaussians make up the surface. Large planes (a table, a wall) are background. The other
-Gaussians are gathered into small clusters, which are connected where they touch: weakly across a
-concave fold, as where one object leans on another, and for parts also across a change of
-colour. Random walks that start at a click and end with a small probability at each step visit its
-object first; the clusters, ordered by visits, are cut where the boundary is weakest for its size
-(Andersen, Chung, Lang: Local graph partitioning using PageRank vectors, FOCS 2006).
+Random walks over the graph start at a click and end on large planes, or with a small probability
+at each step. They visit the clicked object first: the patches, ordered by visits, are cut where
+the boundary is weakest for the size of what it encloses (Andersen, Chung, Lang: Local graph
+partitioning using PageRank vectors, FOCS 2006; Grady: Random walks for image segmentation, PAMI
+2006). What is enclosed is cut once more where two objects touch.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Iterable
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import cg
+from scipy.sparse.linalg import splu
 from scipy.spatial import Delaunay, KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.progress import track
 from stylesplat.rendering.shares import AT_ONCE, COVERED, contributed, without_looks
 from stylesplat.scene.arguments import PickSize, check_point
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import Mask
 from stylesplat.scene.projection import crop
-from stylesplat.scene.splats import Splats, rgb_from_sh0
-from stylesplat.selection.soft_picks import sampled_views
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.surface_graph import SurfaceGraph, surface_of, symmetric
 
-SEEN = 1.0  # pixels in all sampled views, from which a Gaussian belongs to the surface
-CLUSTERS = 5000
-NEIGHBOURS = 16
-# All lengths are in median distances to the eighth neighbour
-MIDDLE, GAP, LONE = 8, 4.0, 6.0  # farther neighbours do not touch; lone Gaussians are background
-FLAT = 2.0  # half the thickness of a plane
-PLANE = 0.15  # share of what shows from which a plane is background; the demo's table has .35
-SAMPLE, TRIES = 4000, 200  # points and candidates to find a plane
-SPREAD, TINT = 3.0, 3.0  # extent of a cluster; weight of its colours beside its normals
-FOLD, SHARP_FOLD, COLOR = 2.0, 4.0, 3.0  # how fast connections weaken
-ENDS = 1e-4  # probability with which a walk ends at a step
-# Cut connections over the root of the smaller side's, below which an object ends. Two touching
-# objects of the demo have 0.1, the weakest cuts through its single ones 2 to 9.
+FOLD, COLOR = 8.0, 30.0  # how fast connections weaken; colours only bound parts of objects
+ENDS = 1e-5  # probability with which a walk ends at a step
+NEAREST = 40_000  # patches around the clicks; farther ones are background
+# Cut connections over the root of the smaller side's, below which two objects touch: 0.1 on the
+# demo, where the weakest cuts through single objects have 1.3 and more, and 2.4 through the fox.
 WEAK = 1.0
 SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
-SURE, OTHER = 0.9, 0.5  # shares of a cluster's pixels in masks, and outside, that make it a seed
-STRAY = 0.2  # of the seeds in the part that has most: a part with fewer is no part of the object
-# Where an object stands, in gaps over the plane. On the demo a table's own Gaussians reach 0.6, and
-# masks with FOOT 3 or 6 and FOOTING 0 or 1 are worse at the lowest tenth of objects.
-FOOT, FOOTING = 4.0, 0.5
-
-
-@dataclass(frozen=True)
-class ClusterGraph:
-    """The surface of a splat as a graph of K clusters."""
-
-    owners: Int[np.ndarray, " N"]
-    """The cluster of each Gaussian or of the surface next to it, -1 for background."""
-    points: Float[np.ndarray, "K 3"]
-    colors: Float[np.ndarray, "K 3"]
-    normals: Float[np.ndarray, "K 3"]
-    touching: csr_array
-    """The number of pairs of neighbours of two clusters."""
-    gap: float
-    """The median distance to the eighth neighbour, the unit of lengths."""
-    planes: Sequence[tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]]
-    """A point and the normal of each large plane."""
-
-    def connections(self, fold: float, color: float) -> csr_array:
-        """How strongly clusters are connected."""
-        pairs = self.touching.tocoo()
-        one, other = pairs.coords
-        away = self.points[other] - self.points[one]
-        away /= np.linalg.norm(away, axis=1, keepdims=True).clip(1e-12)
-        concave = -((self.normals[other] - self.normals[one]) * away).sum(axis=1).clip(max=0)
-        differs = ((self.colors[other] - self.colors[one]) ** 2).sum(axis=1)
-        strengths = np.exp(-((fold * concave) ** 2) - color * differs) + 1e-6
-        return coo_array((pairs.data * strengths, pairs.coords), pairs.shape).tocsr()
-
-
-@lru_cache(maxsize=1)  # more clicks on the same splat
-def surface_of(splats: Splats, cameras: Cameras) -> ClusterGraph:
-    """The graph over the surface of a splat on the CPU."""
-    rng = np.random.default_rng(0)
-    seen, towards = _seen(without_looks(splats), sampled_views(cameras))
-    rows = np.flatnonzero(seen > SEEN)
-    if len(rows) <= NEIGHBOURS:
-        raise StyleSplatError("Hardly any Gaussian shows in the views. Select by --box3d.")
-    means = splats.means.double().numpy()
-    points, weights = means[rows], seen[rows]
-    colors = rgb_from_sh0(splats.sh0[:, 0]).double().numpy()[rows].clip(0, 1)
-    distances, near = KDTree(points).query(points, k=NEIGHBOURS + 1, workers=-1)
-    gap = max(float(np.median(distances[:, MIDDLE])), 1e-12)
-    around = points[near] - points[near].mean(axis=1, keepdims=True)
-    normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][:, :, 0]
-    normals *= np.sign((normals * towards[rows]).sum(axis=1))[:, None]
-    flat, planes = _planes(points / gap, normals, weights, rng)
-    own = np.flatnonzero(~flat & (distances[:, MIDDLE] <= LONE * gap))
-    cluster = np.full(len(rows), -1)
-    features = np.hstack([points / (SPREAD * gap), TINT * colors, normals])[own]
-    if len(own):
-        cluster[own] = _clusters(features, weights[own], rng)
-    count = cluster.max() + 1
-    member = coo_array((weights[own], (cluster[own], own)), (count, len(rows))).tocsr()
-    member = diags_array(1 / member.sum(axis=1)) @ member
-    one, other = np.repeat(cluster, NEIGHBOURS), cluster[np.asarray(near)[:, 1:]].ravel()
-    touch = (distances[:, 1:].ravel() < GAP * gap) & (one >= 0) & (other >= 0) & (one != other)
-    pairs = coo_array((np.ones(touch.sum()), (one[touch], other[touch])), (count, count)).tocsr()
-    owners = cluster[np.asarray(KDTree(points).query(means, workers=-1)[1])]
-    touching = csr_array(pairs + pairs.T)
-    planes = [(centre * gap, normal) for centre, normal in planes]
-    middles = member @ points, member @ colors, member @ normals
-    return ClusterGraph(owners, *middles, touching, gap, planes)
-
-
-def _seen(splats: Splats, cameras: Sequence[Cameras]) -> tuple[np.ndarray, np.ndarray]:
-    """The contribution of each Gaussian to all views, and its mean direction to their cameras."""
-    seen, towards = torch.zeros(len(splats)), torch.zeros(len(splats), 3)
-    for camera in track(cameras, "finding the surface"):
-        everywhere = torch.ones(*camera.size[::-1], AT_ONCE)
-        part = contributed(splats, camera, everywhere)[:, 0]
-        rays = camera.positions.to(splats.means) - splats.means
-        towards += part[:, None] * rays / rays.norm(dim=1, keepdim=True).clamp(min=1e-12)
-        seen += part
-    return seen.double().numpy(), towards.double().numpy()
-
-
-def _planes(
-    points: Float[np.ndarray, "M 3"],
-    normals: Float[np.ndarray, "M 3"],
-    weights: Float[np.ndarray, " M"],
-    rng: np.random.Generator,
-) -> tuple[Bool[np.ndarray, " M"], list[tuple[np.ndarray, np.ndarray]]]:
-    """Which points lie on large planes, and these, by RANSAC; lengths are in gaps."""
-    free, planes = np.ones(len(points), bool), []
-    while weights[free].sum() >= PLANE * weights.sum():
-        rows = np.flatnonzero(free)
-        some, tries = rng.choice(rows, SAMPLE), rng.choice(rows, TRIES)
-        offsets = (points[tries] * normals[tries]).sum(axis=1)
-        near = np.abs(points[some] @ normals[tries].T - offsets) < FLAT
-        along = np.abs(normals[some] @ normals[tries].T) > 0.9
-        best = tries[(weights[some] @ (near & along)).argmax()]
-        centre, normal, on = points[best], normals[best], free
-        for _ in range(3):
-            on = free & (np.abs((points - centre) @ normal) < FLAT)
-            on &= np.abs(normals @ normal) > 0.8
-            if weights[on].sum() < PLANE * weights.sum():
-                return ~free, planes
-            centre = np.average(points[on], axis=0, weights=weights[on])
-            away = points[on] - centre
-            normal = np.linalg.eigh((away * weights[on, None]).T @ away)[1][:, 0]
-        free &= np.abs((points - centre) @ normal) >= FLAT
-        planes.append((centre, normal))
-    return ~free, planes
-
-
-def _clusters(
-    features: Float[np.ndarray, "M D"], weights: Float[np.ndarray, " M"], rng: np.random.Generator
-) -> Int[np.ndarray, " M"]:
-    """The number of the cluster of each row, by two rounds of k-means."""
-    count = min(CLUSTERS, len(features))
-    centres = features[rng.choice(len(features), count, replace=False)]
-    of = np.zeros(len(features), int)
-    for _ in range(2):
-        of = np.asarray(KDTree(centres).query(features, workers=-1)[1])
-        sums = coo_array((weights, (of, np.arange(len(of)))), (count, len(of))).tocsr()
-        centres = (sums @ features) / sums.sum(axis=1).clip(1e-12)[:, None]
-    return np.unique(of, return_inverse=True)[1]  # none is empty
+SURE, OTHER = 0.9, 0.5  # shares of a patch's pixels in masks, and outside, that make it a seed
+SHOWN = 2.0  # pixels in masked views, from which a patch can be a seed
+# Share of the seeds: a part with fewer than this of the largest part's is none of the object's, and
+# fewer patches outside the masks are its rim; more limit what belongs to it.
+STRAY = 0.2
+# Where an object stands, in edges of a patch over the plane; patches in the hull of a foot. On the
+# demo a FOOT of 2.4 and a FOOTING of 0.1 are worse at the lowest tenth of objects.
+FOOT, FOOTING, GAP, HULL = 4.0, 0.4, 2.4, 8
 
 
 def pick_clicked(
@@ -185,8 +58,8 @@ def pick_clicked(
         cameras: Views of it.
         points: Views and pixels of the objects.
         not_points: The same for what touches them and does not belong to them.
-        size: `group` is everything that touches, `object` ends at weak folds, and `part` is a
-            piece of an object by its folds and colours.
+        size: `group` is everything that touches, `object` ends at folds, and `part` is a piece of
+            an object by its folds and colours.
 
     Raises:
         StyleSplatError: If a point shows nothing or background, or is excluded again.
@@ -196,18 +69,18 @@ def pick_clicked(
         splats = splats.to("cpu")
     surface = surface_of(splats, cameras)
     clicked, others = (
-        np.array([_cluster_at(surface, splats, cameras, *each) for each in some], int)
+        np.unique([_patch_at(surface, splats, cameras, *each) for each in some]).astype(int)
         for some in (points, not_points)
     )
     chosen = np.zeros(len(surface.points), bool)
-    _, parts = connected_components(surface.touching, directed=False)
+    parts = _parts(surface)
     for part in np.unique(parts[clicked]):
         rows = np.flatnonzero(parts == part)
         seeds, rivals = (each[parts[each] == part] for each in (clicked, others))
         if len(np.intersect1d(seeds, rivals)):
             raise StyleSplatError("A point and a point to exclude hit the same place. Move one.")
         chosen[_cut(surface, rows, seeds, rivals, size)] = True
-    return torch.from_numpy(np.append(chosen, False)[surface.owners]).to(device)
+    return torch.from_numpy(chosen[surface.owners]).to(device)
 
 
 def pick_masked(
@@ -226,95 +99,144 @@ def pick_masked(
         The picked Gaussians; none if the masks show none but those of large planes.
     """
     surface = surface_of(splats, cameras)
-    seen = np.zeros((len(surface.points) + 1, 3))
+    seen = np.zeros((len(surface.points), 3))
     for row, inside, outside in masks:
         wanted = torch.zeros(*inside.shape, AT_ONCE)
         wanted[..., 0], wanted[..., 1], wanted[..., 2] = inside, outside, 1
         pixels = contributed(without_looks(splats), cameras[row], wanted)[:, :3].double().numpy()
-        np.add.at(seen, surface.owners, pixels)  # those of background go into the last row
-    inside, outside, everywhere = seen[:-1].T
-    seeds = np.flatnonzero((everywhere > 2 * SEEN) & (inside > SURE * everywhere))
-    rivals = np.flatnonzero((everywhere > 2 * SEEN) & (outside > OTHER * everywhere))
+        np.add.at(seen, surface.owners, pixels)
+    inside, outside, everywhere = seen.T
+    shown = (everywhere > SHOWN) & ~surface.is_background
+    seeds = np.flatnonzero(shown & (inside > SURE * everywhere))
+    rivals = np.flatnonzero(shown & (outside > OTHER * everywhere))
     chosen = np.zeros(len(surface.points), bool)
-    _, parts = connected_components(surface.touching, directed=False)
+    parts = _parts(surface)
     counts = np.bincount(parts[seeds], minlength=1)
     for part in np.flatnonzero(counts > STRAY * counts.max()):
+        rows = np.flatnonzero(parts == part)
         own, others = (each[parts[each] == part] for each in (seeds, rivals))
-        chosen[_cut(surface, np.flatnonzero(parts == part), own, others, "object")] = True
-    picked = np.append(chosen, False)[surface.owners]
+        found = _cut(surface, rows, own, others[:0], "object")
+        if np.isin(others, found).sum() > STRAY * len(own):  # not only the rim
+            found = _cut(surface, rows, own, others, "object")
+        chosen[found] = True
+    picked = chosen[surface.owners]
     return torch.from_numpy(_with_feet(surface, splats.means.double().numpy(), picked))
 
 
+def _parts(surface: SurfaceGraph) -> Int[np.ndarray, " K"]:
+    """The number of the connected part of each patch, without background."""
+    solid = surface.touching[~surface.is_background[surface.touching].any(axis=1)]
+    count = len(surface.points)
+    return connected_components(symmetric(np.ones(len(solid)), solid, count), directed=False)[1]
+
+
 def _with_feet(
-    surface: ClusterGraph, means: Float[np.ndarray, "N 3"], picked: Bool[np.ndarray, " N"]
+    surface: SurfaceGraph, means: Float[np.ndarray, "N 3"], picked: Bool[np.ndarray, " N"]
 ) -> Bool[np.ndarray, " N"]:
     """An object with what lies between it and the planes that it stands on: within the convex
     hulls of its feet, and above the plane.
     """
     found = picked.copy()
-    for centre, normal in surface.planes if picked.any() else ():
-        heights = (means - centre) @ normal / surface.gap
+    for plane in surface.planes if picked.any() else ():
+        heights = plane.heights(means) / surface.edge
         heights *= np.sign(np.median(heights[picked]))
         low = picked & (np.abs(heights) < FOOT)
-        slab = np.flatnonzero((surface.owners < 0) & (heights > FOOTING) & (heights < FLAT))
+        beside = surface.is_background[surface.owners]
+        slab = np.flatnonzero(beside & (heights > FOOTING) & (heights < FOOT))
         if not (low.any() and len(slab)):
             continue
-        flat = means @ np.linalg.svd(normal[None])[2][1:].T
-        near = KDTree(flat[low]).query_pairs(GAP * surface.gap, output_type="ndarray").T
-        touching = coo_array((np.ones(near.shape[1]), tuple(near)), (low.sum(), low.sum()))
+        flat = means @ np.linalg.svd(plane.normal[None])[2][1:].T
+        near = KDTree(flat[low]).query_pairs(GAP * surface.edge, output_type="ndarray")
+        touching = symmetric(np.ones(len(near)), near, int(low.sum()))
         feet = connected_components(touching, directed=False)[1]
         for foot in range(feet.max() + 1):
             hull = flat[low][feet == foot]
-            if len(hull) > MIDDLE:
+            if len(hull) > HULL:
                 inside = Delaunay(hull, qhull_options="QJ").find_simplex(flat[slab]) >= 0
                 found[slab[inside]] = True
     return found
 
 
 def _cut(
-    surface: ClusterGraph, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: PickSize
+    surface: SurfaceGraph, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: PickSize
 ) -> np.ndarray:
-    """The clusters of the seeds among connected ones, without those of the rivals."""
-    sharp, soft = (surface.connections(SHARP_FOLD, COLOR), surface.connections(FOLD, 0.0))
+    """The patches of the seeds among connected ones, without those of the rivals."""
+    graph, rows = surface.connections(FOLD, color=0.0), _nearest(surface, rows, seeds)
     if len(rivals):
-        mine, theirs = (_visits(sharp[rows][:, rows], np.isin(rows, s)) for s in (seeds, rivals))
+        inside, sums = graph[rows][:, rows], graph.sum(axis=1)[rows]
+        mine, theirs = (_visits(inside, np.isin(rows, each), sums) for each in (seeds, rivals))
         rows = rows[(mine > theirs) | np.isin(rows, seeds)]
     if size != "group":
-        rows = _weakest(soft, rows, seeds, WEAK)
-    return _weakest(sharp, rows, seeds, np.inf) if size == "part" else rows
+        rows = _two_sided(graph, _enclosed(graph, rows, seeds), seeds, WEAK)
+    if size == "part":
+        rows = _two_sided(surface.connections(FOLD, COLOR), rows, seeds, np.inf)
+    return rows
 
 
-def _weakest(
-    connections: csr_array, rows: np.ndarray, seeds: np.ndarray, limit: float
-) -> np.ndarray:
-    """The clusters around the seeds up to the weakest cut; all of them if none is weak."""
-    graph, seeded = connections[rows][:, rows], np.isin(rows, seeds)
-    order = np.argsort(-_visits(graph, seeded) - seeded * 1e9, kind="stable")
-    ranks = np.empty_like(order)
-    ranks[order] = np.arange(len(order))
-    pairs = graph.tocoo()
-    inner = np.bincount(np.maximum(*(ranks[each] for each in pairs.coords)), pairs.data, len(rows))
-    sums = graph.sum(axis=1)[order].cumsum()
+def _nearest(surface: SurfaceGraph, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """The patches closest to seeds, in which walks are found within a second."""
+    if len(rows) <= NEAREST:
+        return rows
+    away = KDTree(surface.points[seeds]).query(surface.points[rows])[0]
+    return np.sort(rows[np.argpartition(away, NEAREST)[:NEAREST]])
+
+
+def _enclosed(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """The patches around the seeds of which the smallest share of connections leads out."""
+    order, boundary, sums = _sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
+    least = len(seeds) - 1
+    return rows[order[: least + 1 + int((boundary / sums)[least:].argmin())]]
+
+
+def _two_sided(graph: csr_array, rows: np.ndarray, seeds: np.ndarray, limit: float) -> np.ndarray:
+    """The patches on the seeds' side of the weakest cut through some; all if none is weak."""
+    order, boundary, sums = _sweep(graph, rows, seeds, graph[rows][:, rows].sum(axis=1))
     smaller = np.minimum(sums, sums[-1] - sums)
-    cost = (sums - inner.cumsum()) / np.sqrt(smaller.clip(1e-12))
-    cost[(smaller < SMALLEST * sums[-1]) | (np.arange(len(rows)) < seeded.sum() - 1)] = np.inf
+    cost = boundary / np.sqrt(smaller.clip(1e-12))
+    cost[(smaller < SMALLEST * sums[-1]) | (np.arange(len(rows)) < len(seeds) - 1)] = np.inf
     best = int(cost.argmin())
     return rows[order[: best + 1]] if cost[best] < limit else rows
 
 
-def _visits(graph: csr_array, seeded: Bool[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
-    """Visits of walks from the seeds to each cluster, over the sum of its connections."""
-    sums = graph.sum(axis=1).clip(1e-12)
-    damped = sums * (1 + ENDS)
+def _sweep(
+    graph: csr_array, rows: np.ndarray, seeds: np.ndarray, sums: Float[np.ndarray, " R"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Some patches ordered by visits, and for each the connections that it and those before have.
+
+    Args:
+        graph: Connections of all patches.
+        rows: The patches.
+        seeds: Those that walks start at.
+        sums: The sum of the connections of each; walks end that take those to other patches.
+
+    Returns:
+        The order, the connections that lead out, and all.
+    """
+    inside, seeded = graph[rows][:, rows], np.isin(rows, seeds)
+    order = np.argsort(-_visits(inside, seeded, sums) - seeded * 1e9, kind="stable")
+    ranks = np.empty_like(order)
+    ranks[order] = np.arange(len(order))
+    pairs = inside.tocoo()
+    inner = np.bincount(np.maximum(*(ranks[each] for each in pairs.coords)), pairs.data, len(rows))
+    total = sums[order].cumsum()
+    return order, total - inner.cumsum(), total
+
+
+def _visits(
+    graph: csr_array, seeded: Bool[np.ndarray, " R"], sums: Float[np.ndarray, " R"]
+) -> Float[np.ndarray, " R"]:
+    """Visits of walks from the seeds to each patch, over the sum of its connections."""
+    sums = sums.clip(1e-12)
     starts = seeded * sums / max((seeded * sums).sum(), 1e-12)
-    system = csr_array(diags_array(damped) - graph)
-    return cg(system, starts, rtol=1e-6, maxiter=2000, M=diags_array(1 / damped))[0]
+    system = (diags_array(sums * (1 + ENDS)) - graph).tocsc()
+    options = {"SymmetricMode": True}
+    return splu(system, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve(starts)
 
 
-def _cluster_at(
-    surface: ClusterGraph, splats: Splats, cameras: Cameras, view: str, point: tuple[float, float]
+def _patch_at(
+    surface: SurfaceGraph, splats: Splats, cameras: Cameras, view: str, point: tuple[float, float]
 ) -> int:
-    """The cluster that shows most at a pixel."""
+    """The patch that shows most at a pixel."""
     camera = cameras[cameras.index(view)]
     check_point(point, camera.size, view)
     pixel = crop(camera, (int(point[0]), int(point[1])), (1, 1))
@@ -323,8 +245,8 @@ def _cluster_at(
         raise StyleSplatError(
             f"Nothing solid shows at {point[0]:g},{point[1]:g} in {view}. Choose another pixel."
         )
-    best = int(np.bincount(surface.owners + 1, shown).argmax()) - 1
-    if best < 0:
+    best = int(np.bincount(surface.owners, shown).argmax())
+    if surface.is_background[best]:
         raise StyleSplatError(
             f"Background shows at {point[0]:g},{point[1]:g} in {view}: a large plane, or what is "
             "far away. Point at an object, or pick by shape with --sphere or --box3d."
