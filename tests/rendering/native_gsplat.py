@@ -65,9 +65,10 @@ def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
     class Harmonics:
         @staticmethod
         def apply(degree, dirs, coeffs, masks):
-            assert masks is None
-            basis = sh_basis(degree, torch.nn.functional.normalize(dirs, dim=-1))
-            return torch.einsum("...k,...kc->...c", basis, coeffs[..., : basis.shape[-1], :])
+            dirs, shape = torch.nn.functional.normalize(dirs, dim=-1), dirs.shape[:-1]
+            basis = sh_basis(degree, dirs.flatten(0, -2)).unflatten(0, shape)
+            colors = torch.einsum("...k,...kc->...c", basis, coeffs[..., : basis.shape[-1], :])
+            return colors if masks is None else colors * masks[..., None]
 
     def compiled(name: str):
         def counted(*args):
