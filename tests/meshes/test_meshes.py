@@ -17,6 +17,7 @@ from stylesplat.meshes.mesh import make_mesh
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.meshes.mesh_files import write_mesh
 from stylesplat.meshes.rasterize import NOTHING, draw_mesh
+from stylesplat.meshes.refine import refine
 from stylesplat.meshes.repaint import repaint
 from stylesplat.meshes.surface import Surface, mesh_views, without_pinches
 from stylesplat.meshes.texture import TexturedMesh
@@ -103,6 +104,21 @@ def test_nearer_faces_hide_others():
     fragments = draw_mesh(both, faces, camera)
     assert (fragments.faces == 1).all() and np.allclose(fragments.depths, 1)
     assert np.allclose(fragments.weights.sum(axis=2), 1, atol=1e-5)
+
+
+def test_vertices_move_to_where_views_agree(mesh: TexturedMesh):
+    surface = merged(mesh)
+    directions = surface.vertices / np.linalg.norm(surface.vertices, axis=1, keepdims=True)
+    true = np.linalg.norm(surface.vertices, axis=1)
+    dents = 0.04 * RADIUS * np.sin(4 * directions[:, :1])
+    dented = Surface(
+        (surface.vertices + dents * directions).astype(np.float32),
+        surface.faces.astype(np.int32),
+        np.zeros(len(true), np.float32),
+    )
+    moved = refine(dented, BALL, mesh_views(BALL, None, length=200)).vertices
+    before, after = (np.linalg.norm(each, axis=1) - true for each in (dented.vertices, moved))
+    assert np.square(after).mean() < 0.5 * np.square(before).mean()
 
 
 def test_a_hole_where_it_stands_is_closed(said: list[str]):

@@ -7,6 +7,7 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.style_pictures import picture_file
 from stylesplat.meshes.mesh_config import MeshConfig
+from stylesplat.meshes.refine import refine
 from stylesplat.meshes.surface import find_mesh_surface, mesh_views, simplify
 from stylesplat.meshes.texture import TexturedMesh, bake, unwrap
 from stylesplat.progress import say
@@ -55,11 +56,11 @@ def make_mesh(
             f"{name} was photographed from one side only: the mesh is open where {open_share:.0%} "
             "of its surface would be."
         )
-    mesh = unwrap(simplify(surface, config.faces), config.texture_size)
     views = mesh_views(
         splats, photos, length=min(max(config.texture_size // TEXELS, BAKED[0]), BAKED[1])
     )
-    mesh = bake(mesh, splats, views)
+    surface = refine(simplify(surface, config.faces), splats, views)
+    mesh = bake(unwrap(surface, config.texture_size), splats, views)
     if not config.repaint:
         return mesh
     from stylesplat.meshes.repaint import repaint

@@ -241,6 +241,16 @@ def face_normals(
     return np.cross(other - one, third - one)
 
 
+def vertex_normals(surface: Surface) -> Float[np.ndarray, "V 3"]:
+    """Of length 1: the mean of the faces around, by area."""
+    normals = face_normals(surface.vertices, surface.faces)
+    sums = np.zeros_like(surface.vertices)
+    for corner in surface.faces.T:
+        np.add.at(sums, corner, normals)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(lengths > 0, sums / np.maximum(lengths, 1e-20), [0, 0, 1]).astype(np.float32)
+
+
 def largest_parts(surface: Surface, *, is_closed: bool) -> Surface:
     """The surface without small parts, and without cavities if it is closed."""
     count = len(surface.vertices)

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
 from stylesplat.meshes.rasterize import NOTHING, Fragments, draw_mesh, draw_triangles
-from stylesplat.meshes.surface import MeshViews, Surface, face_normals
+from stylesplat.meshes.surface import MeshViews, Surface, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import TINY_COVERAGE
@@ -24,7 +24,7 @@ PADDING = 4  # texels between the parts of a texture
 SOLID = 0.9  # coverage from which a pixel's colour is the object's
 THINNED = 4  # one in so many texels is searched for the nearest
 HIDDEN = 0.01  # of the extent: what lies farther behind the depth buffer is hidden
-SHARP = 4  # power of the cosine between normal and ray by which a view counts
+SHARP = 2  # power of the cosine between normal and ray by which a view counts
 LEAST_COSINE = 0.2
 
 
@@ -61,16 +61,6 @@ def sample(
     upper = image[row, column] * (1 - right) + image[row, column + 1] * right
     lower = image[row + 1, column] * (1 - right) + image[row + 1, column + 1] * right
     return (upper * (1 - down) + lower * down).astype(np.float32)
-
-
-def vertex_normals(surface: Surface) -> Float[np.ndarray, "V 3"]:
-    """Of length 1: the mean of the faces around, by area."""
-    normals = face_normals(surface.vertices, surface.faces)
-    sums = np.zeros_like(surface.vertices)
-    for corner in surface.faces.T:
-        np.add.at(sums, corner, normals)
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.where(lengths > 0, sums / np.maximum(lengths, 1e-20), [0, 0, 1]).astype(np.float32)
 
 
 def unwrap(surface: Surface, size: int) -> TexturedMesh:

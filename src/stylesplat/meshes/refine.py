@@ -1,0 +1,167 @@
+"""Vertices moved to where the views agree: multi-view stereo on the renders of a splat.
+
+A point of the true surface has one colour in all views, but for gloss. The mean depth of soft
+Gaussians may lie beside it, and the texture would blur there. All vertices near each other move
+alike, so that faces rarely cut each other.
+"""
+
+from dataclasses import replace
+from typing import no_type_check
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numba import prange
+from scipy.sparse import csr_array, diags_array
+
+from stylesplat.meshes.rasterize import draw_mesh
+from stylesplat.meshes.surface import MeshViews, Surface, face_normals, vertex_normals
+from stylesplat.rendering.kernels.jit import kernel
+from stylesplat.rendering.render import render
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.views import per_view
+
+OFFSETS = (-1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0)  # along the normal, in mean edges
+STEPS = (1.0, 1.0, 1.0, 0.5)  # of the offsets, in turn
+PLACES = ((4, 1, 1), (1, 4, 1), (1, 1, 4), (2, 2, 2))  # samples of a face, in sixths of its corners
+HIDDEN = 0.005  # of the extent: what lies farther behind the depth buffer is hidden
+LEAST_COSINE = 0.3  # between normal and ray: below it a pixel is too long on the surface
+OPAQUE = 0.9  # coverage below which a pixel's colour is not the object's alone
+LEAST_TURN = 0.7  # cosine between a face before and after
+TINY_MOVE = 1e-5  # of the extent: shorter moves are none
+COMMON, EVEN = 4, 5  # edges over which costs, and shifts, are averaged
+
+
+@torch.no_grad()
+def refine(surface: Surface, splats: Splats, views: MeshViews) -> Surface:
+    """Move vertices along their normals to where the trusted views agree most about colours."""
+    for step in STEPS:
+        surface = _moved(surface, splats, views, step)
+    return surface
+
+
+def _moved(surface: Surface, splats: Splats, views: MeshViews, step: float) -> Surface:
+    vertices, faces, normals = surface.vertices, surface.faces, vertex_normals(surface)
+    shares = np.array(PLACES, np.float32) / 6  # [B, 3]
+    points, directions = (
+        np.einsum("bk,fkd->bfd", shares, each[faces]).reshape(-1, 3) for each in (vertices, normals)
+    )
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edge = float(np.linalg.norm(np.subtract(*vertices[edges.T]), axis=1).mean())
+    offsets = edge * step * np.array(OFFSETS)
+    costs, weights = _disagreement(surface, points, directions, offsets, splats, views)  # [L, B F]
+    corners, samples = np.tile(faces, (len(PLACES), 1)), np.arange(len(points))
+    to_corners = csr_array(
+        (shares.repeat(len(faces), axis=0).ravel(), (corners.ravel(), samples.repeat(3))),
+        shape=(len(vertices), len(points)),
+    )
+    around = _averaging(edges, len(vertices))
+    costs, weights = to_corners @ costs.T, to_corners @ weights.T  # [V, L]
+    for _ in range(COMMON):
+        costs, weights = around @ costs, around @ weights
+    shifts = offsets[(costs / np.maximum(weights, 1e-6)).argmin(axis=1)]
+    shifts[weights.min(axis=1) < 1e-3] = 0
+    along = normals.astype(float)
+    for _ in range(EVEN):
+        shifts, along = around @ shifts, around @ along
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    return replace(surface, vertices=_without_folds(surface, shifts[:, None] * along))
+
+
+def _without_folds(surface: Surface, moves: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    """The vertices moved; less far where a face would turn by much."""
+    before = face_normals(surface.vertices, surface.faces)
+    while True:
+        vertices = surface.vertices + moves.astype(np.float32)
+        after = face_normals(vertices, surface.faces)
+        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+        folded = (before * after).sum(axis=1) < LEAST_TURN * lengths
+        rows = np.unique(surface.faces[folded])
+        if not np.abs(moves[rows]).max(initial=0) > 0:
+            return vertices
+        moves[rows] *= 0.5
+        moves[np.abs(moves) < TINY_MOVE * np.ptp(surface.vertices)] = 0
+
+
+def _averaging(edges: np.ndarray, count: int) -> csr_array:
+    """The mean of each vertex and those that it has an edge to."""
+    rows = np.concatenate([edges[:, 0], edges[:, 1], np.arange(count)])
+    columns = np.concatenate([edges[:, 1], edges[:, 0], np.arange(count)])
+    links = csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    links.sum_duplicates()
+    links.data[:] = 1
+    return diags_array(1 / links.sum(axis=1)) @ links
+
+
+def _disagreement(
+    surface: Surface,
+    points: Float[np.ndarray, "P 3"],
+    directions: Float[np.ndarray, "P 3"],
+    offsets: Float[np.ndarray, " L"],
+    splats: Splats,
+    views: MeshViews,
+) -> tuple[Float[np.ndarray, "L P"], Float[np.ndarray, "L P"]]:
+    """Weighted squares of colours about their mean over views, and the weights, by offset."""
+    sums = np.zeros((len(offsets), len(points), 5), np.float32)
+    margin = HIDDEN * float(np.ptp(surface.vertices, axis=0).max())
+
+    def look(row: int) -> tuple[int, np.ndarray, np.ndarray]:
+        image, covered = render(splats, views.cameras[row])
+        depths = draw_mesh(surface.vertices, surface.faces, views.cameras[row]).depths
+        return row, torch.cat([image, (covered > OPAQUE).float()], dim=2).numpy(), depths
+
+    rows = views.trusted.nonzero()[0].tolist()
+    for row, image, depths in per_view(look, rows, "refining the surface"):
+        camera = views.cameras[row]
+        matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
+        place = matrix, camera.positions[0].double().numpy(), depths, margin
+        _collect(points, directions, offsets, image, *place, sums)
+    weights = sums[..., 3]
+    means = np.square(sums[..., :3]).sum(axis=2) / np.maximum(weights, 1e-6)
+    return sums[..., 4] - means, weights
+
+
+@no_type_check
+@kernel
+def _collect(points, directions, offsets, image, matrix, position, depths, margin, sums):
+    """Add to `sums` the colours that an image shows at visible points, weights, and squares."""
+    height, width = depths.shape
+    for n in prange(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
+        u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w
+        v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w
+        if not (w > 0 and u >= 0 and v >= 0 and u < width and v < height):
+            continue
+        dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
+        along = dx * directions[n, 0] + dy * directions[n, 1] + dz * directions[n, 2]
+        cosine = along / np.sqrt(dx * dx + dy * dy + dz * dz)
+        if cosine < LEAST_COSINE or depths[int(v), int(u)] < w - margin:
+            continue
+        for k in range(offsets.shape[0]):
+            x = points[n, 0] + offsets[k] * directions[n, 0]
+            y = points[n, 1] + offsets[k] * directions[n, 1]
+            z = points[n, 2] + offsets[k] * directions[n, 2]
+            w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
+            u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w - 0.5
+            v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w - 0.5
+            if not (w > 0 and u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
+                continue
+            column, row = int(u), int(v)
+            right, down = u - column, v - row
+            share, red, green, blue = 0.0, 0.0, 0.0, 0.0
+            for i in range(2):
+                for j in range(2):
+                    part = (down if i == 1 else 1 - down) * (right if j == 1 else 1 - right)
+                    share += part * image[row + i, column + j, 3]
+                    red += part * image[row + i, column + j, 0]
+                    green += part * image[row + i, column + j, 1]
+                    blue += part * image[row + i, column + j, 2]
+            if share < OPAQUE:
+                continue
+            sums[k, n, 0] += cosine * red
+            sums[k, n, 1] += cosine * green
+            sums[k, n, 2] += cosine * blue
+            sums[k, n, 3] += cosine
+            sums[k, n, 4] += cosine * (red * red + green * green + blue * blue)
