@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, SPLATS, ball, cropped
+from balls import CAMERAS, CENTRE, COUNT, LIGHT, PICKED, SPLATS, WAYS, ball, cropped, dense_ball
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -76,3 +76,15 @@ def test_windows_are_parts_of_boxes_with_the_object_inside(network: FeatureNetwo
     assert 0 < inside <= 4 * side + 2, "features of the margin are not the part's"
     (part,) = windows(boxes[:1], 1000.0, 1, torch.Generator().manual_seed(0))
     assert torch.equal(part.low, boxes[0].low) and torch.equal(part.high, boxes[0].high)
+
+
+def test_windows_on_a_surface_show_all_of_it_whatever_most_views_see():
+    splats, every = dense_ball(LIGHT)[PICKED], torch.ones(COUNT, dtype=torch.bool)
+    cameras = replace(CAMERAS[[0, 0, 0, 4]], names=("a", "b", "c", "behind"))
+    boxes = find_boxes(splats, cameras, every)
+    surface = 0.4 * WAYS + CENTRE, WAYS
+    side = min(box.length for box in boxes) / 4
+    parts = windows(boxes, side, 200, torch.Generator().manual_seed(0), surface)
+    names = [part.camera.names[0] for part in parts]
+    assert names.count("behind") > 200 / 3, "a quarter of the views, and more of the surface"
+    assert all(part.length < 1.001 * side for part in parts)

@@ -20,6 +20,7 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.linear import linear_view
+from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import colors_of, rasterize
 from stylesplat.rendering.shares import COVERED, colors_and_coverage, coverage, without_looks
 from stylesplat.rendering.visibility import in_view
@@ -35,7 +36,7 @@ from stylesplat.stylization.surface import (
     project_to_planes,
     thin,
 )
-from stylesplat.stylization.views import Box, box_cameras, per_view, typical_length
+from stylesplat.stylization.views import Box, Surface, box_cameras, per_view, typical_length
 from stylesplat.training.adam import Moments, adam_step
 
 SPACING = 1.3  # pixels between discs: a stroke is several of them wide
@@ -94,6 +95,14 @@ class Canvas:
         opacities = torch.full_like(self.splats.opacities, UNSEEN)
         opacities[: len(self.own)] = self.before.opacities
         return replace(self.splats, opacities=opacities)
+
+    @property
+    def surface(self) -> Surface | None:
+        """The object's surface as the discs sample it; None without discs."""
+        discs = self.splats[self.is_disc]
+        if not len(discs):
+            return None
+        return discs.means, rotation_matrices(discs.quats)[:, :, 2]
 
     def changed(self, **tensors: Tensor) -> "Canvas":
         return replace(self, splats=replace(self.splats, **tensors))

@@ -199,7 +199,8 @@ def _paint(
         if number == fixed_at and object.canvas.is_disc.any():
             object, paint = _confine(object, paint, turned=number > 0)
         mask = object.target.mask
-        views = stage_views(object.context, object.target, object.boxes, stage, generator)
+        surface = object.canvas.surface
+        views = stage_views(object.context, object.target, object.boxes, stage, generator, surface)
         if stage.window is None and len(views) >= COLOR_VIEWS:
             whole = evenly(views, COLOR_VIEWS), stage.length
         elif number <= fixed_at:  # later stages have the same Gaussians

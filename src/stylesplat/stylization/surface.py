@@ -1,6 +1,6 @@
 """An object's surface as its views show it, sampled evenly."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -22,6 +22,8 @@ VIEWS = 16
 LENGTH = 200.0  # longer side of the object in them, in pixels
 SOLID = 0.7  # coverage from which a pixel shows the surface
 BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it
+PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards,
+HOLE = 2.0  # if there is no other point so near, in pixels
 GRAZING = 0.25  # cosine below which depths are too uncertain
 POOLED = 0.6  # side of the cubes whose points are averaged, in distances of the samples
 PLANE = 16  # points that a plane is fitted to
@@ -47,11 +49,41 @@ def find_surface(
     found = per_view(look, cameras, "looking for the surface", splats.device)
     *parts, silhouettes = zip(*found, strict=True)
     points, normals, colors, sizes = (torch.cat(each) for each in parts)
-    kept = torch.ones(len(points), dtype=torch.bool, device=points.device)
-    for camera, silhouette in zip(cameras, silhouettes, strict=True):
-        inside, there = _look_up(points, camera, silhouette)
-        kept &= ~inside.masked_scatter(inside, there < COVERED)
-    return points[kept], normals[kept], colors[kept], float(sizes.median())
+    size = float(sizes.median())
+
+    def outside(points: Float[Tensor, "P 3"]) -> Bool[Tensor, " P"]:
+        """Which points lie beyond the silhouette of a view."""
+        found = torch.zeros(len(points), dtype=torch.bool, device=points.device)
+        for camera, silhouette in zip(cameras, silhouettes, strict=True):
+            inside, there = _look_up(points, camera, silhouette)
+            found |= inside.masked_scatter(inside, there < COVERED)
+        return found
+
+    kept = pull_inside(points, normals, size, outside)
+    return points[kept], normals[kept], colors[kept], size
+
+
+def pull_inside(
+    points: Float[Tensor, "P 3"],
+    normals: Float[Tensor, "P 3"],
+    size: float,
+    outside: Callable[[Float[Tensor, "Q 3"]], Bool[Tensor, " Q"]],
+) -> Bool[Tensor, " P"]:
+    """Move points that lie outside inwards, in place, where no other point is left.
+
+    Depths are less exact than silhouettes: of a flat side that some views see along it, no point
+    may lie inside. The size is that of a pixel. Returns which points belong to the surface.
+    """
+    kept = ~outside(points)
+    rows, near = (~kept).nonzero()[:, 0], KDTree(points[kept].double().cpu().numpy())
+    for _ in range(PULLS):
+        points[rows] -= size * normals[rows]
+        is_outside = outside(points[rows])
+        there = rows[~is_outside]
+        far, _ = near.query(points[there].double().cpu().numpy())
+        kept[there] = torch.from_numpy(far > HOLE * size).to(kept)
+        rows = rows[is_outside]
+    return kept
 
 
 def full_coverage(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:

@@ -18,7 +18,7 @@ from stylesplat.rendering.linear import LinearView, linear_view
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, contributed, coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import crop
+from stylesplat.scene.projection import crop, project
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.config import Stage
@@ -32,6 +32,8 @@ VISITS = 5  # steps per view at least: preparing a view takes as long as a step
 VISITS_OF_WINDOWS = 2  # fewer, as it takes many windows to cover the object
 MEBIBYTE = 2**20
 
+Surface = tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]]
+"""Places all over an object, evenly spread, and the normals there."""
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -207,6 +209,7 @@ def stage_views(
     boxes: Sequence[Box],
     stage: Stage,
     generator: torch.Generator,
+    surface: Surface | None = None,
 ) -> list[ObjectView]:
     """The views or windows of a stage; a stage of few steps needs few of them."""
     zoom = stage.length / typical_length(boxes)
@@ -214,16 +217,43 @@ def stage_views(
         boxes = evenly(boxes, math.ceil(stage.steps / VISITS))
     else:
         count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
-        boxes = windows(boxes, stage.window / zoom, count, generator)
+        boxes = windows(boxes, stage.window / zoom, count, generator, surface)
     return object_views(context, target, boxes, zoom, max_memory=context.max_memory)
 
 
-def windows(boxes: Sequence[Box], side: float, count: int, generator: torch.Generator) -> list[Box]:
-    """Square windows in boxes, equally many in each, around random pixels of the object."""
+def windows(
+    boxes: Sequence[Box],
+    side: float,
+    count: int,
+    generator: torch.Generator,
+    surface: Surface | None = None,
+) -> list[Box]:
+    """Square windows in boxes around random pixels of the object, equally many in each box.
+
+    With its surface they are around random places of that, each in a view that it faces: as many
+    windows show what few views see.
+    """
+    if surface is None:
+        order = torch.randperm(count, generator=generator).tolist()
+        around = [boxes[index % len(boxes)] for index in order]
+        points = [
+            box.points[int(torch.randint(len(box.points), (), generator=generator))]
+            for box in around
+        ]
+    else:
+        chosen = torch.randint(len(surface[0]), (count,), generator=generator)
+        places, normals = (each.cpu()[chosen] for each in surface)
+        pixels, weights = torch.zeros(len(boxes), count, 2), torch.zeros(len(boxes), count)
+        for row, box in enumerate(boxes):
+            pixels[row], depths = project(places, box.camera)
+            facing = (normals * F.normalize(box.camera.positions - places, dim=1)).sum(dim=1)
+            inside = ((pixels[row] >= box.low) & (pixels[row] < box.high)).all(dim=1) & (depths > 0)
+            weights[row] = facing.clamp(min=0) * inside
+        seen = weights.any(dim=0).nonzero()[:, 0]
+        rows = weights.T[seen].multinomial(1, generator=generator)[:, 0]
+        around, points = [boxes[row] for row in rows.tolist()], pixels[rows, seen]
     found = []
-    order = torch.randperm(count, generator=generator).tolist()
-    for box in (boxes[index % len(boxes)] for index in order):
-        point = box.points[int(torch.randint(len(box.points), (), generator=generator))]
+    for box, point in zip(around, points, strict=True):
         low = (point - side / 2).minimum(box.high - side).maximum(box.low)
         found.append(replace(box, low=low, high=box.high.minimum(low + side)))
     return found
