@@ -32,7 +32,7 @@ from stylesplat.training.loop import MOST_AT_ONCE, fit
 from stylesplat.training.state import Ranks, Run, State
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import split_views, training_views
+from stylesplat.training.training_views import TrainingViews, split_views
 
 CPU = torch.device("cpu")
 FIRST, PHOTOS = 8, 60  # photos that are not counted, and that are
@@ -109,7 +109,7 @@ def rate(options: Options, state: State) -> float:
     torch.set_num_threads(options.threads)
     photos = capture(options.scene, options.downscale, identities=True)
     rows, _ = split_views(photos, 8)
-    views = training_views(photos, rows, ids=state.ids, device=CPU, max_memory=1.0)
+    views = TrainingViews(photos, rows, ids=state.ids, device=CPU, max_memory=1.0)
     config, extent = config_of(options, 5000), scene_extent(photos.cameras)
     pool, batch = RenderPool(options.batch), options.batch
     strategy, ranks = MCMCStrategy(config, extent), Ranks.here()

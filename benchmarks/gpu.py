@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from stylesplat.scene.scene import Scene
     from stylesplat.scene.splats import Splats
     from stylesplat.stylization.config import Network, StyleConfig
-    from stylesplat.training.training_views import Views
+    from stylesplat.training.training_views import TrainingViews
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGE_TOLERANCE = 1e-3  # gsplat is float32 and orders ties in depth as it likes
@@ -204,13 +204,13 @@ def train_as_paper(fox: "Capture", steps: int = PAPER_STEPS) -> float:
     return fit(fox, shorter, device="cuda").seconds * paper.steps / steps
 
 
-def decoded(fox: "Capture") -> "Views":
+def decoded(fox: "Capture") -> "TrainingViews":
     """The photos of a capture, all of them decoded."""
     import torch
 
-    from stylesplat.training.training_views import training_views
+    from stylesplat.training.training_views import TrainingViews
 
-    views = training_views(fox, range(len(fox)), ids=(), device=torch.device("cuda"))
+    views = TrainingViews(fox, range(len(fox)), ids=(), device=torch.device("cuda"))
     for row in range(len(fox)):
         views(row, 1)
     return views

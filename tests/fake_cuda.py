@@ -51,6 +51,7 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
         monkeypatch.setattr(gsplat, name, _kernel(getattr(gsplat, name)))
     install_training_kernels(monkeypatch, _kernel)
     monkeypatch.setattr(torch, "Generator", FakeGenerator)
+    monkeypatch.setattr(Tensor, "pin_memory", _pinned)  # in threads, too
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda: False)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
@@ -138,11 +139,6 @@ class FakeCuda(TorchFunctionMode):
             raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu().")
         if func in (Tensor.to, Tensor.cpu):
             return self._moved(func, *args, **kwargs)
-        if func is Tensor.pin_memory:
-            assert not on_gpu(args[0]), "only the host's memory can be pinned"
-            pinned = args[0].clone()
-            pinned._is_pinned = True
-            return pinned
         if func is Tensor.is_pinned:
             return getattr(args[0], "_is_pinned", False)
         given = _tensors((args, kwargs))
@@ -213,6 +209,13 @@ class HostTrips(TorchFunctionMode):
         if left or came or (moved and not is_sent):
             self.found.append(getattr(func, "__name__", str(func)))
         return result
+
+
+def _pinned(tensor: Tensor) -> Tensor:
+    assert not on_gpu(tensor), "only the host's memory can be pinned"
+    copy = tensor.clone()
+    copy._is_pinned = True  # pyright: ignore
+    return copy
 
 
 def _marked(tensor: Tensor, gpu: bool) -> Tensor:

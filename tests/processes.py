@@ -27,7 +27,7 @@ from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import Run, State, first_state
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import training_views
+from stylesplat.training.training_views import TrainingViews
 
 QUICK = ("--features", "compact", "--quality", "draft", "--device", "cpu")
 
@@ -136,7 +136,7 @@ def begun(
     run = Run(
         config=config,
         rows=tuple(rows),
-        views=training_views(capture, rows, ids=ids, device=device, max_memory=1.0),
+        views=TrainingViews(capture, rows, ids=ids, device=device, max_memory=1.0),
         cameras=capture.cameras,
         extent=scene_extent(capture.cameras),
         device=device,

@@ -21,6 +21,7 @@ from stylesplat.training.step import (
     train_step,
 )
 from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.training_views import TrainingViews
 
 GEOMETRY = ("means", "quats", "scales", "opacities")
 
@@ -166,11 +167,11 @@ def test_gradients_of_a_round_are_of_one_state_and_steps_in_turn(
 
 
 def run_on(cameras, *, rows=tuple(range(1, 9)), **settings) -> Run:
-    config = TrainConfig(**settings)
+    config, black = TrainConfig(**settings), [torch.zeros(64, 72, 3).byte()] * len(cameras)
     return Run(
         config=config,
         rows=rows,
-        views=lambda row, factor: None,  # pyright: ignore[reportArgumentType]
+        views=TrainingViews(Capture(cameras, black), rows, ids=(), device=torch.device("cpu")),
         cameras=cameras,
         extent=scene_extent(cameras),
         device=torch.device("cpu"),

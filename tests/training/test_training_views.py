@@ -1,19 +1,20 @@
 from dataclasses import replace
 from functools import partial
+from threading import Thread, current_thread
 
 import cv2
 import pytest
 import torch
 
 from balls import CAMERAS, enlarged
+from fake_cuda import cuda  # noqa: F401  (a fixture)
 from stylesplat.scene.cache import GIB, Lazy
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import resize_labels
 from stylesplat.training.training_views import (
-    Views,
+    TrainingViews,
     learned_ids,
     split_views,
-    training_views,
 )
 
 LARGE = enlarged(CAMERAS, 2)  # 96x72
@@ -39,9 +40,9 @@ def counted_reads(rows: list[int]) -> Capture:
     return capture
 
 
-def views(capture: Capture, memory: float = 1.0) -> Views:
+def views(capture: Capture, memory: float = 1.0) -> TrainingViews:
     ids = () if capture.label_maps is None else IDS
-    return training_views(capture, range(8), ids=ids, device=CPU, max_memory=memory)
+    return TrainingViews(capture, range(8), ids=ids, device=CPU, max_memory=memory)
 
 
 def test_every_nth_photo_is_held_out_and_whole_photos_are_what_the_capture_holds():
@@ -85,6 +86,30 @@ def test_what_fits_is_decoded_once_in_all_sizes_and_memory_changes_no_result(ite
             for mine, theirs in zip(load(row, factor)[1:], rich(row, factor)[1:], strict=True):
                 assert mine is not None and theirs is not None and torch.equal(mine, theirs)
     assert rows == [*range(8)] if items == 11 else len(rows) > 8
+
+
+def test_threads_load_what_is_expected_on_a_gpu(cuda: str):  # noqa: F811
+    threads: list[Thread] = []
+
+    def read(row: int) -> torch.Tensor:
+        threads.append(current_thread())
+        return PHOTOS[row]
+
+    capture = replace(WHOLE, photos=Lazy([partial(read, row) for row in range(8)]))
+    threads.clear()  # types are checked by looking at some
+    load = TrainingViews(capture, range(8), ids=IDS, device=torch.device(cuda), max_memory=0.0)
+    whole = views(WHOLE)
+    load.expect(3, 2)
+    found, expected = load(3, 2), whole(3, 2)
+    assert len(threads) == 1 and threads[0] is not current_thread()
+    assert found.photo.is_cuda and found.camera.viewmats.is_cuda
+    for mine, theirs in zip(found[1:], expected[1:], strict=True):
+        assert mine is not None and theirs is not None and torch.equal(mine.cpu(), theirs)
+    for row in range(8):  # more than are waited for, and of another size than is asked for
+        load.expect(row, 1)
+    for row in range(8):
+        assert torch.equal(load(row, 2).photo.cpu(), whole(row, 2).photo)
+    load.end()
 
 
 def labelled(capture: Capture, *maps: list[int] | None) -> Capture:

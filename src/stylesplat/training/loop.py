@@ -30,7 +30,7 @@ from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import learned_ids, split_views, training_views
+from stylesplat.training.training_views import TrainingViews, learned_ids, split_views
 
 MOST_AT_ONCE = 4  # photos in all processes, unless the settings say otherwise
 SMOOTHING = 0.98  # per step, of the loss and PSNR shown: single photos differ a lot
@@ -140,6 +140,7 @@ def fit(
         return state
     finally:
         run.pool.end()
+        run.views.end()
 
 
 def _check_alone(config: TrainConfig, checkpoint: Path | None) -> None:
@@ -180,7 +181,7 @@ def _begin(
     run = Run(
         config=config,
         rows=tuple(rows),
-        views=training_views(
+        views=TrainingViews(
             capture, rows, ids=state.ids, device=device, max_memory=config.max_memory
         ),
         cameras=capture.cameras,

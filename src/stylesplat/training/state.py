@@ -21,7 +21,7 @@ from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.training.adam import Moments
 from stylesplat.training.densification import Optimizers, Params, Strategy
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import Views
+from stylesplat.training.training_views import TrainingViews
 
 PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
 CLASSIFIER = ("weight", "bias")
@@ -184,7 +184,7 @@ class Run:
     config: TrainConfig
     rows: tuple[int, ...]
     """Photos to train on."""
-    views: Views
+    views: TrainingViews
     """Loads them."""
     cameras: Cameras
     """Of all photos."""

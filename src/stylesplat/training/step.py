@@ -23,6 +23,7 @@ from stylesplat.training.losses import (
 )
 from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
 from stylesplat.training.train_config import TrainConfig, means_decay
+from stylesplat.training.training_views import AHEAD
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
@@ -83,6 +84,8 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
     params, progress, row = state.params, run.progress(state), run.row(step)
     place = run.rows.index(row)  # in the `PER_PHOTO` tensors
     view = run.views(row, config.photo_downscale(progress, run.cameras[row].size))
+    later = run.row(step + AHEAD * run.ranks.count)
+    run.views.expect(later, config.photo_downscale(progress, run.cameras[later].size))
     classes = view.classes if run.every(config.identity_every, step) else None
     splats, changes, camera = state.splats, params.get("color_maps"), view.camera
     if "pose_shifts" in params:

@@ -1,6 +1,7 @@
 """Training photos and label classes: which there are, and at every size the schedule asks for."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from threading import Lock
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
 
 KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
+AHEAD = 4  # photos decoded in advance for a GPU, by as many threads: each takes up to two steps
 COARSER = 1.25  # what half the size takes in addition to the whole, while both are kept
 
 
@@ -32,10 +34,6 @@ class TrainingView(NamedTuple):
     """How opaque it is; None if it is everywhere."""
     classes: Integer[Tensor, "H W"] | None
     """The class of each pixel, in the smallest type; None without a label map."""
-
-
-Views = Callable[[int, int], TrainingView]
-"""From a row of the capture and a downscale to what there is to learn."""
 
 
 class Pixels(NamedTuple):
@@ -53,42 +51,71 @@ def split_views(capture: Capture, test_every: int) -> tuple[list[int], list[int]
     return [row for row in rows if row not in held_out], held_out
 
 
-def training_views(
-    capture: Capture,
-    rows: Sequence[int],
-    *,
-    ids: tuple[int, ...],
-    device: torch.device,
-    max_memory: float | None = None,
-) -> Views:
-    """A loader of some rows' views that keeps what fits, of one size at a time, in main memory.
+class TrainingViews:
+    """Loads some rows' views; keeps what fits, of one size at a time, in main memory.
 
     If all photos fit at full size they are decoded once, and smaller ones made of what is kept.
-    `ids` are the label ids of the classes; `max_memory` is that of `TrainConfig`.
+    For a GPU, threads decode into pinned memory the photos that are asked for in advance.
     """
-    room = int((KEPT[device.type] if max_memory is None else max_memory) * GIB)
-    cache: Cache[tuple[int, int]] = Cache(room)
-    all_fit = COARSER * sum(_bytes(capture, row, ids) for row in rows) <= room
-    latest, lock = [1], Lock()
 
-    def kept(row: int, factor: int) -> Pixels:
+    def __init__(
+        self,
+        capture: Capture,
+        rows: Sequence[int],
+        *,
+        ids: tuple[int, ...],
+        device: torch.device,
+        max_memory: float | None = None,
+    ) -> None:
+        """`ids` are the label ids of the classes; `max_memory` is that of `TrainConfig`."""
+        room = int((KEPT[device.type] if max_memory is None else max_memory) * GIB)
+        self._capture, self._ids, self._device = capture, ids, device
+        self._cache: Cache[tuple[int, int]] = Cache(room)
+        self._all_fit = COARSER * sum(_bytes(capture, row, ids) for row in rows) <= room
+        self._latest, self._lock = 1, Lock()
+        self._pool = ThreadPoolExecutor(AHEAD, "photo") if device.type == "cuda" else None
+        self._expected: dict[tuple[int, int], Future[Pixels]] = {}
+
+    def __call__(self, row: int, factor: int) -> TrainingView:
+        """The view of a row of the capture, at a downscale."""
+        expected = self._expected.pop((row, factor), None)
+        pixels = self._pixels(row, factor) if expected is None else expected.result()
+        camera = self._capture.cameras[row].downscale(factor)
+        return _on(self._device, camera, pixels)
+
+    def expect(self, row: int, factor: int) -> None:
+        """Begin to load a view on a thread, if it goes to a GPU; of too many drop the oldest."""
+        if self._pool is None or (row, factor) in self._expected:
+            return
+        while len(self._expected) >= AHEAD:
+            self._expected.pop(next(iter(self._expected))).cancel()
+        self._expected[row, factor] = self._pool.submit(self._pixels, row, factor)
+
+    def end(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def _pixels(self, row: int, factor: int) -> Pixels:
+        """The pixels of a view, pinned for a GPU."""
+        with self._lock:  # threads ask at the same time
+            if factor != self._latest:
+                self._latest, kept = factor, {1, factor} if self._all_fit else {factor}
+                self._cache.forget(lambda key: key[1] not in kept)
+        pixels = self._kept(row, factor)
+        if self._pool is None:
+            return pixels
+        photo, *others = pixels
+        return Pixels(photo.pin_memory(), *(None if t is None else t.pin_memory() for t in others))
+
+    def _kept(self, row: int, factor: int) -> Pixels:
         def make() -> Pixels:
             if factor == 1:
-                return _read(capture, row, ids)
-            whole = kept(row, 1) if all_fit else _read(capture, row, ids)
-            return _resized(whole, capture.cameras[row].downscale(factor).size)
+                return _read(self._capture, row, self._ids)
+            whole = self._kept(row, 1) if self._all_fit else _read(self._capture, row, self._ids)
+            return _resized(whole, self._capture.cameras[row].downscale(factor).size)
 
-        return cache.get((row, factor), make)
-
-    def view(row: int, factor: int) -> TrainingView:
-        with lock:  # the threads of a round ask at the same time
-            if factor != latest[0]:
-                latest[0] = factor
-                cache.forget(lambda key: key[1] not in ({1, factor} if all_fit else {factor}))
-            pixels = kept(row, factor)
-        return _on(device, capture.cameras[row].downscale(factor), pixels)
-
-    return view
+        return self._cache.get((row, factor), make)
 
 
 def _bytes(capture: Capture, row: int, ids: tuple[int, ...]) -> int:
@@ -121,15 +148,14 @@ def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
 
 def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> TrainingView:
     """The pixels on the device, where they become floats; nothing waits for it."""
-
-    def upload(tensor: Tensor) -> Tensor:
-        own = tensor.pin_memory() if device.type == "cuda" else tensor
-        return own.to(device, non_blocking=True)
-
-    photo, alpha, classes = (None if t is None else upload(t) for t in pixels)
+    photo, alpha, classes = (None if t is None else t.to(device, non_blocking=True) for t in pixels)
     assert photo is not None
     alpha = None if alpha is None else alpha[..., None].float().div_(255)
-    camera = replace(camera, viewmats=upload(camera.viewmats), Ks=upload(camera.Ks))
+    if device.type == "cuda":
+        viewmats, Ks = (
+            t.pin_memory().to(device, non_blocking=True) for t in (camera.viewmats, camera.Ks)
+        )
+        camera = replace(camera, viewmats=viewmats, Ks=Ks)
     return TrainingView(camera, photo.float().div_(255), alpha, classes)
 
 
