@@ -73,7 +73,7 @@ LABEL_MAPS = {
     "capture": "Name them like 0000.png, or check `--masks`",
 }
 FOREIGN = {
-    "missing": "There is no folder or .json file {at}/missing. Check --from",
+    "missing": "There is no folder or .json file {at}/missing. Check the path",
     "capture": "capture is a capture, not a folder of masks. Give --from the folder",
 }
 BOX = "a=0001.jpg:6,8,23,24"

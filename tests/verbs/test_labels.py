@@ -51,6 +51,16 @@ def test_names_follow_their_labels(tmp_path: Path, photos: bool):
     assert found.splats.classifier is not None and found.splats.classifier.ids == (0, 3, 7)
 
 
+def test_an_object_keeps_its_parts_out(tmp_path: Path):
+    place = tuple(SPLATS.means[SCENE.objects["red"].picked][0].tolist())
+    scene = select(SCENE, "part", sphere=(*place, 0.1), of="red")
+    found = labels(scene, write_corrected(tmp_path), device="cpu")
+    part = scene.objects["part"].picked
+    assert part.any() and torch.equal(found.objects["part"].picked, part)
+    assert agreement(found.objects["red"].picked, 7) > 0.75
+    assert not (found.objects["red"].picked & part).any()
+
+
 @pytest.mark.parametrize(
     ("pixel", "name", "message"),
     [

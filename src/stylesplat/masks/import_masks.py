@@ -71,7 +71,7 @@ def check_mask_source(source: Path) -> None:
             "are in."
         )
     if not (source.is_dir() or (source.is_file() and source.suffix.lower() == ".json")):
-        raise StyleSplatError(f"There is no folder or .json file {source}. Check --from.")
+        raise StyleSplatError(f"There is no folder or .json file {source}. Check the path.")
 
 
 def _import_by_object(source: Path, names: Sequence[str]) -> ImportedMasks | None:

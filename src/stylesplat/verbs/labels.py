@@ -15,7 +15,7 @@ from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import with_poses_of
 from stylesplat.scene.labels import BACKGROUND, ids_of
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import whole_ids
+from stylesplat.selection.choose import SHAPING
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.objects import relabel
 from stylesplat.verbs.import_ import WORKING_SIZE
@@ -31,8 +31,9 @@ def labels(
 ) -> Scene:
     """Lift label maps onto a scene anew, without training. Nothing but the labels changes.
 
-    Objects that are named by label ids get the Gaussians that have these ids now; other selections
-    keep theirs. Held-out views are not lifted, so that they can measure the labels.
+    Objects that are named by label ids get the Gaussians that have these ids now, without those of
+    their parts; other selections keep theirs. Held-out views are not lifted, so that they can
+    measure the labels.
 
     Args:
         scene: A trained or imported scene, painted or not.
@@ -68,15 +69,27 @@ def labels(
     for name, each in scene.objects.items():
         if name in found.objects:
             continue
-        before = whole_ids(scene, name)
+        before = () if SHAPING & each.how.keys() else tuple(each.how.get("ids", ()))
         if ids := [id for id in before if id in known]:
             found = select(found, name, id=ids, threshold=each.how.get("threshold", 0.5))
+            found = _without_parts(found, name, scene)
         elif before:
             say(f"{name!r} is gone: the label maps do not contain its id.")
         else:
             found = found.with_object(name, each)
     metrics = {name: value for name, value in scene.metrics.items() if name not in STALE}
     return replace(found, metrics=metrics)
+
+
+def _without_parts(found: Scene, name: str, scene: Scene) -> Scene:
+    """The scene whose object has lost what parts were made of it before."""
+    again = found.objects[name]
+    left = again.picked.clone()
+    for part in scene.objects.values():
+        if part.how.get("of") == name:
+            left &= ~part.picked
+    how = {**again.how, "gaussians": int(left.sum())}
+    return found.with_object(name, replace(again, picked=left, how=how))
 
 
 def _with_masks(scene: Scene, masks: Path | str | None) -> Capture:
