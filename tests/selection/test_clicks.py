@@ -7,9 +7,10 @@ from balls import CAMERAS, enlarged
 from scenes import cloud, randn
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.shares import coverage
+from stylesplat.scene.arguments import PickSize
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.clicks import PickSize, pick_masked
+from stylesplat.selection.masked import pick_masked
 from stylesplat.verbs.select import select
 
 # A table, two balls that touch, and one apart

@@ -30,7 +30,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import Mask
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import IDENTITY_SIZE, Splats
-from stylesplat.selection.clicks import pick_masked
+from stylesplat.selection.masked import pick_masked
 
 BOX_FIT = 0.05  # by how much the box of a pick in 3D may fit worse than that of GrabCut's cut
 GROWTH = 2  # factor between the numbers of masked views before and after a round

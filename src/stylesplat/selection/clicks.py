@@ -15,14 +15,13 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
-from scipy.spatial import Delaunay, KDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.shares import AT_ONCE, COVERED, contributed, without_looks
 from stylesplat.scene.arguments import PickSize, check_point
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.labels import Mask
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.surface_graph import SurfaceGraph, surface_of, symmetric
@@ -34,14 +33,6 @@ NEAREST = 40_000  # patches around the clicks; farther ones are background
 # demo, where the weakest cuts through single objects have 1.3 and more, and 2.4 through the fox.
 WEAK = 1.0
 SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
-SURE, OTHER = 0.9, 0.5  # shares of a patch's pixels in masks, and outside, that make it a seed
-SHOWN = 2.0  # pixels in masked views, from which a patch can be a seed
-# Share of the seeds: a part with fewer than this of the largest part's is none of the object's, and
-# fewer patches outside the masks are its rim; more limit what belongs to it.
-STRAY = 0.2
-# Where an object stands, in edges of a patch over the plane; patches in the hull of a foot. On the
-# demo a FOOT of 2.4 and a FOOTING of 0.1 are worse at the lowest tenth of objects.
-FOOT, FOOTING, GAP, HULL = 4.0, 0.4, 2.4, 8
 
 
 def pick_clicked(
@@ -83,78 +74,11 @@ def pick_clicked(
     return torch.from_numpy(chosen[surface.owners]).to(device)
 
 
-def pick_masked(
-    splats: Splats,
-    cameras: Cameras,
-    masks: Iterable[tuple[int, Mask, Mask]],
-) -> Bool[Tensor, " N"]:
-    """The Gaussians of the object that some masks show, without the surface that it stands on.
-
-    Args:
-        splats: The splat, on the CPU.
-        cameras: Views of it.
-        masks: Rows of views, the pixels that show the object, and pixels that do not.
-
-    Returns:
-        The picked Gaussians; none if the masks show none but those of large planes.
-    """
-    surface = surface_of(splats, cameras)
-    seen = np.zeros((len(surface.points), 3))
-    for row, inside, outside in masks:
-        wanted = torch.zeros(*inside.shape, AT_ONCE)
-        wanted[..., 0], wanted[..., 1], wanted[..., 2] = inside, outside, 1
-        pixels = contributed(without_looks(splats), cameras[row], wanted)[:, :3].double().numpy()
-        np.add.at(seen, surface.owners, pixels)
-    inside, outside, everywhere = seen.T
-    shown = (everywhere > SHOWN) & ~surface.is_background
-    seeds = np.flatnonzero(shown & (inside > SURE * everywhere))
-    rivals = np.flatnonzero(shown & (outside > OTHER * everywhere))
-    chosen = np.zeros(len(surface.points), bool)
-    parts = _parts(surface)
-    counts = np.bincount(parts[seeds], minlength=1)
-    for part in np.flatnonzero(counts > STRAY * counts.max()):
-        rows = np.flatnonzero(parts == part)
-        own, others = (each[parts[each] == part] for each in (seeds, rivals))
-        found = _cut(surface, rows, own, others[:0], "object")
-        if np.isin(others, found).sum() > STRAY * len(own):  # not only the rim
-            found = _cut(surface, rows, own, others, "object")
-        chosen[found] = True
-    picked = chosen[surface.owners]
-    return torch.from_numpy(_with_feet(surface, splats.means.double().numpy(), picked))
-
-
 def _parts(surface: SurfaceGraph) -> Int[np.ndarray, " K"]:
     """The number of the connected part of each patch, without background."""
     solid = surface.touching[~surface.is_background[surface.touching].any(axis=1)]
     count = len(surface.points)
     return connected_components(symmetric(np.ones(len(solid)), solid, count), directed=False)[1]
-
-
-def _with_feet(
-    surface: SurfaceGraph, means: Float[np.ndarray, "N 3"], picked: Bool[np.ndarray, " N"]
-) -> Bool[np.ndarray, " N"]:
-    """An object with what lies between it and the planes that it stands on: within the convex
-    hulls of its feet, and above the plane.
-    """
-    found = picked.copy()
-    for plane in surface.planes if picked.any() else ():
-        heights = plane.heights(means) / surface.edge
-        heights *= np.sign(np.median(heights[picked]))
-        low = picked & (np.abs(heights) < FOOT)
-        beside = surface.is_background[surface.owners]
-        slab = np.flatnonzero(beside & (heights > FOOTING) & (heights < FOOT))
-        if not (low.any() and len(slab)):
-            continue
-        flat = means @ np.linalg.svd(plane.normal[None])[2][1:].T
-        near = KDTree(flat[low]).query_pairs(GAP * surface.edge, output_type="ndarray")
-        touching = symmetric(np.ones(len(near)), near, int(low.sum()))
-        feet = connected_components(touching, directed=False)[1]
-        for foot in range(feet.max() + 1):
-            hull = flat[low][feet == foot]
-            if len(hull) > HULL:
-                inside = Delaunay(hull, qhull_options="QJ").find_simplex(flat[slab]) >= 0
-                found[slab[inside]] = True
-    return found
 
 
 def _cut(
