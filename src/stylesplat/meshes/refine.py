@@ -29,6 +29,7 @@ LEAST_COSINE = 0.3  # between normal and ray: below it a pixel is too long on th
 OPAQUE = 0.9  # coverage below which a pixel's colour is not the object's alone
 LEAST_TURN = 0.7  # cosine between a face before and after
 TINY_MOVE = 1e-5  # of the extent: shorter moves are none
+STAY = 5e-4  # variance of colours that moving by an edge has to save: plain parts stay
 COMMON, EVEN = 4, 5  # edges over which costs, and shifts, are averaged
 
 
@@ -60,7 +61,8 @@ def _moved(surface: Surface, splats: Splats, views: MeshViews, step: float) -> S
     costs, weights = to_corners @ costs.T, to_corners @ weights.T  # [V, L]
     for _ in range(COMMON):
         costs, weights = around @ costs, around @ weights
-    shifts = offsets[(costs / np.maximum(weights, 1e-6)).argmin(axis=1)]
+    variances = costs / np.maximum(weights, 1e-6) + STAY * np.square(step * np.array(OFFSETS))
+    shifts = offsets[variances.argmin(axis=1)]
     shifts[weights.min(axis=1) < 1e-3] = 0
     along = normals.astype(float)
     for _ in range(EVEN):
