@@ -22,8 +22,9 @@ VIEWS = 16
 LENGTH = 200.0  # longer side of the object in them, in pixels
 SOLID = 0.7  # coverage from which a pixel shows the surface
 BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it
-PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards,
-HOLE = 2.0  # if there is no other point so near, in pixels
+PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
+HOLE = 6.0  # pixels around a point without any inside the silhouettes: less is no hole
+BESIDE = 2.0  # pixels from its rim, where there are points already
 GRAZING = 0.25  # cosine below which depths are too uncertain
 POOLED = 0.6  # side of the cubes whose points are averaged, in distances of the samples
 PLANE = 16  # points that a plane is fitted to
@@ -69,20 +70,23 @@ def pull_inside(
     size: float,
     outside: Callable[[Float[Tensor, "Q 3"]], Bool[Tensor, " Q"]],
 ) -> Bool[Tensor, " P"]:
-    """Move points that lie outside inwards, in place, where no other point is left.
+    """Move points that lie outside inwards, in place, where else there were a hole.
 
     Depths are less exact than silhouettes: of a flat side that some views see along it, no point
     may lie inside. The size is that of a pixel. Returns which points belong to the surface.
     """
     kept = ~outside(points)
-    rows, near = (~kept).nonzero()[:, 0], KDTree(points[kept].double().cpu().numpy())
+    moved = beyond = (~kept).nonzero()[:, 0]
     for _ in range(PULLS):
-        points[rows] -= size * normals[rows]
-        is_outside = outside(points[rows])
-        there = rows[~is_outside]
-        far, _ = near.query(points[there].double().cpu().numpy())
-        kept[there] = torch.from_numpy(far > HOLE * size).to(kept)
-        rows = rows[is_outside]
+        points[beyond] -= size * normals[beyond]
+        beyond = beyond[outside(points[beyond])]
+    moved = moved[~torch.isin(moved, beyond)]
+    places = points.double().cpu().numpy()
+    far, _ = KDTree(places[kept.cpu().numpy()]).query(places[moved.cpu().numpy()])
+    far = torch.from_numpy(far).to(points) / size
+    amid = moved[far > HOLE].cpu().numpy()
+    near, _ = KDTree(places[amid]).query(places[moved.cpu().numpy()])
+    kept[moved] = (far > BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
     return kept
 
 
