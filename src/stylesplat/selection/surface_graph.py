@@ -6,7 +6,6 @@ connected, weakly across a concave fold, as where one object leans on another, a
 of colour. Large planes (a table, a wall) are background.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -75,9 +74,6 @@ class SurfaceGraph:
     """Pairs of patches."""
     is_background: Bool[np.ndarray, " K"]
     """Large planes, and patches that touch hardly any other."""
-    edge: float
-    """The edge of a patch in the world, the unit of lengths."""
-    planes: Sequence[Plane]
 
     def connections(self, fold: float, color: float) -> csr_array:
         """How strongly patches are connected, 1 at most."""
@@ -137,7 +133,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     for plane in planes:  # what an object hides of a plane is not the object's
         below = np.flatnonzero(~seen & (np.abs(plane.heights(places)) < FLAT * edge))
         owners[below] = np.flatnonzero(flat)[KDTree(points[flat]).query(places[below])[1]]
-    return SurfaceGraph(owners, points, colors, normals, touching, flat | lone, edge, planes)
+    return SurfaceGraph(owners, points, colors, normals, touching, flat | lone)
 
 
 @torch.no_grad()
