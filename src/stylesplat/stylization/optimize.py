@@ -111,6 +111,10 @@ class _Object:
         target = replace(self.target, mask=canvas.mask)
         return replace(self, context=context, target=target, canvas=canvas)
 
+    def stage_views(self, stage: Stage, generator: torch.Generator) -> list[ObjectView]:
+        surface = self.canvas.surface
+        return stage_views(self.context, self.target, self.boxes, stage, generator, surface)
+
     def views(self, length: float) -> tuple[list[ObjectView], float]:
         """A few views of the whole object, which is as long in them."""
         few, zoom = evenly(self.boxes, COLOR_VIEWS), length / typical_length(self.boxes)
@@ -199,8 +203,7 @@ def _paint(
         if number == fixed_at and object.canvas.is_disc.any():
             object, paint = _confine(object, paint, turned=number > 0)
         mask = object.target.mask
-        surface = object.canvas.surface
-        views = stage_views(object.context, object.target, object.boxes, stage, generator, surface)
+        views = object.stage_views(stage, generator)
         if stage.window is None and len(views) >= COLOR_VIEWS:
             whole = evenly(views, COLOR_VIEWS), stage.length
         elif number <= fixed_at:  # later stages have the same Gaussians
