@@ -25,6 +25,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import Mask
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.selection.soft_picks import sampled_views
+from stylesplat.selection.surface_graph import connection_strengths
 
 SEEN = 1.0  # pixels in all sampled views, from which a Gaussian belongs to the surface
 CLUSTERS = 5000
@@ -67,12 +68,10 @@ class ClusterGraph:
     def connections(self, fold: float, color: float) -> csr_array:
         """How strongly clusters are connected."""
         pairs = self.touching.tocoo()
-        one, other = pairs.coords
-        away = self.points[other] - self.points[one]
-        away /= np.linalg.norm(away, axis=1, keepdims=True).clip(1e-12)
-        concave = -((self.normals[other] - self.normals[one]) * away).sum(axis=1).clip(max=0)
-        differs = ((self.colors[other] - self.colors[one]) ** 2).sum(axis=1)
-        strengths = np.exp(-((fold * concave) ** 2) - color * differs) + 1e-6
+        ends = np.stack(pairs.coords)
+        strengths = connection_strengths(
+            self.points[ends], self.colors[ends], self.normals[ends], fold=fold, color=color
+        )
         return coo_array((pairs.data * strengths, pairs.coords), pairs.shape).tocsr()
 
 

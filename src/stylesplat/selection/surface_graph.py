@@ -77,13 +77,27 @@ class SurfaceGraph:
 
     def connections(self, fold: float, color: float) -> csr_array:
         """How strongly patches are connected, 1 at most."""
-        one, other = self.touching.T
-        away = self.points[other] - self.points[one]
-        away /= np.linalg.norm(away, axis=1, keepdims=True).clip(1e-12)
-        concave = -((self.normals[other] - self.normals[one]) * away).sum(axis=1).clip(max=0)
-        differs = ((self.colors[other] - self.colors[one]) ** 2).sum(axis=1)
-        strengths = np.exp(-((fold * concave) ** 2) - color * differs) + 1e-6
+        ends = self.touching.T
+        strengths = connection_strengths(
+            self.points[ends], self.colors[ends], self.normals[ends], fold=fold, color=color
+        )
         return symmetric(strengths, self.touching, len(self.points))
+
+
+def connection_strengths(
+    points: Float[np.ndarray, "2 P 3"],
+    colors: Float[np.ndarray, "2 P 3"],
+    normals: Float[np.ndarray, "2 P 3"],
+    *,
+    fold: float,
+    color: float,
+) -> Float[np.ndarray, " P"]:
+    """How strongly pieces of a surface are connected: weakly across concave folds, and colours."""
+    away = points[1] - points[0]
+    away /= np.linalg.norm(away, axis=1, keepdims=True).clip(1e-12)
+    concave = -((normals[1] - normals[0]) * away).sum(axis=1).clip(max=0)
+    differs = ((colors[1] - colors[0]) ** 2).sum(axis=1)
+    return np.exp(-((fold * concave) ** 2) - color * differs) + 1e-6
 
 
 def symmetric(

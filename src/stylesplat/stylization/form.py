@@ -42,7 +42,7 @@ NEAR = 0.04  # deviation of the window of a local correlation, in lengths
 FAINT = 0.01  # of 1: detail of less contrast is not seen
 ROUNDS = 6  # of `form_relief`: with 1 eyes are blurred, 12 show no more
 RARE = 0.05  # share of an object: less form than that counts less
-LEAST_DEVIATION = 1.2  # pixels of the finest band's blur that are enough to show it
+POOLED_DEVIATION = 1.2  # pixels of the finest band's blur at least, in a pooled view
 
 
 class FormSurvey(NamedTuple):
@@ -113,7 +113,7 @@ def pool_form(
 
     Pixels are averaged over squares, inside the mask alone. The third value is the object's length.
     """
-    side = max(1, int(BAND_DEVIATIONS[0] * length / LEAST_DEVIATION))
+    side = max(1, int(BAND_DEVIATIONS[0] * length / POOLED_DEVIATION))
     if side == 1:
         return image, mask, length
     own = mask[None].to(image)

@@ -70,7 +70,7 @@ def pull_inside(
     size: float,
     outside: Callable[[Float[Tensor, "Q 3"]], Bool[Tensor, " Q"]],
 ) -> Bool[Tensor, " P"]:
-    """Move points that lie outside inwards, in place, where else there were a hole.
+    """Move points that lie outside inwards, in place, where there would be a hole otherwise.
 
     Depths are less exact than silhouettes: of a flat side that some views see along it, no point
     may lie inside. The size is that of a pixel. Returns which points belong to the surface.
