@@ -129,7 +129,9 @@ def test_signals_are_ignored_once_the_work_is_done(capsys, monkeypatch):
     assert capsys.readouterr().err == f"stylesplat: terminated. {WHOLE}\n"
 
 
-TAKE = "import pathlib, signal, sys, time\nfrom stylesplat.signals import take_signals\n"
+TAKE = """import pathlib, signal, sys, time
+from stylesplat.signals import mark_handled, take_signals
+"""
 
 IN_A_DEL = f"""{TAKE}take_signals()
 class Dying:
@@ -139,6 +141,20 @@ try:
     Dying()
     time.sleep(99)
 except KeyboardInterrupt as error:
+    mark_handled(error)
+    print(type(error).__name__)
+"""
+
+SWALLOWED = f"""{TAKE}import stylesplat.cli.arguments
+take_signals()
+try:
+    try:
+        signal.raise_signal(signal.SIGTERM)
+    except BaseException:
+        print("swallowed")
+    time.sleep(99)
+except KeyboardInterrupt as error:
+    mark_handled(error)
     print(type(error).__name__)
 """
 
@@ -150,7 +166,8 @@ try:
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGTERM)
         print("cleaned up")
-except KeyboardInterrupt:
+except KeyboardInterrupt as error:
+    mark_handled(error)
     print("raised")
 """
 
@@ -169,7 +186,8 @@ take_signals()
 try:
     import slow
     time.sleep(99)
-except KeyboardInterrupt:
+except KeyboardInterrupt as error:
+    mark_handled(error)
     print("raised")
 """
 
@@ -184,6 +202,7 @@ TAKEN_BY_OTHERS = LOADING.replace("SIGINT", "SIGTERM").replace(
     [
         pytest.param(TAKEN_BY_OTHERS, 0, "loaded\nraised\n", id="while a library takes signals"),
         pytest.param(IN_A_DEL, 0, "Terminated\n", id="where Python cannot raise"),
+        pytest.param(SWALLOWED, 0, "swallowed\nTerminated\n", id="swallowed by a library"),
         pytest.param(TWICE, 0, "cleaned up\nraised\n", id="twice"),
         pytest.param(IGNORED, 0, "goes on\n", id="ignored"),
         pytest.param(LOADING, 0, "loaded\nraised\n", id="while a module is loaded"),

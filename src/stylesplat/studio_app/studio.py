@@ -16,7 +16,7 @@ from stylesplat.progress import say
 from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.signals import Terminated
+from stylesplat.signals import Terminated, mark_handled
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.autosave import SceneStore
 from stylesplat.studio_app.gallery import Gallery
@@ -164,8 +164,8 @@ def _block(stop: Callable[[], object]) -> None:
         until_interrupted(stop)
     except Terminated:
         raise
-    except KeyboardInterrupt:  # how it is closed
-        pass
+    except KeyboardInterrupt as error:  # how it is closed
+        mark_handled(error)
 
 
 def _refuse_empty(splats: Splats) -> None:
