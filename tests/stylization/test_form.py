@@ -17,11 +17,11 @@ from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.form import (
     FormBand,
     FormSurvey,
+    PooledMask,
     detail_bands,
     form_distance,
     form_relief,
     measure_form,
-    pool_form,
     survey_form,
 )
 from stylesplat.stylization.paint import paint
@@ -168,11 +168,13 @@ def test_a_large_view_is_pooled_and_has_the_same_form():
         return large(there.permute(2, 0, 1)[None])[0].permute(1, 2, 0)
 
     before = enlarge(WITH_EYE)
+    own = PooledMask.of(mask, length)
+    form = measure_form(own.average(before), own.mask, own.length, survey)
     for after in map(enlarge, (grey(PLAIN), WITH_EYE, DOTTED)):
         exact = form_distance(after, mask, length, measure_form(before, mask, length, survey))
-        pooled, form = pool_form(after, mask, length), pool_form(before, mask, length)
-        assert pooled[0].shape[0] == len(pooled[1]) == 3 * SIDE
-        found = form_distance(*pooled, measure_form(*form, survey))
+        pooled = own.average(after)
+        assert len(pooled) == len(own.mask) == 3 * SIDE
+        found = form_distance(pooled, own.mask, own.length, form)
         torch.testing.assert_close(found, exact, atol=0.02, rtol=0)
 
 

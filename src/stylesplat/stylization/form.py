@@ -8,7 +8,7 @@ luminance. What differs in hue alone, as hair and skin of a doll do, becomes lum
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -106,20 +106,34 @@ def object_detail(
     return details
 
 
-def pool_form(
-    image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float
-) -> tuple[Float[Tensor, "h w 3"], Bool[Tensor, "h w"], float]:
-    """A view of an object as small as shows its form as well, which takes less time.
+@dataclass(frozen=True)
+class PooledMask:
+    """An object's pixels in a view as small as shows its form as well, which takes less time."""
 
-    Pixels are averaged over squares, inside the mask alone. The third value is the object's length.
-    """
-    side = max(1, int(BAND_DEVIATIONS[0] * length / POOLED_DEVIATION))
-    if side == 1:
-        return image, mask, length
-    own = mask[None].to(image)
-    covered = F.avg_pool2d(own, side)
-    pooled = F.avg_pool2d(image.permute(2, 0, 1) * own, side) / covered.clamp(min=1e-3)
-    return pooled.permute(1, 2, 0), covered[0] > 0.5, length / side
+    mask: Bool[Tensor, "h w"]
+    length: float
+    """The object's, in these pixels."""
+    side: int
+    """Pixels of a view along a square that becomes one pixel."""
+    own: Float[Tensor, "1 H W"]
+    """1 where the view shows the object, 0 elsewhere."""
+    covered: Float[Tensor, "1 h w"]
+    """The mean of that over each square."""
+
+    @classmethod
+    def of(cls, mask: Bool[Tensor, "H W"], length: float) -> "PooledMask":
+        """The mask of a view of an object that is so many pixels long there."""
+        side = max(1, int(BAND_DEVIATIONS[0] * length / POOLED_DEVIATION))
+        own = mask[None].float()
+        covered = F.avg_pool2d(own, side)
+        return cls(covered[0] > 0.5, length / side, side, own, covered.clamp(min=1e-3))
+
+    def average(self, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "h w 3"]:
+        """The means of the object's pixels alone over the squares."""
+        if self.side == 1:
+            return image
+        pooled = F.avg_pool2d(image.permute(2, 0, 1) * self.own, self.side) / self.covered
+        return pooled.permute(1, 2, 0)
 
 
 @torch.no_grad()

@@ -13,7 +13,13 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.form import FormBand, FormSurvey, form_distance, measure_form, pool_form
+from stylesplat.stylization.form import (
+    FormBand,
+    FormSurvey,
+    PooledMask,
+    form_distance,
+    measure_form,
+)
 from stylesplat.stylization.matching import StyleIndex, cosine_distance
 from stylesplat.stylization.views import ObjectView, per_view
 
@@ -32,8 +38,8 @@ class ViewTarget:
     view: ObjectView
     cells: tuple[Int[Tensor, " P"], ...]
     """The rows and columns of the features that are the object's."""
-    form: Sequence[FormBand] | None = None
-    """That of the unpainted object."""
+    form: tuple[PooledMask, Sequence[FormBand]] | None = None
+    """That of the unpainted object, and the pixels in which it is measured."""
     content: Float[Tensor, "P D"] | None = None
     """The features of the unpainted object."""
     shapes: Float[Tensor, "3 h w"] | None = None
@@ -71,7 +77,9 @@ class Objective:
             if self.config.form > 0 or self.config.content > 0:
                 image = rasterize(original, view.camera)[0][0]
                 if self.config.form > 0:
-                    form = measure_form(*pool_form(image, view.pixels, self.length), self.form)
+                    own = PooledMask.of(view.pixels, self.length)
+                    bands = measure_form(own.average(image), own.mask, own.length, self.form)
+                    form = own, bands
                 if self.config.content > 0:
                     content = self._features(image, cells)
             shapes = None if painted is None else _large_shapes(view, view.render(painted))
@@ -93,8 +101,8 @@ class Objective:
         matches = self.style.nearest(feats.detach())
         nnfm = total = cosine_distance(feats, self.style.directions.index_select(0, matches))
         if target.form is not None:
-            pooled = pool_form(image, view.pixels, self.length)
-            distance = form_distance(*pooled, target.form)
+            own, bands = target.form
+            distance = form_distance(own.average(image), own.mask, own.length, bands)
             total = total + FORM * self.config.form * distance
         if target.content is not None:
             before = target.content.float()
