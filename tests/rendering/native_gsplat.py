@@ -39,14 +39,20 @@ def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
             *cuts, compensate, camera_model, opacities = options
             assert covars is None and not compensate and camera_model == "pinhole"
             assert cuts == [EPS2D, NEAR_PLANE, FAR_PLANE, 0.0]
+            assert len(means), "gsplat divides whole numbers by that of Gaussians: the process dies"
             calls.projections += 1
             gaussians = Gaussians(means, quats, scales, opacities)
             each = [
                 reference.project_gaussians(gaussians, View(viewmat, K, width, height))
                 for viewmat, K in zip(viewmats, Ks, strict=True)
             ]
-            seen = Projected(*(torch.stack(tensors) for tensors in zip(*each, strict=True)))
-            return seen.radii, seen.means2d, seen.depths, seen.conics, None
+            *places, radii = (torch.stack(tensors) for tensors in zip(*each, strict=True))
+            hidden = (radii == 0).any(dim=-1)
+            means2d, conics, depths = (
+                each.masked_fill(hidden[(..., *[None] * (each.ndim - 2))], torch.nan)
+                for each in places
+            )  # memory that gsplat does not write
+            return radii, means2d, depths, conics, None
 
     class Blending:
         @staticmethod

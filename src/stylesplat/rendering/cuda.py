@@ -1,4 +1,7 @@
-"""Rendering on NVIDIA GPUs, through gsplat 1.5.3."""
+"""Rendering on NVIDIA GPUs, through gsplat 1.5.3.
+
+Of no Gaussians gsplat divides whole numbers by 0, which ends the process: the reference takes them.
+"""
 
 from typing import Any
 
@@ -7,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from stylesplat.rendering import reference
 from stylesplat.rendering.gaussians import (
     EPS2D,
     FAR_PLANE,
@@ -40,6 +44,8 @@ def spherical_harmonics(
 def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
     """What one camera sees of Gaussians, without gradients."""
     means, quats, scales, opacities = gaussians
+    if not len(means):
+        return reference.project_gaussians(gaussians, view)
     radii, means2d, depths, conics, _ = gsplat.fully_fused_projection(
         means,
         None,
@@ -92,6 +98,8 @@ def rasterize(
 
     The Gaussians are projected and sorted into tiles once, for all channels.
     """
+    if not len(gaussians.means):
+        return reference.rasterize(gaussians, colors, cameras, geometry_channels=geometry_channels)
     width, height = cameras.size
     moving, others = colors.tensor_split([geometry_channels], dim=-1)
     image, alphas, info = gsplat.rasterization(

@@ -125,8 +125,8 @@ def visible(near: InView, camera: Cameras) -> InView:
 def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
     """The pixels that each Gaussian may reach, from and to; none if it is out of view."""
     projected = _project(activated(splats), with_matrices_of(splats, camera))
-    inside = (projected.radii > 0).all(dim=1, keepdim=True)
-    low, high = (corner * inside for corner in bounds(projected))
+    outside = (projected.radii <= 0).any(dim=1, keepdim=True)  # whose places gsplat does not write
+    low, high = (corner.masked_fill(outside, 0) for corner in bounds(projected))
     return low.long(), high.long()
 
 
