@@ -29,8 +29,9 @@ class Calls:
 
 
 def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
-    """Put the stand-ins into gsplat for one test; quick ones blend as our CPU kernels do."""
+    """Put the stand-ins into gsplat for one test; quick ones call our CPU kernels."""
     native = pytest.importorskip("gsplat.cuda._wrapper")
+    project = cpu.project_gaussians if quickly else reference.project_gaussians
     calls = Calls()
 
     class Projection:
@@ -43,7 +44,7 @@ def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
             calls.projections += 1
             gaussians = Gaussians(means, quats, scales, opacities)
             each = [
-                reference.project_gaussians(gaussians, View(viewmat, K, width, height))
+                project(gaussians, View(viewmat, K, width, height))
                 for viewmat, K in zip(viewmats, Ks, strict=True)
             ]
             *places, radii = (torch.stack(tensors) for tensors in zip(*each, strict=True))

@@ -42,10 +42,12 @@ WHEELS = "https://docs.gsplat.studio/whl/"
 class SelfTest:
     """How much the self-test does: by default less than a minute's work of two cores."""
 
-    downscale: float = 4.0  # of photos of 480x360
+    photos: int = 48  # of 480x360 pixels, the first
+    downscale: float = 4.0
     gaussians: int = 4000
     train_steps: int = 50
     paint_steps: int = 20
+    object_size: int = 80  # pixels of the painted object's longer side
     renders: int = 10
 
 
@@ -146,6 +148,7 @@ def _test_devices(devices: list[str], budget: SelfTest) -> Iterator[dict[str, An
     with tempfile.TemporaryDirectory() as folder:
         place = copy_capture(Path(folder) / "capture")
         capture = load(place, downscale=budget.downscale)
+        capture = capture.only(range(budget.photos))
         for device in devices:
             row, start = {"device": device, "problem": None}, time.perf_counter()
             try:
@@ -165,7 +168,7 @@ def _test_device(
     speed, psnr = scene.metrics["steps_per_second"], scene.metrics["psnr"]
     yield {"steps_per_second": speed, "psnr": round(psnr, 2)}
     yield _test_rendering(device, scene, budget.renders)
-    config = StyleConfig(steps=budget.paint_steps, object_size=80)
+    config = StyleConfig(steps=budget.paint_steps, object_size=budget.object_size)
     style = Style(styles / f"{STYLES['vase']}.jpg", config=config)
     scene = stylize(select(scene, "vase", id=1), {"vase": style}, device=device)
     names = "seconds_by_object", "nnfm_before", "nnfm_after"
