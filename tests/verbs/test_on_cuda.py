@@ -7,18 +7,33 @@ device to set, as pycolmap's wheels compute on the CPU.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 import torch
 from torch import Tensor
 
-from balls import BARE, GREEN, TRAINED, agreement, around, assert_same_splats, box_around, opened
+from balls import (
+    BARE,
+    CAMERAS,
+    GREEN,
+    RED,
+    TRAINED,
+    agreement,
+    around,
+    assert_same_splats,
+    box_around,
+    opened,
+    save_scene,
+)
 from balls import PAINTED_FAST as FAST
 from capture_files import write_ball_capture
 from fake_cuda import cuda  # noqa: F401  (a fixture)
 from right_ids import right_pixels
-from stylesplat.masks import from_model
+from stylesplat.cli.mask import Labels
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.sheets import before_after, beside_photo, one_view
+from stylesplat.masks import from_model, quick_splat
 from stylesplat.masks.sam import FAMILIES, Method, load_propagator, load_proposer
 from stylesplat.masks.tracking import labels_to_masks
 from stylesplat.metrics.iou import mask_iou
@@ -27,6 +42,8 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.members import likeliest
 from stylesplat.selection.text import load_detector
 from stylesplat.stylization.style import Style
+from stylesplat.training.state import State
+from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.compare import compare
 from stylesplat.verbs.evaluate import evaluate
@@ -55,6 +72,7 @@ def test_what_is_painted_upon_is_undone(cuda: str, stack: Path, styled: Scene): 
     without = adjust(live.scene(), objects="green", undo=True)
     assert_same_splats(without.splats, styled.splats)
     assert_same_splats(adjust(live.scene(), undo=True).splats, TRAINED.splats)
+    assert_same_splats(live.splats.to("cpu"), live.scene().splats)
 
 
 def test_evaluate_measures_the_same(cuda: str, styled: Scene, tmp_path: Path):  # noqa: F811
@@ -68,7 +86,7 @@ def test_evaluate_measures_the_same(cuda: str, styled: Scene, tmp_path: Path):  
 
 def test_renders_and_comparisons_are_the_same(cuda: str, tmp_path: Path):  # noqa: F811
     capture = load(write_ball_capture(tmp_path / "capture"))
-    for what in ("color", "label-colors", "depth"):
+    for what in ("color", "label-colors", "identities", "depth", "object:red"):
         found, expected = (render(TRAINED, "test", what=what, device=d) for d in (cuda, "cpu"))
         for (name, image), (other, usual) in zip(found, expected, strict=True):
             close = 0.02 if usual.is_floating_point() else 2
@@ -79,6 +97,24 @@ def test_renders_and_comparisons_are_the_same(cuda: str, tmp_path: Path):  # noq
     found, expected = (compare(scenes, photos, device=device) for device in (cuda, "cpu"))
     for one, other in zip(found.scenes, expected.scenes, strict=True):
         assert one.metrics["psnr"] == pytest.approx(other.metrics["psnr"], abs=0.1)
+
+
+def test_pictures_of_commands_are_the_same(cuda: str, styled: Scene, tmp_path: Path):  # noqa: F811
+    """A command whose picture fails says so, and goes on."""
+    capture = load(write_ball_capture(tmp_path / "capture"))
+    view = CAMERAS.names[0]
+    for draw in (
+        lambda device: before_after(styled, device=device),
+        lambda device: (view, beside_photo(styled, capture, view, device=device)),
+        lambda device: (view, one_view(styled, view, device=device)),
+    ):
+        found, usual = (draw(device) for device in (cuda, "cpu"))
+        assert found is not None and usual is not None and found[0] == usual[0]
+        assert found[1].shape == usual[1].shape
+        assert ((found[1].float() - usual[1].float()).abs() <= 2).float().mean() > 0.98
+    scene = save_scene(tmp_path / "scene")
+    masks = tmp_path / "capture" / "object_mask"
+    assert Path(Labels(scene, masks=masks, device="cuda").run().values["preview"]).exists()
 
 
 def test_labels_are_lifted_alike(cuda: str, tmp_path: Path):  # noqa: F811
@@ -151,6 +187,30 @@ def test_masks_are_propagated_by_a_splat(
     assert right_pixels(maps_of(found), oracle.maps) > 0.8
 
 
+def test_masks_of_a_model_on_a_splat_of_its_own(
+    cuda: str,  # noqa: F811
+    tiny_model: Callable[[str], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Random weights find nothing that photos confirm."""
+    capture = load(write_ball_capture(tmp_path / "capture")).only(range(4))
+    proposer, fit, trained = from_model.load_proposer, quick_splat.fit, list[str]()
+
+    def lenient(*arguments: Any) -> Any:
+        return replace(proposer(*arguments), min_iou=-1e9, min_stability=0.0, points_per_side=3)
+
+    def short(capture: Capture, config: TrainConfig, *, device: torch.device) -> State:
+        trained.append(device.type)
+        return fit(capture, replace(config, steps=8, max_gaussians=500), device=device)
+
+    monkeypatch.setattr(from_model, "load_proposer", lenient)
+    monkeypatch.setattr(quick_splat, "fit", short)
+    with pytest.raises(StyleSplatError, match="no object that several photos confirm"):
+        mask(capture, method="sam2", model=str(tiny_model("sam2")), device=cuda)
+    assert trained == ["cuda"]
+
+
 @pytest.mark.parametrize("method", get_args(Method))
 def test_models_of_masks(cuda: str, method: Method, tiny_model: Callable[[str], Path]):  # noqa: F811
     """In bfloat16 on both devices."""
@@ -181,16 +241,29 @@ def test_models_of_masks(cuda: str, method: Method, tiny_model: Callable[[str], 
         assert all(each.device.type == "cpu" and each.shape == seed.shape for each in masks)
 
 
-def test_detectors_of_phrases(cuda: str, tiny_model: Callable[[str], Path]):  # noqa: F811
-    picture = noise(48, 64, 3)
+@pytest.mark.parametrize("kind", ["grounding-dino", "sam3"])
+def test_phrases(cuda: str, kind: str, tiny_model: Callable[[str], Path]):  # noqa: F811
+    model, picture, devices = str(tiny_model(kind)), noise(48, 64, 3), (cuda, "cpu")
     found, expected = (
-        replace(load_detector(str(tiny_model("grounding-dino")), device), min_score=0.0).detect(
-            picture, "red ball"
-        )
-        for device in (cuda, "cpu")
+        replace(load_detector(model, device), min_score=0.0).detect(picture, "red")
+        for device in devices
     )
     torch.testing.assert_close(found.boxes, expected.boxes, atol=0.1, rtol=0)
     torch.testing.assert_close(found.scores, expected.scores, atol=1e-2, rtol=0)
+    # The view in which Grounding DINO's boxes, which are always the same, fit an object
+    few = replace(TRAINED, cameras=CAMERAS[[5]], held_out=())
+
+    def meant(device: str) -> Tensor | str:
+        try:
+            return select(few, "it", text="red", model=model, device=device).objects["it"].picked
+        except StyleSplatError as error:
+            return str(error)
+
+    found, expected = map(meant, devices)
+    if isinstance(expected, str):
+        assert kind == "sam3" and "No object of the scene fits" in expected == found
+    else:
+        assert isinstance(found, Tensor) and found.equal(expected) and found.equal(RED)
 
 
 def test_a_sheet_is_painted(cuda: str, stack: Path):  # noqa: F811
