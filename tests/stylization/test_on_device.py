@@ -10,11 +10,12 @@ from torch.overrides import TorchFunctionMode
 
 from balls import CAMERAS, FAST, RED, SPLATS, ball, enlarged, same
 from balls import STRIPED_SCENE as SCENE
-from fake_cuda import cuda  # noqa: F401  (a fixture)
+from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
 from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.shares import coverage
 from stylesplat.rendering.visibility import in_view, pixel_bounds, visible
 from stylesplat.selection.soft_picks import own_shares
+from stylesplat.stylization import canvas as fitting
 from stylesplat.stylization import paint as cutting
 from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.confine import confine_canvas
@@ -103,6 +104,19 @@ def test_the_canvas(cuda: str):  # noqa: F811
         shares = [float(each[before > 0.98].mean()) for each in (covered, usual)]
         assert shares[0] == pytest.approx(shares[1], abs=0.05) and shares[1] > 0.5
         assert covered[before == 0].max() < 1e-3
+
+
+@pytest.mark.usefixtures("quick_painting")
+def test_fitting_never_waits_for_the_device(cuda: str, monkeypatch: pytest.MonkeyPatch):  # noqa: F811
+    """Whatever it asks, it asks before its steps."""
+    splats, mask = SOLID.to(cuda), RED.to(cuda)
+    boxes, trips = find_boxes(splats, LARGER, mask), list[list[str]]()
+    for steps in (1, 3):
+        monkeypatch.setattr(fitting, "STEPS", steps)
+        with HostTrips() as mode:
+            fit_canvas(Canvas.without_discs(splats, mask), boxes, seed=0)
+        trips.append(mode.found)
+    assert trips[0] == trips[1] != []
 
 
 def test_crops_of_large_scenes(

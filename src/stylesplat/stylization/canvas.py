@@ -19,6 +19,7 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
+from stylesplat.rendering.gaussians import with_matrices_of
 from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import colors_of, rasterize
@@ -216,6 +217,8 @@ class _View(NamedTuple):
     coverage: Float[Tensor, "H W 1"]
     rows: Int[Tensor, " M"]
     """The Gaussians of the scene with the canvas that are in view."""
+    is_disc: Bool[Tensor, " M"]
+    """Which of them are discs."""
     splats: Splats
     """These, in the colours that they have from there."""
 
@@ -232,10 +235,11 @@ def fit_canvas(canvas: Canvas, boxes: Sequence[Box], *, seed: int) -> Canvas:
     leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in RATES}
     moments, own = Moments.zeros(leaves), canvas.mask.to(canvas.splats.means)
     generator = torch.Generator().manual_seed(seed)
-    order = track(drawn(views, STEPS, generator), "fitting the canvas", total=STEPS)
-    for step, view in enumerate(order, start=1):
-        raised = (RAISED * torch.rand(3, generator=generator)).to(own)
-        is_disc, rows = canvas.is_disc[view.rows], view.rows
+    order = [(view, torch.rand(3, generator=generator)) for view in drawn(views, STEPS, generator)]
+    raises = (RAISED * torch.stack([raised for _, raised in order])).to(own)  # at once, to a GPU
+    turns = zip((view for view, _ in order), raises, strict=True)
+    for step, (view, raised) in enumerate(track(turns, "fitting the canvas", total=STEPS), start=1):
+        is_disc, rows = view.is_disc, view.rows
         with torch.enable_grad():
             moved = {name: leaf[rows] for name, leaf in leaves.items()}
             sh0 = torch.where(is_disc[:, None, None], moved["sh0"], view.splats.sh0)
@@ -243,7 +247,7 @@ def fit_canvas(canvas: Canvas, boxes: Sequence[Box], *, seed: int) -> Canvas:
             image, _, _ = rasterize(replace(view.splats, **moved), view.camera)
             (image[0] - view.image - raised * view.coverage).square().mean().backward()
         rates = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
-        visible = torch.zeros_like(canvas.is_disc).index_fill(0, rows[is_disc], True)
+        visible = torch.zeros_like(canvas.is_disc).index_copy(0, rows, is_disc)
         adam_step(leaves, moments, rates, step, visible=visible)
         for leaf in leaves.values():
             leaf.grad = None
@@ -252,7 +256,9 @@ def fit_canvas(canvas: Canvas, boxes: Sequence[Box], *, seed: int) -> Canvas:
 
 @torch.no_grad()
 def _look(canvas: Canvas, camera: Cameras) -> _View:
-    splats, rows = canvas.splats, in_view(canvas.splats, camera).rows
-    colors = colors_of(splats, rows, camera.positions.to(splats.means))
+    splats, camera = canvas.splats, with_matrices_of(canvas.splats, camera)
+    rows = in_view(splats, camera).rows
+    colors = colors_of(splats, rows, camera.positions)
     baked = replace(without_looks(splats)[rows], sh0=sh0_from_rgb(colors)[:, None])
-    return _View(camera, *colors_and_coverage(canvas.before, camera, canvas.own), rows, baked)
+    before = colors_and_coverage(canvas.before, camera, canvas.own)
+    return _View(camera, *before, rows, canvas.is_disc[rows], baked)

@@ -242,7 +242,7 @@ def windows(
         ]
     else:
         chosen = torch.randint(len(surface[0]), (count,), generator=generator)
-        places, normals = (each.cpu()[chosen] for each in surface)
+        places, normals = (each[chosen.to(each.device)].cpu() for each in surface)
         pixels, weights = torch.zeros(len(boxes), count, 2), torch.zeros(len(boxes), count)
         for row, box in enumerate(boxes):
             pixels[row], depths = project(places, box.camera)
