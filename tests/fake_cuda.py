@@ -65,11 +65,7 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: card)
     with FakeCuda():
         yield "cuda"
-    for cached in (
-        blur_matrix,
-        luma_weights,
-        ssim_window,
-    ):  # else a real GPU is given the stand-in's tensors
+    for cached in CONSTANTS:  # else a real GPU is given the stand-in's tensors
         cached.cache_clear()
 
 

@@ -71,7 +71,7 @@ def test_chunks_do_not_matter(monkeypatch: pytest.MonkeyPatch):
     feats, style = features(50, seed=3), normalize(features(70, seed=4))
     index = build_index(style, torch.float32)
     whole = index.nearest(feats), most_similar(feats, style)
-    monkeypatch.setattr(matching, "SIMILARITIES_AT_ONCE", 7 * 80)
+    monkeypatch.setitem(matching.SIMILARITIES_AT_ONCE, "cpu", 7 * 80)
     assert torch.equal(index.nearest(feats), whole[0])
     assert torch.equal(most_similar(feats, style), whole[1])
 

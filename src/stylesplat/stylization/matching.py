@@ -18,7 +18,7 @@ from stylesplat.rendering.kernels.jit import inner, kernel
 
 DIMENSIONS = 64  # of the compressed space; its matches cost less than 0.1 % of the loss
 CANDIDATES = 4  # that are compared exactly
-SIMILARITIES_AT_ONCE = 2**22  # bounds the features x style features matrix
+SIMILARITIES_AT_ONCE = {"cpu": 2**22, "cuda": 2**26}  # bounds features x style features
 KINDS = 32  # of style features, in balanced searches
 ROUNDS = 12  # that find them
 REMEMBERED = 0.8  # of the usage before: a view shows only a part of the object
@@ -91,7 +91,7 @@ class StyleIndex:
         columns = self.compressed.shape[1]
         table = torch.cat([self.compressed, F.pad(favour, (0, columns - len(favour)))[None]])
         queries = torch.cat([feats.float() @ self.basis, lengths], dim=1)
-        rows = max(1, SIMILARITIES_AT_ONCE // columns)
+        rows = max(1, SIMILARITIES_AT_ONCE["cpu"] // columns)
         found = []
         for chunk, query in zip(feats.split(rows), queries.split(rows), strict=True):
             candidates = torch.zeros(len(chunk), CANDIDATES, dtype=torch.long)
@@ -149,7 +149,7 @@ def most_similar(
 
     What favours a row is added to its cosines.
     """
-    rows = max(1, SIMILARITIES_AT_ONCE // len(directions))
+    rows = max(1, SIMILARITIES_AT_ONCE[feats.device.type] // len(directions))
     columns = directions.T.to(feats.dtype)
     found = []
     for chunk in feats.split(rows):
