@@ -20,7 +20,7 @@ from stylesplat.stylization.views import Box, box_cameras, per_view
 
 VIEWS = 16
 LENGTH = 200.0  # longer side of the object in them, in pixels
-SOLID = 0.7  # coverage from which a pixel shows the surface
+SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
 BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it
 PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
 HOLE = 6.0  # pixels around a point without any inside the silhouettes: less is no hole
@@ -44,12 +44,12 @@ def find_surface(
     far = BEHIND * extent(splats.means[mask])
     alone = without_looks(splats[mask])
 
-    def look(camera: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def look(camera: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
         return *_points_of_view(splats, mask, camera, far), full_coverage(alone, camera)
 
     found = per_view(look, cameras, "looking for the surface", splats.device)
     *parts, silhouettes = zip(*found, strict=True)
-    points, normals, colors, sizes = (torch.cat(each) for each in parts)
+    points, normals, colors, sizes, covered = (torch.cat(each) for each in parts)
     size = float(sizes.median())
 
     def outside(points: Float[Tensor, "P 3"]) -> Bool[Tensor, " P"]:
@@ -60,33 +60,38 @@ def find_surface(
             found |= inside.masked_scatter(inside, there < COVERED)
         return found
 
-    kept = pull_inside(points, normals, size, outside)
+    kept = pull_inside(points, normals, covered > SOLID, size, outside)
     return points[kept], normals[kept], colors[kept], size
 
 
 def pull_inside(
     points: Float[Tensor, "P 3"],
     normals: Float[Tensor, "P 3"],
+    solid: Bool[Tensor, " P"],
     size: float,
     outside: Callable[[Float[Tensor, "Q 3"]], Bool[Tensor, " Q"]],
 ) -> Bool[Tensor, " P"]:
     """Move points that lie outside inwards, in place, where there would be a hole otherwise.
 
     Depths are less exact than silhouettes: of a flat side that some views see along it, no point
-    may lie inside. The size is that of a pixel. Returns which points belong to the surface.
+    may lie inside. Points that are not solid stay only in holes, too. The size is that of a pixel.
+    Returns which points belong to the surface, none if there are no others.
     """
-    kept = ~outside(points)
-    moved = beyond = (~kept).nonzero()[:, 0]
+    beyond = outside(points)
+    kept = solid & ~beyond
+    if not kept.any():
+        return kept
+    spare, beyond = (~kept).nonzero()[:, 0], beyond.nonzero()[:, 0]
     for _ in range(PULLS):
         points[beyond] -= size * normals[beyond]
         beyond = beyond[outside(points[beyond])]
-    moved = moved[~torch.isin(moved, beyond)]
+    spare = spare[~torch.isin(spare, beyond)]
     places = points.double().cpu().numpy()
-    far, _ = KDTree(places[kept.cpu().numpy()]).query(places[moved.cpu().numpy()])
+    far, _ = KDTree(places[kept.cpu().numpy()]).query(places[spare.cpu().numpy()])
     far = torch.from_numpy(far).to(points) / size
-    amid = moved[far > HOLE].cpu().numpy()
-    near, _ = KDTree(places[amid]).query(places[moved.cpu().numpy()])
-    kept[moved] = (far > BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
+    amid = spare[far > HOLE].cpu().numpy()
+    near, _ = KDTree(places[amid]).query(places[spare.cpu().numpy()])
+    kept[spare] = (far > BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
     return kept
 
 
@@ -97,8 +102,8 @@ def full_coverage(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
 
 def _points_of_view(
     splats: Splats, mask: Tensor, camera: Cameras, far: float
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Points, normals, colours and sizes of the pixels of one camera that show the surface."""
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Points, normals, colours, sizes and coverage of one camera's pixels that show the surface."""
     image, covered, depths = _mean_depths(splats, mask, camera)
     inside, there = _look_up(splats.means, camera, depths + far)
     behind = inside.masked_scatter(inside, depths_of(splats.means[inside], camera) > there)
@@ -107,9 +112,10 @@ def _points_of_view(
     points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
     points = points.view(height, width, 3)
     normals, cosines = normals_towards(points, camera.positions.to(points))
-    reliable = (cosines > GRAZING) & (covered > SOLID) & (own > SOLID / 2)
+    reliable = (cosines > GRAZING) & (covered > COVERED) & (own > SOLID / 2)
     sizes = depths / camera.Ks[0, 0, 0].to(depths)
-    return points[reliable], normals[reliable], image[reliable], sizes[reliable]
+    points, normals = points[reliable], normals[reliable]
+    return points, normals, image[reliable], sizes[reliable], covered[reliable]
 
 
 def _mean_depths(splats: Splats, mask: Tensor, camera: Cameras) -> tuple[Tensor, Tensor, Tensor]:
