@@ -1,7 +1,8 @@
 """Whatever computes on a GPU, scenes come back to the CPU; on any machine, see `fake_cuda.py`.
 
-`train` is tested in `test_doctor.py` and `training/test_on_device.py`. `sfm` and `check` have no
-device to set, as pycolmap's wheels compute on the CPU.
+`train` and `stylize` are tested in `test_doctor.py` and the rooms' `test_on_device.py`; `studio`
+paints by `stylize_live`. `sfm` and `check` have no device to set, as pycolmap's wheels compute on
+the CPU.
 """
 
 from collections.abc import Callable, Sequence
