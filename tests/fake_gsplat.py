@@ -39,6 +39,7 @@ def _bound(real: Callable, stand_in: Callable) -> Callable:
 
 def adam(param, param_grad, exp_avg, exp_avg_sq, valid, lr, b1, b2, eps) -> None:
     """AdamCUDA.cu: neither mean is corrected for starting at 0; memory is read as it lies."""
+    assert len(param), "the kernel divides by the number of rows"
     for tensor in (param, param_grad, exp_avg, exp_avg_sq):
         assert tensor.is_contiguous() and tensor.dtype == torch.float32
         assert tensor.shape == param.shape
