@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from jaxtyping import Bool
@@ -48,8 +50,16 @@ def test_a_click_picks_one_ball_and_a_group_all_that_touch():
     assert agreement(picked(0, 2), 0, 2) > 0.7
     assert agreement(picked(0, size="group"), 0, 1) > 0.7
     assert agreement(picked(0, size="group", but=1), 0) > 0.7
-    part = picked(0, size="part")
-    assert part.any() and not (part & ~picked(0)).any()
+
+
+def test_a_part_is_bounded_by_its_color_and_may_lie_flat_on_a_plane():
+    sheet = (OF < 0) & (MEANS[:, :2] - torch.tensor([0.9, -0.9])).norm(dim=1).lt(0.5)
+    cap = (OF == 2) & (MEANS[:, 2] > 0.35)
+    red = torch.where((sheet | cap)[:, None, None], torch.tensor([1.5, -1.5, -1.5]), 0.0)
+    scene = Scene(replace(BARE.splats, sh0=red), VIEWS)
+    for wanted, place in ((sheet, (0.9, -0.9, 0.0)), (cap, (0.0, 1.2, 0.65))):
+        found = select(scene, "it", point=at(place), size="part").objects["it"].picked
+        assert float((found & wanted).sum() / (found | wanted).sum()) > 0.7
 
 
 def test_clicks_on_the_table_and_on_nothing_are_refused():

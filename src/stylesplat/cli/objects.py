@@ -112,8 +112,9 @@ class Select(EditingCommand):
     """The name of the object that this is a part of: what of the selection lies on it becomes the
     part, and the rest stays the object's."""
     size: Literal["part", "object", "group"] | None = None
-    """How much a point means in a scene without labels: a part of one colour (the default with
-    --of), an object (otherwise), or all that touches. In a scene with labels, instead of these."""
+    """How much a point means in a scene without labels: a part that folds or other colours bound,
+    also flat on a wall (the default with --of), an object (otherwise), or all that touches. In a
+    scene with labels, instead of these."""
     text: UseAppendAction[tuple[str, ...]] = ()
     """A few words: the object that they mean, if it is clear which one. May be repeated."""
     model: str | None = None

@@ -4,7 +4,8 @@ Random walks over the graph start at a click and end on large planes, or with a 
 at each step. They visit the clicked object first: the patches, ordered by visits, are cut where
 the boundary is weakest for the size of what it encloses (Andersen, Chung, Lang: Local graph
 partitioning using PageRank vectors, FOCS 2006; Grady: Random walks for image segmentation, PAMI
-2006). What is enclosed is cut once more where two objects touch.
+2006). What is enclosed is cut once more where two objects touch. Parts are found in the same way
+in a graph whose connections follow colours, planes included.
 """
 
 from collections.abc import Iterable
@@ -26,12 +27,16 @@ from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.surface_graph import SurfaceGraph, surface_of, symmetric
 
-FOLD, COLOR = 8.0, 30.0  # how fast connections weaken; colours only bound parts of objects
+FOLD = 8.0  # how fast connections weaken across folds
 ENDS = 1e-5  # probability with which a walk ends at a step
 NEAREST = 40_000  # patches around the clicks; farther ones are background
 # Cut connections over the root of the smaller side's, below which two objects touch: 0.1 on the
 # demo, where the weakest cuts through single objects have 1.3 and more, and 2.4 through the fox.
 WEAK = 1.0
+# The same cost, below which a piece of a surface is bounded all around: the fox's plaque has 0.09
+# to 0.17 from seven clicks, smaller pieces of it 0.29 and more.
+BOUNDED = 0.2
+FEW = 20  # patches that a piece has at least
 SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
 
 
@@ -50,7 +55,7 @@ def pick_clicked(
         points: Views and pixels of the objects.
         not_points: The same for what touches them and does not belong to them.
         size: `group` is everything that touches, `object` ends at folds, and `part` is a piece of
-            an object by its folds and colours.
+            a surface, large planes included, that is bounded by folds or changes of colour.
 
     Raises:
         StyleSplatError: If a point shows nothing or background, or is excluded again.
@@ -60,41 +65,58 @@ def pick_clicked(
         splats = splats.to("cpu")
     surface = surface_of(splats, cameras)
     clicked, others = (
-        np.unique([_patch_at(surface, splats, cameras, *each) for each in some]).astype(int)
+        np.unique([_patch_at(surface, splats, cameras, *each, size) for each in some]).astype(int)
         for some in (points, not_points)
     )
+    graph = surface.pieces() if size == "part" else surface.connections(FOLD)
     chosen = np.zeros(len(surface.points), bool)
-    parts = _parts(surface)
+    parts = _parts(surface, size)
     for part in np.unique(parts[clicked]):
-        rows = np.flatnonzero(parts == part)
+        rows = _nearest(surface, np.flatnonzero(parts == part), clicked)
         seeds, rivals = (each[parts[each] == part] for each in (clicked, others))
         if len(np.intersect1d(seeds, rivals)):
             raise StyleSplatError("A point and a point to exclude hit the same place. Move one.")
-        chosen[_cut(surface, rows, seeds, rivals, size)] = True
+        chosen[_cut(graph, rows, seeds, rivals, size)] = True
     return torch.from_numpy(chosen[surface.owners]).to(device)
 
 
-def _parts(surface: SurfaceGraph) -> Int[np.ndarray, " K"]:
-    """The number of the connected part of each patch, without background."""
-    solid = surface.touching[~surface.is_background[surface.touching].any(axis=1)]
+def _parts(surface: SurfaceGraph, size: PickSize) -> Int[np.ndarray, " K"]:
+    """The number of the connected part of each patch, without background but for pieces."""
+    solid = surface.touching
+    if size != "part":
+        solid = solid[~surface.is_background[solid].any(axis=1)]
     count = len(surface.points)
     return connected_components(symmetric(np.ones(len(solid)), solid, count), directed=False)[1]
 
 
 def _cut(
-    surface: SurfaceGraph, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: PickSize
+    graph: csr_array, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: PickSize
 ) -> np.ndarray:
     """The patches of the seeds among connected ones, without those of the rivals."""
-    graph, rows = surface.connections(FOLD, color=0.0), _nearest(surface, rows, seeds)
     if len(rivals):
         inside, sums = graph[rows][:, rows], graph.sum(axis=1)[rows]
         mine, theirs = (_visits(inside, np.isin(rows, each), sums) for each in (seeds, rivals))
         rows = rows[(mine > theirs) | np.isin(rows, seeds)]
-    if size != "group":
-        rows = _two_sided(graph, _enclosed(graph, rows, seeds), seeds, WEAK)
     if size == "part":
-        rows = _two_sided(surface.connections(FOLD, COLOR), rows, seeds, np.inf)
+        return _piece(graph, rows, seeds)
+    if size == "object":
+        return _two_sided(graph, _enclosed(graph, rows, seeds), seeds, WEAK)
     return rows
+
+
+def _piece(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """The smallest set of patches around the seeds that is well bounded."""
+    order, boundary, sums = _sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
+    cost = boundary / np.sqrt(np.minimum(sums, sums[-1] - sums).clip(1e-12))
+    cost[: max(FEW, len(seeds)) - 1] = np.inf
+    bounded = cost < BOUNDED
+    if bounded.any():
+        first = int(bounded.argmax())
+        length = int((~bounded[first:]).argmax()) or len(rows)
+        best = first + int(cost[first : first + length].argmin())
+    else:
+        best = int(cost.argmin())
+    return rows[order[: best + 1]]
 
 
 def _nearest(surface: SurfaceGraph, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
@@ -158,7 +180,12 @@ def _visits(
 
 
 def _patch_at(
-    surface: SurfaceGraph, splats: Splats, cameras: Cameras, view: str, point: tuple[float, float]
+    surface: SurfaceGraph,
+    splats: Splats,
+    cameras: Cameras,
+    view: str,
+    point: tuple[float, float],
+    size: PickSize,
 ) -> int:
     """The patch that shows most at a pixel."""
     camera = cameras[cameras.index(view)]
@@ -170,9 +197,10 @@ def _patch_at(
             f"Nothing solid shows at {point[0]:g},{point[1]:g} in {view}. Choose another pixel."
         )
     best = int(np.bincount(surface.owners, shown).argmax())
-    if surface.is_background[best]:
+    if size != "part" and surface.is_background[best]:
         raise StyleSplatError(
             f"Background shows at {point[0]:g},{point[1]:g} in {view}: a large plane, or what is "
-            "far away. Point at an object, or pick by shape with --sphere or --box3d."
+            "far away. Point at an object, take what is flat on a plane with --size part, or pick "
+            "by shape with --sphere or --box3d."
         )
     return best

@@ -12,12 +12,13 @@ from functools import lru_cache
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn.functional import pad
 
+from stylesplat.color.lab import lab_from_rgb
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
 from stylesplat.rendering.render import render
@@ -45,6 +46,9 @@ SCATTER, FLAT, THINNEST = 3.0, 1.2, 0.5
 PLANE = 0.15  # share of what shows from which a plane is background; the demo's table has .35
 UPRIGHT, ALONG = 0.9, 0.8  # cosines of normals to a plane's that fit it, in candidates and planes
 SAMPLE, TRIES = 4000, 200  # points and candidates to find a plane
+# Differences of colours (CIELAB) and normals that divide pieces of a surface, rounds of mean shift,
+# and how fast their connections weaken
+SHADE, BEND, SHIFTS, EDGES = 5.0, 0.7, 10, 6.0
 UNSEEN = 0.02  # pixels in all views; a Gaussian that contributes less is placed by its centre
 
 
@@ -75,13 +79,34 @@ class SurfaceGraph:
     is_background: Bool[np.ndarray, " K"]
     """Large planes, and patches that touch hardly any other."""
 
-    def connections(self, fold: float, color: float) -> csr_array:
-        """How strongly patches are connected, 1 at most."""
+    def connections(self, fold: float) -> csr_array:
+        """How strongly patches are connected, 1 at most: weakly across concave folds."""
         ends = self.touching.T
         strengths = connection_strengths(
-            self.points[ends], self.colors[ends], self.normals[ends], fold=fold, color=color
+            self.points[ends], self.colors[ends], self.normals[ends], fold=fold, color=0.0
         )
         return symmetric(strengths, self.touching, len(self.points))
+
+    def pieces(self) -> csr_array:
+        """How strongly patches are connected that are alike, 1 at most.
+
+        Mean shift over patches that touch flattens shades and textures, and sharpens edges of
+        colours and folds (Comaniciu, Meer: Mean shift, PAMI 2002).
+        """
+        lab = lab_from_rgb(torch.from_numpy(self.colors)).numpy()
+        looks = np.hstack([lab / SHADE, self.normals / BEND])
+        count = len(looks)
+        for _ in range(SHIFTS):
+            near = np.exp(-self._differences(looks))
+            weights = symmetric(near, self.touching, count) + eye_array(count)
+            looks = (weights @ looks) / weights.sum(axis=1)[:, None]
+        strengths = np.exp(-EDGES * self._differences(looks)) + 1e-6
+        return symmetric(strengths, self.touching, count)
+
+    def _differences(self, looks: Float[np.ndarray, "K D"]) -> Float[np.ndarray, " P"]:
+        """Squared distances of patches that touch."""
+        one, other = self.touching.T
+        return ((looks[one] - looks[other]) ** 2).sum(axis=1)
 
 
 def connection_strengths(
