@@ -13,7 +13,7 @@ from stylesplat.demo import doctor as module
 from stylesplat.demo.doctor import SelfTest, doctor, gsplat_state
 from stylesplat.rendering.render import render as real_render
 
-TINY = SelfTest(photos=3, gaussians=600, train_steps=40, paint_steps=6, object_size=60, renders=1)
+TINY = SelfTest(photos=3, gaussians=500, train_steps=25, paint_steps=4, object_size=60, renders=1)
 pytestmark = pytest.mark.usefixtures("quick_painting")
 REPORT = {
     "versions": {"stylesplat": "1", "python": "3", "torch": "2", "numba": "0", "gsplat": None},
