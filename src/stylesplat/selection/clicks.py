@@ -12,10 +12,9 @@ from collections.abc import Iterable
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array, diags_array
+from jaxtyping import Bool, Int
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -25,10 +24,10 @@ from stylesplat.scene.arguments import PickSize, check_point
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
+from stylesplat.selection.random_walks import sweep, two_sided, visits
 from stylesplat.selection.surface_graph import SurfaceGraph, surface_of, symmetric
 
 FOLD = 8.0  # how fast connections weaken across folds
-ENDS = 1e-5  # probability with which a walk ends at a step
 NEAREST = 40_000  # patches around the clicks; farther ones are background
 # Cut connections over the root of the smaller side's, below which two objects touch: 0.1 on the
 # demo, where the weakest cuts through single objects have 1.3 and more, and 2.4 through the fox.
@@ -37,7 +36,6 @@ WEAK = 1.0
 # to 0.17 from seven clicks, smaller pieces of it 0.29 and more.
 BOUNDED = 0.2
 FEW = 20  # patches that a piece has at least
-SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
 
 
 def pick_clicked(
@@ -95,18 +93,18 @@ def _cut(
     """The patches of the seeds among connected ones, without those of the rivals."""
     if len(rivals):
         inside, sums = graph[rows][:, rows], graph.sum(axis=1)[rows]
-        mine, theirs = (_visits(inside, np.isin(rows, each), sums) for each in (seeds, rivals))
+        mine, theirs = (visits(inside, np.isin(rows, each), sums) for each in (seeds, rivals))
         rows = rows[(mine > theirs) | np.isin(rows, seeds)]
     if size == "part":
         return _piece(graph, rows, seeds)
     if size == "object":
-        return _two_sided(graph, _enclosed(graph, rows, seeds), seeds, WEAK)
+        return two_sided(graph, _enclosed(graph, rows, seeds), seeds, WEAK)
     return rows
 
 
 def _piece(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """The smallest set of patches around the seeds that is well bounded."""
-    order, boundary, sums = _sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
+    order, boundary, sums = sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
     cost = boundary / np.sqrt(np.minimum(sums, sums[-1] - sums).clip(1e-12))
     cost[: max(FEW, len(seeds)) - 1] = np.inf
     bounded = cost < BOUNDED
@@ -129,54 +127,9 @@ def _nearest(surface: SurfaceGraph, rows: np.ndarray, seeds: np.ndarray) -> np.n
 
 def _enclosed(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """The patches around the seeds of which the smallest share of connections leads out."""
-    order, boundary, sums = _sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
+    order, boundary, sums = sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
     least = len(seeds) - 1
     return rows[order[: least + 1 + int((boundary / sums)[least:].argmin())]]
-
-
-def _two_sided(graph: csr_array, rows: np.ndarray, seeds: np.ndarray, limit: float) -> np.ndarray:
-    """The patches on the seeds' side of the weakest cut through some; all if none is weak."""
-    order, boundary, sums = _sweep(graph, rows, seeds, graph[rows][:, rows].sum(axis=1))
-    smaller = np.minimum(sums, sums[-1] - sums)
-    cost = boundary / np.sqrt(smaller.clip(1e-12))
-    cost[(smaller < SMALLEST * sums[-1]) | (np.arange(len(rows)) < len(seeds) - 1)] = np.inf
-    best = int(cost.argmin())
-    return rows[order[: best + 1]] if cost[best] < limit else rows
-
-
-def _sweep(
-    graph: csr_array, rows: np.ndarray, seeds: np.ndarray, sums: Float[np.ndarray, " R"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Some patches ordered by visits, and for each the connections that it and those before have.
-
-    Args:
-        graph: Connections of all patches.
-        rows: The patches.
-        seeds: Those that walks start at.
-        sums: The sum of the connections of each; walks end that take those to other patches.
-
-    Returns:
-        The order, the connections that lead out, and all.
-    """
-    inside, seeded = graph[rows][:, rows], np.isin(rows, seeds)
-    order = np.argsort(-_visits(inside, seeded, sums) - seeded * 1e9, kind="stable")
-    ranks = np.empty_like(order)
-    ranks[order] = np.arange(len(order))
-    pairs = inside.tocoo()
-    inner = np.bincount(np.maximum(*(ranks[each] for each in pairs.coords)), pairs.data, len(rows))
-    total = sums[order].cumsum()
-    return order, total - inner.cumsum(), total
-
-
-def _visits(
-    graph: csr_array, seeded: Bool[np.ndarray, " R"], sums: Float[np.ndarray, " R"]
-) -> Float[np.ndarray, " R"]:
-    """Visits of walks from the seeds to each patch, over the sum of its connections."""
-    sums = sums.clip(1e-12)
-    starts = seeded * sums / max((seeded * sums).sum(), 1e-12)
-    system = (diags_array(sums * (1 + ENDS)) - graph).tocsc()
-    options = {"SymmetricMode": True}
-    return splu(system, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve(starts)
 
 
 def _patch_at(

@@ -14,7 +14,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import cg
 from scipy.spatial import Delaunay, KDTree
 from torch import Tensor
 
@@ -24,8 +23,9 @@ from stylesplat.rendering.shares import AT_ONCE, contributed, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import Mask
 from stylesplat.scene.splats import Splats, rgb_from_sh0
+from stylesplat.selection.random_walks import two_sided, visits
 from stylesplat.selection.soft_picks import sampled_views
-from stylesplat.selection.surface_graph import connection_strengths
+from stylesplat.selection.surface_graph import Plane, connection_strengths, find_planes
 
 SEEN = 1.0  # pixels in all sampled views, from which a Gaussian belongs to the surface
 CLUSTERS = 5000
@@ -33,15 +33,11 @@ NEIGHBOURS = 16
 # All lengths are in median distances to the eighth neighbour
 MIDDLE, GAP, LONE = 8, 4.0, 6.0  # farther neighbours do not touch; lone Gaussians are background
 FLAT = 2.0  # half the thickness of a plane
-PLANE = 0.15  # share of what shows from which a plane is background; the demo's table has .35
-SAMPLE, TRIES = 4000, 200  # points and candidates to find a plane
 SPREAD, TINT = 3.0, 3.0  # extent of a cluster; weight of its colours beside its normals
 FOLD, SHARP_FOLD, COLOR = 2.0, 4.0, 3.0  # how fast connections weaken
-ENDS = 1e-4  # probability with which a walk ends at a step
 # Cut connections over the root of the smaller side's, below which an object ends. Two touching
 # objects of the demo have 0.1, the weakest cuts through its single ones 2 to 9.
 WEAK = 1.0
-SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
 SURE, OTHER = 0.9, 0.5  # shares of a cluster's pixels in masks, and outside, that make it a seed
 STRAY = 0.2  # of the seeds in the part that has most: a part with fewer is no part of the object
 # Where an object stands, in gaps over the plane. On the demo a table's own Gaussians reach 0.6, and
@@ -62,8 +58,7 @@ class ClusterGraph:
     """The number of pairs of neighbours of two clusters."""
     gap: float
     """The median distance to the eighth neighbour, the unit of lengths."""
-    planes: Sequence[tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]]
-    """A point and the normal of each large plane."""
+    planes: Sequence[Plane]
 
     def connections(self, fold: float, color: float) -> csr_array:
         """How strongly clusters are connected."""
@@ -91,7 +86,10 @@ def cluster_graph(splats: Splats, cameras: Cameras) -> ClusterGraph:
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][:, :, 0]
     normals *= np.sign((normals * towards[rows]).sum(axis=1))[:, None]
-    flat, planes = _planes(points / gap, normals, weights, rng)
+    planes = find_planes(points, normals, weights, FLAT * gap, rng)
+    flat = np.zeros(len(points), bool)
+    for plane in planes:
+        flat |= np.abs(plane.heights(points)) < FLAT * gap
     own = np.flatnonzero(~flat & (distances[:, MIDDLE] <= LONE * gap))
     cluster = np.full(len(rows), -1)
     features = np.hstack([points / (SPREAD * gap), TINT * colors, normals])[own]
@@ -105,7 +103,6 @@ def cluster_graph(splats: Splats, cameras: Cameras) -> ClusterGraph:
     pairs = coo_array((np.ones(touch.sum()), (one[touch], other[touch])), (count, count)).tocsr()
     owners = cluster[np.asarray(KDTree(points).query(means, workers=-1)[1])]
     touching = csr_array(pairs + pairs.T)
-    planes = [(centre * gap, normal) for centre, normal in planes]
     middles = member @ points, member @ colors, member @ normals
     return ClusterGraph(owners, *middles, touching, gap, planes)
 
@@ -120,35 +117,6 @@ def _seen(splats: Splats, cameras: Sequence[Cameras]) -> tuple[np.ndarray, np.nd
         towards += part[:, None] * rays / rays.norm(dim=1, keepdim=True).clamp(min=1e-12)
         seen += part
     return seen.double().numpy(), towards.double().numpy()
-
-
-def _planes(
-    points: Float[np.ndarray, "M 3"],
-    normals: Float[np.ndarray, "M 3"],
-    weights: Float[np.ndarray, " M"],
-    rng: np.random.Generator,
-) -> tuple[Bool[np.ndarray, " M"], list[tuple[np.ndarray, np.ndarray]]]:
-    """Which points lie on large planes, and these, by RANSAC; lengths are in gaps."""
-    free, planes = np.ones(len(points), bool), []
-    while weights[free].sum() >= PLANE * weights.sum():
-        rows = np.flatnonzero(free)
-        some, tries = rng.choice(rows, SAMPLE), rng.choice(rows, TRIES)
-        offsets = (points[tries] * normals[tries]).sum(axis=1)
-        near = np.abs(points[some] @ normals[tries].T - offsets) < FLAT
-        along = np.abs(normals[some] @ normals[tries].T) > 0.9
-        best = tries[(weights[some] @ (near & along)).argmax()]
-        centre, normal, on = points[best], normals[best], free
-        for _ in range(3):
-            on = free & (np.abs((points - centre) @ normal) < FLAT)
-            on &= np.abs(normals @ normal) > 0.8
-            if weights[on].sum() < PLANE * weights.sum():
-                return ~free, planes
-            centre = np.average(points[on], axis=0, weights=weights[on])
-            away = points[on] - centre
-            normal = np.linalg.eigh((away * weights[on, None]).T @ away)[1][:, 0]
-        free &= np.abs((points - centre) @ normal) >= FLAT
-        planes.append((centre, normal))
-    return ~free, planes
 
 
 def _clusters(
@@ -207,14 +175,14 @@ def _with_feet(
     hulls of its feet, and above the plane.
     """
     found = picked.copy()
-    for centre, normal in surface.planes if picked.any() else ():
-        heights = (means - centre) @ normal / surface.gap
+    for plane in surface.planes if picked.any() else ():
+        heights = plane.heights(means) / surface.gap
         heights *= np.sign(np.median(heights[picked]))
         low = picked & (np.abs(heights) < FOOT)
         slab = np.flatnonzero((surface.owners < 0) & (heights > FOOTING) & (heights < FLAT))
         if not (low.any() and len(slab)):
             continue
-        flat = means @ np.linalg.svd(normal[None])[2][1:].T
+        flat = means @ np.linalg.svd(plane.normal[None])[2][1:].T
         near = KDTree(flat[low]).query_pairs(GAP * surface.gap, output_type="ndarray").T
         touching = coo_array((np.ones(near.shape[1]), tuple(near)), (low.sum(), low.sum()))
         feet = connected_components(touching, directed=False)[1]
@@ -232,33 +200,8 @@ def _cut(
     """The clusters of the seeds among connected ones, without those of the rivals."""
     sharp, soft = (surface.connections(SHARP_FOLD, COLOR), surface.connections(FOLD, 0.0))
     if len(rivals):
-        mine, theirs = (_visits(sharp[rows][:, rows], np.isin(rows, s)) for s in (seeds, rivals))
+        inside = sharp[rows][:, rows]
+        sums = inside.sum(axis=1)
+        mine, theirs = (visits(inside, np.isin(rows, each), sums) for each in (seeds, rivals))
         rows = rows[(mine > theirs) | np.isin(rows, seeds)]
-    return _weakest(soft, rows, seeds, WEAK)
-
-
-def _weakest(
-    connections: csr_array, rows: np.ndarray, seeds: np.ndarray, limit: float
-) -> np.ndarray:
-    """The clusters around the seeds up to the weakest cut; all of them if none is weak."""
-    graph, seeded = connections[rows][:, rows], np.isin(rows, seeds)
-    order = np.argsort(-_visits(graph, seeded) - seeded * 1e9, kind="stable")
-    ranks = np.empty_like(order)
-    ranks[order] = np.arange(len(order))
-    pairs = graph.tocoo()
-    inner = np.bincount(np.maximum(*(ranks[each] for each in pairs.coords)), pairs.data, len(rows))
-    sums = graph.sum(axis=1)[order].cumsum()
-    smaller = np.minimum(sums, sums[-1] - sums)
-    cost = (sums - inner.cumsum()) / np.sqrt(smaller.clip(1e-12))
-    cost[(smaller < SMALLEST * sums[-1]) | (np.arange(len(rows)) < seeded.sum() - 1)] = np.inf
-    best = int(cost.argmin())
-    return rows[order[: best + 1]] if cost[best] < limit else rows
-
-
-def _visits(graph: csr_array, seeded: Bool[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
-    """Visits of walks from the seeds to each cluster, over the sum of its connections."""
-    sums = graph.sum(axis=1).clip(1e-12)
-    damped = sums * (1 + ENDS)
-    starts = seeded * sums / max((seeded * sums).sum(), 1e-12)
-    system = csr_array(diags_array(damped) - graph)
-    return cg(system, starts, rtol=1e-6, maxiter=2000, M=diags_array(1 / damped))[0]
+    return two_sided(soft, rows, seeds, WEAK)

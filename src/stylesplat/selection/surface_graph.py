@@ -155,7 +155,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     beside = symmetric(np.ones(len(touching)), touching, len(points))
     normals = normals + beside @ normals
     normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-12)
-    planes = _planes(points, normals, weights, FLAT * edge, np.random.default_rng(0))
+    planes = find_planes(points, normals, weights, FLAT * edge, np.random.default_rng(0))
     flat = np.zeros(len(points), bool)
     for plane in planes:
         flat |= np.abs(plane.heights(points)) < plane.thickness
@@ -220,7 +220,7 @@ def _patches(
     return [counts[enough].astype(float), *(mean[enough] for mean in means)]
 
 
-def _planes(
+def find_planes(
     points: Float[np.ndarray, "K 3"],
     normals: Float[np.ndarray, "K 3"],
     weights: Float[np.ndarray, " K"],
