@@ -146,7 +146,7 @@ def lay_canvas(
     means, normals = project_to_planes(points, normals, rows)
     own = mask.nonzero()[:, 0]
     tree = KDTree(splats.means[own].double().cpu().numpy())
-    _, nearest = tree.query(means.double().cpu().numpy())
+    _, nearest = tree.query(means.double().cpu().numpy(), workers=-1)
     parents = own[torch.from_numpy(nearest).to(own)]
     scales = points.new_tensor([WIDE, WIDE, FLAT]).mul(spacing).log()
     discs = replace(

@@ -87,10 +87,11 @@ def pull_inside(
         beyond = beyond[outside(points[beyond])]
     spare = spare[~torch.isin(spare, beyond)]
     places = points.double().cpu().numpy()
-    far, _ = KDTree(places[kept.cpu().numpy()]).query(places[spare.cpu().numpy()])
+    spares = places[spare.cpu().numpy()]
+    far, _ = KDTree(places[kept.cpu().numpy()]).query(spares, workers=-1)
     far = torch.from_numpy(far).to(points) / size
-    amid = spare[far > HOLE].cpu().numpy()
-    near, _ = KDTree(places[amid]).query(places[spare.cpu().numpy()])
+    amid = (far > HOLE).cpu().numpy()
+    near, _ = KDTree(spares[amid]).query(spares, workers=-1)
     kept[spare] = (far > BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
     return kept
 
