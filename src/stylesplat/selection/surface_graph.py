@@ -16,7 +16,7 @@ from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
-from torch.nn.functional import pad
+from torch.nn.functional import normalize, pad
 
 from stylesplat.color.lab import lab_from_rgb
 from stylesplat.errors import StyleSplatError
@@ -30,7 +30,7 @@ from stylesplat.rendering.shares import (
     without_looks,
 )
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import depths_of
+from stylesplat.scene.projection import depths_of, pixel_centres, unproject
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.soft_picks import sampled_views
 
@@ -189,19 +189,16 @@ def _surface_points(splats: Splats, camera: Cameras) -> tuple[Tensor, ...]:
     )
     alphas, (width, height) = alphas[..., 0], camera.size
     depths = image[..., 3] / alphas.clamp(min=TINY_COVERAGE)
-    (fx, _, cx), (_, fy, cy), _ = camera.Ks[0].tolist()
-    y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
-    rays = torch.stack([(x - cx) / fx, (y - cy) / fy, torch.ones_like(x)], dim=-1)
-    points = rays * depths[..., None]
+    points = unproject(pixel_centres(width, height), depths.flatten(), camera)
+    points = points.unflatten(0, (height, width))
+    rays = normalize(points - camera.positions, dim=-1)
     normals = torch.zeros_like(points)
     down, right = points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2]
-    normals[1:-1, 1:-1] = torch.nn.functional.normalize(torch.linalg.cross(right, down), dim=-1)
-    facing = -(normals * rays).sum(dim=-1) / rays.norm(dim=-1)
+    normals[1:-1, 1:-1] = normalize(torch.linalg.cross(right, down), dim=-1)
+    facing = -(normals * rays).sum(dim=-1)
     normals *= facing.sign()[..., None]
     valid = (alphas > COVERED) & (facing.abs() > GRAZING)
-    rotation, shift = camera.viewmats[0, :3, :3], camera.viewmats[0, :3, 3]
-    points, normals = (points - shift) @ rotation, normals @ rotation
-    return points, valid, image[..., :3].clamp(0, 1), normals, depths / fx
+    return points, valid, image[..., :3].clamp(0, 1), normals, depths / camera.Ks[0, 0, 0]
 
 
 def _patches(
