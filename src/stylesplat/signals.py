@@ -4,6 +4,7 @@ import _thread
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -106,8 +107,11 @@ def _try_again(number: int) -> None:
     """Repeat a signal a moment later: the alarm also wakes a process that sleeps."""
     if signal.getsignal(number) is signal.SIG_IGN:
         return
+    main = threading.main_thread()
     if sys.platform == "win32":
         _thread.interrupt_main(signal.Signals(number))
+    elif threading.current_thread() is not main:  # where Python sets no handler
+        signal.pthread_kill(main.ident or 0, number)
     else:
         signal.signal(signal.SIGALRM, lambda *_: _thread.interrupt_main(signal.Signals(number)))
         signal.setitimer(signal.ITIMER_REAL, AGAIN)

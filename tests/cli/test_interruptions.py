@@ -158,6 +158,23 @@ except KeyboardInterrupt as error:
     print(type(error).__name__)
 """
 
+DROPPED_ELSEWHERE = f"""{TAKE}import threading
+import stylesplat.cli.arguments
+take_signals()
+kept = []
+try:
+    try:
+        signal.raise_signal(signal.SIGTERM)
+    except BaseException as error:
+        kept.append(error.with_traceback(None))
+    thread = threading.Timer(0.2, kept.clear)
+    thread.start()
+    time.sleep(99)
+except KeyboardInterrupt as error:
+    mark_handled(error)
+    print(type(error).__name__)
+"""
+
 TWICE = f"""{TAKE}take_signals()
 try:
     try:
@@ -203,6 +220,7 @@ TAKEN_BY_OTHERS = LOADING.replace("SIGINT", "SIGTERM").replace(
         pytest.param(TAKEN_BY_OTHERS, 0, "loaded\nraised\n", id="while a library takes signals"),
         pytest.param(IN_A_DEL, 0, "Terminated\n", id="where Python cannot raise"),
         pytest.param(SWALLOWED, 0, "swallowed\nTerminated\n", id="swallowed by a library"),
+        pytest.param(DROPPED_ELSEWHERE, 0, "Terminated\n", id="dropped in a thread"),
         pytest.param(TWICE, 0, "cleaned up\nraised\n", id="twice"),
         pytest.param(IGNORED, 0, "goes on\n", id="ignored"),
         pytest.param(LOADING, 0, "loaded\nraised\n", id="while a module is loaded"),
