@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numba import get_num_threads, prange
 
-from stylesplat.rendering.kernels.jit import kernel
+from stylesplat.rendering.kernels.jit import inner, kernel
 from stylesplat.scene.cameras import Cameras
 
 NEAR = 1e-6  # depth in front of which nothing is drawn
@@ -95,3 +95,13 @@ def _draw(corners, faces, shown, weights, depths, bands):
                         weights[row, column, 0] = p * depth
                         weights[row, column, 1] = q * depth
                         weights[row, column, 2] = r * depth
+
+
+@no_type_check
+@inner
+def pixel_of(matrix, x, y, z):
+    """Where a point lies in an image, and its depth; pixel centres lie at +0.5."""
+    w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
+    u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w
+    v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w
+    return u, v, w

@@ -1,8 +1,8 @@
 """Vertices moved to where the views agree: multi-view stereo on the renders of a splat.
 
 A point of the true surface has one colour in all views, but for gloss. The mean depth of soft
-Gaussians may lie beside it, and the texture would blur there. All vertices near each other move
-alike, so that faces rarely cut each other.
+Gaussians may lie beside it, and the texture would blur there; fur would be thin along outlines.
+All vertices near each other move alike, so that faces rarely cut each other.
 """
 
 from dataclasses import replace
@@ -14,10 +14,11 @@ from jaxtyping import Float
 from numba import prange
 from scipy.sparse import csr_array, diags_array
 
-from stylesplat.meshes.rasterize import draw_mesh
+from stylesplat.meshes.rasterize import draw_mesh, pixel_of
 from stylesplat.meshes.surface import MeshViews, Surface, face_normals, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
+from stylesplat.rendering.shares import COVERED, without_looks
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import per_view
 
@@ -27,17 +28,31 @@ PLACES = ((4, 1, 1), (1, 4, 1), (1, 1, 4), (2, 2, 2))  # samples of a face, in s
 HIDDEN = 0.005  # of the extent: what lies farther behind the depth buffer is hidden
 LEAST_COSINE = 0.3  # between normal and ray: below it a pixel is too long on the surface
 OPAQUE = 0.9  # coverage below which a pixel's colour is not the object's alone
+REACH = 12  # pixels by which an outline may be beside the mesh's
+RIM = 4  # pixels within which the mesh has to end, for a vertex to be at its outline
 LEAST_TURN = 0.7  # cosine between a face before and after
 TINY_MOVE = 1e-5  # of the extent: shorter moves are none
 STAY = 5e-4  # variance of colours that moving by an edge has to save: plain parts stay
 COMMON, EVEN = 4, 5  # edges over which costs, and shifts, are averaged
+OUTLINES = 3  # edges over which gaps at outlines, and shifts for them, are averaged
+FACING, FEW = 0.3, 0.1  # weights of views that show a vertex from the front, and of no shift
 
 
 @torch.no_grad()
 def refine(surface: Surface, splats: Splats, views: MeshViews) -> Surface:
-    """Move vertices along their normals to where the trusted views agree most about colours."""
+    """Move vertices along their normals.
+
+    By turns to where the trusted views agree most about colours, and to the outlines in them.
+    """
+    shape, rows = without_looks(splats), views.trusted.nonzero()[0].tolist()
+
+    def look(row: int) -> np.ndarray:
+        return (render(shape, views.cameras[row])[1][..., 0] > COVERED).numpy()
+
+    outlines = [*per_view(look, rows, "looking for outlines")]
     for step in STEPS:
         surface = _moved(surface, splats, views, step)
+        surface = _moved_to_outlines(surface, outlines, views)
     return surface
 
 
@@ -64,8 +79,34 @@ def _moved(surface: Surface, splats: Splats, views: MeshViews, step: float) -> S
     variances = costs / np.maximum(weights, 1e-6) + STAY * np.square(step * np.array(OFFSETS))
     shifts = offsets[variances.argmin(axis=1)]
     shifts[weights.min(axis=1) < 1e-3] = 0
-    along = normals.astype(float)
-    for _ in range(EVEN):
+    return _shifted(surface, shifts, around, EVEN)
+
+
+def _moved_to_outlines(surface: Surface, outlines: list[np.ndarray], views: MeshViews) -> Surface:
+    """Vertices at an outline of the mesh moved to the splat's, less if other views show them."""
+    vertices, faces, normals = surface.vertices, surface.faces, vertex_normals(surface)
+    margin = HIDDEN * float(np.ptp(vertices, axis=0).max())
+    sums = np.zeros((len(vertices), 3), np.float32)
+    for row, shown in zip(views.trusted.nonzero()[0].tolist(), outlines, strict=True):
+        camera = views.cameras[row]
+        depths = draw_mesh(vertices, faces, camera).depths
+        matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
+        place = matrix, camera.positions[0].double().numpy(), float(camera.Ks[0, 0, 0])
+        _add_gaps(vertices, normals, shown, *place, depths, margin, sums)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    around = _averaging(edges, len(vertices))
+    for _ in range(OUTLINES):
+        sums = around @ sums
+    gaps, counts, others = sums.T
+    return _shifted(surface, gaps / (counts + FACING * others + FEW), around, OUTLINES)
+
+
+def _shifted(
+    surface: Surface, shifts: Float[np.ndarray, " V"], around: csr_array, times: int
+) -> Surface:
+    """Vertices moved along their normals, all averaged so many times with those around."""
+    along = vertex_normals(surface).astype(float)
+    for _ in range(times):
         shifts, along = around @ shifts, around @ along
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     return replace(surface, vertices=_without_folds(surface, shifts[:, None] * along))
@@ -131,9 +172,7 @@ def _collect(points, directions, offsets, image, matrix, position, depths, margi
     height, width = depths.shape
     for n in prange(points.shape[0]):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
-        u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w
-        v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w
+        u, v, w = pixel_of(matrix, x, y, z)
         if not (w > 0 and u >= 0 and v >= 0 and u < width and v < height):
             continue
         dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
@@ -145,9 +184,8 @@ def _collect(points, directions, offsets, image, matrix, position, depths, margi
             x = points[n, 0] + offsets[k] * directions[n, 0]
             y = points[n, 1] + offsets[k] * directions[n, 1]
             z = points[n, 2] + offsets[k] * directions[n, 2]
-            w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
-            u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w - 0.5
-            v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w - 0.5
+            u, v, w = pixel_of(matrix, x, y, z)
+            u, v = u - 0.5, v - 0.5
             if not (w > 0 and u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
                 continue
             column, row = int(u), int(v)
@@ -167,3 +205,41 @@ def _collect(points, directions, offsets, image, matrix, position, depths, margi
             sums[k, n, 2] += cosine * blue
             sums[k, n, 3] += cosine
             sums[k, n, 4] += cosine * (red * red + green * green + blue * blue)
+
+
+@no_type_check
+@kernel
+def _add_gaps(points, normals, shown, matrix, position, focal, depths, margin, sums):
+    """Add to `sums` how far the outline lies outside the mesh's, by point, and its weights.
+
+    These are the number of views with the point at the mesh's outline, and cosines of other views.
+    """
+    height, width = depths.shape
+    for n in prange(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        u, v, w = pixel_of(matrix, x, y, z)
+        if not (w > 0 and u >= 0 and v >= 0 and u < width and v < height):
+            continue
+        nx, ny, nz = normals[n, 0], normals[n, 1], normals[n, 2]
+        dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
+        cosine = (dx * nx + dy * ny + dz * nz) / np.sqrt(dx * dx + dy * dy + dz * dz)
+        if cosine < -LEAST_COSINE or depths[int(v), int(u)] < w - margin:
+            continue
+        if cosine > LEAST_COSINE:
+            sums[n, 2] += cosine
+            continue
+        pixel = w / focal
+        right, down, _ = pixel_of(matrix, x + pixel * nx, y + pixel * ny, z + pixel * nz)
+        length = np.sqrt((right - u) ** 2 + (down - v) ** 2)
+        right, down = (right - u) / length, (down - v) / length
+        gap, ends = 0, False
+        for t in range(-REACH, REACH + 1):
+            column, row = int(u + t * right), int(v + t * down)
+            if column < 0 or row < 0 or column >= width or row >= height:
+                continue
+            is_mesh = depths[row, column] < np.inf
+            gap += int(shown[row, column]) - int(is_mesh)
+            ends |= 0 <= t < RIM and not is_mesh
+        if ends:
+            sums[n, 0] += gap * pixel
+            sums[n, 1] += 1

@@ -20,6 +20,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.meshes.rasterize import pixel_of
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.shares import COVERED, expected_depth, without_looks
 from stylesplat.scene.cameras import Cameras, look_at
@@ -161,28 +162,30 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
     shape = tuple(((extent.size + 2 * margin) / voxel).ceil().int().tolist())
     values, weights, support = np.zeros((3, *shape), np.float32)
 
-    def look(row: int) -> tuple[int, Tensor, np.ndarray, int, int]:
+    def look(row: int) -> tuple[int, Tensor, np.ndarray, np.ndarray, int, int]:
         camera, trusted = views.cameras[row], bool(views.trusted[row])
         depth, covered = surface_depth(alone, camera, side)
         cosines = cosines_of(depth, camera)
         shown = (covered >= (COVERED if trusted else EMPTY)).numpy()
-        outside = 0.5 - np.asarray(distance_transform_edt(~shown), np.float32)  # below 0
-        kinds = torch.where((cosines > LEAST_COSINE) & trusted, cosines, 0.0).numpy()
-        kinds = np.where(shown, kinds, outside)
-        return row, depth, kinds, int((covered > FAINT).sum()), int((covered > COVERED).sum())
+        inside = np.asarray(distance_transform_edt(shown), np.float32) - 0.5
+        outside = np.asarray(distance_transform_edt(~shown), np.float32) - 0.5
+        edges = np.where(shown, inside if trusted else 0, -outside)
+        cosines = torch.where((cosines > LEAST_COSINE) & trusted, cosines, 0.0).numpy()
+        solid = int((covered > COVERED).sum())
+        return row, depth, cosines, edges, int((covered > FAINT).sum()), solid
 
     every = [*per_view(look, range(len(views.cameras)), "looking for the surface")]
-    shown, solid = (sum(each[place] for each in every) for place in (3, 4))
+    shown, solid = (sum(each[place] for each in every) for place in (4, 5))
     if solid < SOLID * shown:
         raise StyleSplatError(
             f"{name} has no surface to make a mesh of: one can see through {1 - solid / shown:.0%} "
             "of it. Export its splats."
         )
-    for row, depth, kinds, *_ in every:
+    for row, depth, cosines, edges, *_ in every:
         camera = views.cameras[row]
         matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
         place = low, voxel, TRUNCATION * voxel, float(camera.Ks[0, 0, 0])
-        _fuse(depth.numpy(), kinds, matrix, *place, values, weights, support)
+        _fuse(depth.numpy(), cosines, edges, matrix, *place, values, weights, support)
     field = np.where(weights > 0, values / np.maximum(weights, 1e-6), -1).astype(np.float32)
     field = np.pad(gaussian_filter(field, SMOOTHING), 1, constant_values=1.0)
     vertices, faces, _, _ = marching_cubes(-field, 0.0, gradient_direction="ascent")
@@ -194,8 +197,12 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
 
 @no_type_check
 @kernel
-def _fuse(depth, kinds, matrix, low, voxel, truncation, focal, values, weights, support):
-    """Add to sums what a view shows: cosines, or how many pixels a pixel lies outside, below 0."""
+def _fuse(depth, cosines, edges, matrix, low, voxel, truncation, focal, values, weights, support):
+    """Add to sums what a view shows.
+
+    `edges` are pixels to the outline, below 0 outside: near it voxels count by their distance from
+    it, on both sides alike.
+    """
     height, width = depth.shape
     for i in prange(values.shape[0]):
         for j in range(values.shape[1]):
@@ -203,23 +210,19 @@ def _fuse(depth, kinds, matrix, low, voxel, truncation, focal, values, weights, 
                 x = low[0] + (i + 0.5) * voxel
                 y = low[1] + (j + 0.5) * voxel
                 z = low[2] + (k + 0.5) * voxel
-                w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
-                u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w
-                v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w
+                u, v, w = pixel_of(matrix, x, y, z)
                 if u < 0 or v < 0 or u >= width or v >= height:
                     continue
                 px, py = int(u), int(v)
-                kind = kinds[py, px]
-                if kind == 0:
-                    continue
-                if kind < 0:
-                    values[i, j, k] += min(-kind * w / (focal * truncation), 1.0)
+                edge = edges[py, px] * w / (focal * truncation)
+                apart, cosine = (depth[py, px] - w) / truncation, cosines[py, px]
+                if edge < 0 or (0 < edge < 1 and abs(apart) < 1):
+                    values[i, j, k] += min(-edge, 1.0)
                     weights[i, j, k] += 1.0
+                distance = apart * cosine
+                if edge < 0 or cosine == 0 or distance < -1:
                     continue
-                distance = (depth[py, px] - w) * kind / truncation
-                if distance < -1:
-                    continue
-                share = kind * kind
+                share = cosine * cosine
                 values[i, j, k] += share * min(distance, 1.0)
                 weights[i, j, k] += share
                 if distance < 1:

@@ -11,7 +11,7 @@ from numba import prange
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
-from stylesplat.meshes.rasterize import NOTHING, Fragments, draw_mesh, draw_triangles
+from stylesplat.meshes.rasterize import NOTHING, Fragments, draw_mesh, draw_triangles, pixel_of
 from stylesplat.meshes.surface import MeshViews, Surface, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
@@ -157,9 +157,8 @@ def _gather(points, normals, image, matrix, position, depths, margin, sums):
     height, width = depths.shape
     for n in prange(points.shape[0]):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        w = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
-        u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w - 0.5
-        v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w - 0.5
+        u, v, w = pixel_of(matrix, x, y, z)
+        u, v = u - 0.5, v - 0.5
         if not (w > 0 and u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
             continue
         dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
