@@ -106,7 +106,7 @@ def _piece(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """The smallest set of patches around the seeds that is well bounded."""
     order, boundary, sums = sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
     cost = boundary / np.sqrt(np.minimum(sums, sums[-1] - sums).clip(1e-12))
-    cost[: max(FEW, len(seeds)) - 1] = np.inf
+    cost[: min(max(FEW, len(seeds)), len(rows)) - 1] = np.inf
     bounded = cost < BOUNDED
     if bounded.any():
         first = int(bounded.argmax())
