@@ -101,6 +101,10 @@ def test_a_part_of_a_painted_scene_knows_what_was_before(stack: Path, tmp_path: 
 def test_what_cannot_be_cut_out_is_told(tmp_path: Path):
     with pytest.raises(StyleSplatError, match="no object 'vase'"):
         export(TRAINED, tmp_path / "a.ply", objects=["vase"])
+    red = TRAINED.objects["red"]
+    empty = {**TRAINED.objects, "red": replace(red, picked=torch.zeros_like(red.picked))}
+    with pytest.raises(StyleSplatError, match="red: it has no Gaussians"):
+        export(replace(TRAINED, objects=empty), tmp_path / "a.ply", objects=["red"])
     with pytest.raises(StyleSplatError, match="Nothing is left"):
         export(TRAINED, tmp_path / "a.ply", objects=["red"], without=["both"])
     with pytest.raises(StyleSplatError, match="Splats alone have no objects"):

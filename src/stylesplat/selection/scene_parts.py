@@ -24,6 +24,10 @@ def rows_of_part(
     kept = torch.full((len(scene.splats),), not objects)
     for name in objects:
         kept |= find_object(scene, name).cpu()
+    if not kept.any():
+        raise StyleSplatError(
+            f"Cannot export {', '.join(objects)}: it has no Gaussians. Select it again."
+        )
     for name in without:
         kept &= ~find_object(scene, name).cpu()
     if not kept.any():
