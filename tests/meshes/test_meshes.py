@@ -19,7 +19,7 @@ from stylesplat.meshes.mesh_files import write_mesh
 from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.refine import refine
 from stylesplat.meshes.repaint import repaint
-from stylesplat.meshes.surface import Surface, mesh_views, without_pinches
+from stylesplat.meshes.surface import Surface, find_mesh_surface, mesh_views, without_pinches
 from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
@@ -157,6 +157,14 @@ def test_what_nobody_photographed_is_open(said: list[str]):
     found = merged(make_mesh(BALL, front, SMALL, name="vase"))
     assert not found.is_watertight
     assert any("vase was photographed from one side only" in line for line in said)
+
+
+def test_a_flat_object_is_open_behind_whatever_the_faces():
+    """Its back lies few voxels behind its front."""
+    flat = replace(BALL, means=BALL.means * torch.tensor([0.2, 1.0, 1.0]))
+    front = CAMERAS[[row for row in range(len(CAMERAS)) if CAMERAS[row].positions[0, 0] > 1.5]]
+    few, many = (find_mesh_surface(flat, front, faces, "a coin")[1] for faces in (500, 20_000))
+    assert few > 0.4 and many > 0.4
 
 
 def test_smoke_has_no_surface():

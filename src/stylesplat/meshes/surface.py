@@ -50,6 +50,7 @@ BEHIND = (0.08, 0.03)  # of the extent: what lies farther behind the mean depth 
 LEAST_COSINE = 0.15  # below which depths are too uncertain
 SMOOTHING = 0.7  # voxels
 FAINT, SOLID = 0.1, 0.5  # coverage that shows, and the share of what shows that has to be opaque
+NEAR = 0.02  # of the extent, and a voxel at least: so near to a depth the surface is seen
 LEAST_SEEN = 0.05  # weight of the depths at a vertex: less is a guess
 OPEN = 0.3  # share of the surface: where more is a guess, it is left open
 APART = 0.05  # of the way to their faces' middle: so far vertices that coincide are moved apart
@@ -184,7 +185,8 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
     for row, depth, cosines, edges, *_ in every:
         camera = views.cameras[row]
         matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
-        place = low, voxel, TRUNCATION * voxel, float(camera.Ks[0, 0, 0])
+        near = max(voxel, NEAR * side)
+        place = low, voxel, TRUNCATION * voxel, near, float(camera.Ks[0, 0, 0])
         _fuse(depth.numpy(), cosines, edges, matrix, *place, values, weights, support)
     field = np.where(weights > 0, values / np.maximum(weights, 1e-6), -1).astype(np.float32)
     field = np.pad(gaussian_filter(field, SMOOTHING), 1, constant_values=1.0)
@@ -197,7 +199,9 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
 
 @no_type_check
 @kernel
-def _fuse(depth, cosines, edges, matrix, low, voxel, truncation, focal, values, weights, support):
+def _fuse(
+    depth, cosines, edges, matrix, low, voxel, truncation, near, focal, values, weights, support
+):
     """Add to sums what a view shows.
 
     `edges` are pixels to the outline, below 0 outside: near it voxels count by their distance from
@@ -225,7 +229,7 @@ def _fuse(depth, cosines, edges, matrix, low, voxel, truncation, focal, values, 
                 share = cosine * cosine
                 values[i, j, k] += share * min(distance, 1.0)
                 weights[i, j, k] += share
-                if distance < 1:
+                if abs(distance) * truncation < near:
                     support[i, j, k] += share
 
 
