@@ -82,3 +82,13 @@ def test_masks_of_photos_as_they_were_taken_are_undistorted_once(tmp_path: Path)
     write_label_maps(half, tmp_path / "again")
     again = attached(load(capture, masks=tmp_path / "again"), 0)
     assert (again != made).float().mean() < 0.1, "borders of stripes of eight pixels"
+
+
+@pytest.mark.parametrize(
+    ("id", "fact"), [(0, "nothing but background"), (7, "one object in every pixel")]
+)
+def test_masks_that_tell_nothing_apart(folder: Path, tmp_path: Path, id: int, fact: str):
+    for row in range(3):
+        save_binary(torch.full((HEIGHT, WIDTH), id > 0), tmp_path / "m" / "cup" / f"00{row}.png")
+    with pytest.raises(StyleSplatError, match=fact):
+        mask(load(folder), source=tmp_path / "m")
