@@ -27,6 +27,7 @@ from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import extent_of
 from stylesplat.scene.framing import centred_K
 from stylesplat.scene.projection import (
+    normals_towards,
     pixel_centres,
     project,
     share_in_images,
@@ -34,7 +35,6 @@ from stylesplat.scene.projection import (
 )
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.surface import normals_towards
 from stylesplat.stylization.views import per_view
 
 AROUND = 48  # directions all around

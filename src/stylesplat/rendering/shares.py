@@ -179,6 +179,11 @@ def coverage(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> Flo
     return image[:, :, 3]
 
 
+def full_coverage(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
+    """The opaque share of all Gaussians in each pixel of one camera."""
+    return coverage(splats, camera, torch.ones_like(splats.opacities, dtype=torch.bool))
+
+
 @torch.no_grad()
 def colors_and_coverage(
     splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]

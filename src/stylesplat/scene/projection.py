@@ -6,6 +6,7 @@ from dataclasses import replace
 import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor
+from torch.nn import functional as F
 
 from stylesplat.scene.cameras import Cameras
 
@@ -49,6 +50,18 @@ def pixel_centres(width: int, height: int) -> Float[Tensor, "P 2"]:
     """The centres, x and y, of all pixels of an image, row by row."""
     x, y = torch.arange(width) + 0.5, torch.arange(height) + 0.5
     return torch.cartesian_prod(y, x).flip(1)
+
+
+def normals_towards(
+    points: Float[Tensor, "H W 3"], origin: Float[Tensor, "1 3"]
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:
+    """Normals towards a camera from neighbouring pixels' points, and their cosines to the rays."""
+    padded = F.pad(points.permute(2, 0, 1)[None], (1, 1, 1, 1), mode="replicate")[0]
+    along = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
+    down = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
+    normals = F.normalize(torch.linalg.cross(along, down, dim=0), dim=0).permute(1, 2, 0)
+    facing = (normals * F.normalize(origin - points, dim=2)).sum(dim=2)
+    return normals * facing.sign()[..., None], facing.abs()
 
 
 def crop(

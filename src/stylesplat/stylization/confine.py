@@ -13,14 +13,13 @@ from torch import Tensor
 from stylesplat.color.lab import LUMA
 from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.reference import rotation_matrices
-from stylesplat.rendering.shares import COVERED, coverage, without_looks
+from stylesplat.rendering.shares import COVERED, coverage, full_coverage, without_looks
 from stylesplat.rendering.visibility import pixel_bounds, touching
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, fade_hidden, fill_holes
-from stylesplat.stylization.surface import full_coverage
 from stylesplat.stylization.views import Box, per_view
 
 VIEWS = 24  # that are checked: discs lie on the very outline of the object

@@ -11,9 +11,15 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import COVERED, TINY_COVERAGE, coverage, without_looks
+from stylesplat.rendering.shares import COVERED, TINY_COVERAGE, full_coverage, without_looks
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import depths_of, pixel_centres, project, unproject
+from stylesplat.scene.projection import (
+    depths_of,
+    normals_towards,
+    pixel_centres,
+    project,
+    unproject,
+)
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.shapes import extent
 from stylesplat.stylization.views import Box, box_cameras, per_view
@@ -71,11 +77,10 @@ def pull_inside(
     size: float,
     outside: Callable[[Float[Tensor, "Q 3"]], Bool[Tensor, " Q"]],
 ) -> Bool[Tensor, " P"]:
-    """Move points that lie outside inwards, in place, where there would be a hole otherwise.
+    """Find the surface's points; those outside move inwards, in place, where they fill a hole.
 
     Depths are less exact than silhouettes: of a flat side that some views see along it, no point
-    may lie inside. Points that are not solid stay only in holes, too. The size is that of a pixel.
-    Returns which points belong to the surface, none if there are no others.
+    may lie inside. What is not solid fills holes of what is, too. The size is that of a pixel.
     """
     beyond = outside(points)
     kept = solid & ~beyond
@@ -94,11 +99,6 @@ def pull_inside(
     near, _ = KDTree(spares[amid]).query(spares, workers=-1)
     kept[spare] = (far > BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
     return kept
-
-
-def full_coverage(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
-    """The opaque share of all Gaussians in each pixel of one camera."""
-    return coverage(splats, camera, torch.ones_like(splats.opacities, dtype=torch.bool))
 
 
 def _points_of_view(
@@ -138,18 +138,6 @@ def _look_up(
     inside = ((pixels >= 0) & (pixels < size)).all(dim=1) & (depths > 0)
     x, y = pixels[inside].long().unbind(1)
     return inside, values[y, x]
-
-
-def normals_towards(
-    points: Float[Tensor, "H W 3"], origin: Float[Tensor, "1 3"]
-) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:
-    """Normals towards a camera from neighbouring pixels' points, and their cosines to the rays."""
-    padded = F.pad(points.permute(2, 0, 1)[None], (1, 1, 1, 1), mode="replicate")[0]
-    along = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
-    down = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
-    normals = F.normalize(torch.linalg.cross(along, down, dim=0), dim=0).permute(1, 2, 0)
-    facing = (normals * F.normalize(origin - points, dim=2)).sum(dim=2)
-    return normals * facing.sign()[..., None], facing.abs()
 
 
 def pool_points(
