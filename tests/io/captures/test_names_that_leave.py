@@ -42,7 +42,7 @@ def rename(folder: Path, name: str) -> None:
 
 
 def masks_for(folder: Path, stem: str) -> Path:
-    write_label_map(torch.ones(HEIGHT, WIDTH, dtype=torch.int64), folder / f"{stem}.png")
+    write_label_map(torch.eye(HEIGHT, WIDTH, dtype=torch.int64), folder / f"{stem}.png")
     return folder
 
 
