@@ -16,7 +16,7 @@ TAKEN = (signal.SIGINT, signal.SIGTERM)
 PATIENCE = 2.0  # seconds after a signal in which others are ignored, so that clean-up goes on
 AGAIN = 0.05  # seconds until a signal is tried again
 FIRST = "stylesplat.cli.arguments"  # a module that is loaded before a verb writes anything
-WHOLE_ONLY = (  # what crashes if it is interrupted: modules that are loaded, kernels compiled
+UNINTERRUPTED = (  # what crashes if it is interrupted: modules that are loaded, kernels compiled
     "importlib._bootstrap",
     "numba.core.compiler_lock",
 )
@@ -50,7 +50,7 @@ def take_signals() -> None:
     for number in TAKEN:
         if signal.getsignal(number) not in (signal.SIG_IGN, None):
             signal.signal(number, _interrupt)
-    sys.unraisablehook = _without_interruptions
+    sys.unraisablehook = _report_unraisable
 
 
 def ignore_signals() -> None:
@@ -92,7 +92,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     if time.monotonic() - _last_signal[0] < PATIENCE:
         return
     kind = Terminated if number == signal.SIGTERM else Interrupted
-    while frame and frame.f_globals.get("__name__") not in WHOLE_ONLY:
+    while frame and frame.f_globals.get("__name__") not in UNINTERRUPTED:
         frame = frame.f_back
     if frame:
         if FIRST not in sys.modules:
@@ -117,7 +117,7 @@ def _try_again(number: int) -> None:
         signal.setitimer(signal.ITIMER_REAL, AGAIN)
 
 
-def _without_interruptions(unraisable: "sys.UnraisableHookArgs") -> None:
+def _report_unraisable(unraisable: "sys.UnraisableHookArgs") -> None:
     """Python cannot raise in a `__del__`, or in what C has called; an interruption comes again."""
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)

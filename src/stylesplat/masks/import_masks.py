@@ -13,7 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.kinds import kind_of
 from stylesplat.io.label_maps import DrawnLabels, read_label_map
 from stylesplat.masks.coco import decode_rle, read_coco, rle_size
-from stylesplat.scene.labels import MAX_ID, Labels, Mask, ids_of
+from stylesplat.scene.labels import BACKGROUND, MAX_ID, Labels, Mask, OwnLabels, ids_of
 
 SAMPLED = 3  # masks of an object that tell whether they are binary
 
@@ -56,6 +56,17 @@ def import_label_maps(source: Path, names: Sequence[str]) -> ImportedMasks:
             f"{_without_suffix(names[0])}.png."
         )
     return found
+
+
+def refuse_plain(maps: Iterable[OwnLabels | None], whose: str, remedy: str) -> None:
+    """Refuse label maps that tell nothing apart; `whose` and `remedy` begin and end the message."""
+    shown = set[int]()
+    for labels in maps:
+        shown |= ids_of(labels)
+        if len(shown) > 1:
+            return
+    what = "nothing but background" if shown <= {BACKGROUND} else "one object in every pixel"
+    raise StyleSplatError(f"{whose} show {what}. {remedy}")
 
 
 def check_mask_source(source: Path) -> None:

@@ -97,6 +97,11 @@ def _draw(corners, faces, shown, weights, depths, bands):
                         weights[row, column, 2] = r * depth
 
 
+def projection_of(camera: Cameras) -> Float[np.ndarray, "3 4"]:
+    """The matrix of one camera that `pixel_of` takes."""
+    return (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
+
+
 @no_type_check
 @inner
 def pixel_of(matrix, x, y, z):

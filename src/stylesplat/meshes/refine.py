@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numba import prange
 from scipy.sparse import csr_array, diags_array
 
-from stylesplat.meshes.rasterize import draw_mesh, pixel_of
+from stylesplat.meshes.rasterize import draw_mesh, pixel_of, projection_of
 from stylesplat.meshes.surface import MeshViews, Surface, face_normals, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
@@ -90,8 +90,8 @@ def _moved_to_outlines(surface: Surface, outlines: list[np.ndarray], views: Mesh
     for row, shown in zip(views.trusted.nonzero()[0].tolist(), outlines, strict=True):
         camera = views.cameras[row]
         depths = draw_mesh(vertices, faces, camera).depths
-        matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
-        place = matrix, camera.positions[0].double().numpy(), float(camera.Ks[0, 0, 0])
+        position, focal = camera.positions[0].double().numpy(), float(camera.Ks[0, 0, 0])
+        place = projection_of(camera), position, focal
         _add_gaps(vertices, normals, shown, *place, depths, margin, sums)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     around = _averaging(edges, len(vertices))
@@ -157,8 +157,7 @@ def _disagreement(
     rows = views.trusted.nonzero()[0].tolist()
     for row, image, depths in per_view(look, rows, "refining the surface"):
         camera = views.cameras[row]
-        matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
-        place = matrix, camera.positions[0].double().numpy(), depths, margin
+        place = projection_of(camera), camera.positions[0].double().numpy(), depths, margin
         _collect(points, directions, offsets, image, *place, sums)
     weights = sums[..., 3]
     means = np.square(sums[..., :3]).sum(axis=2) / np.maximum(weights, 1e-6)

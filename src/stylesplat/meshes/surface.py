@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.meshes.rasterize import pixel_of
+from stylesplat.meshes.rasterize import pixel_of, projection_of
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.shares import COVERED, expected_depth, without_looks
 from stylesplat.scene.cameras import Cameras, look_at
@@ -184,7 +184,7 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
         )
     for row, depth, cosines, edges, *_ in every:
         camera = views.cameras[row]
-        matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
+        matrix = projection_of(camera)
         near = max(voxel, NEAR * side)
         place = low, voxel, TRUNCATION * voxel, near, float(camera.Ks[0, 0, 0])
         _fuse(depth.numpy(), cosines, edges, matrix, *place, values, weights, support)

@@ -11,7 +11,14 @@ from numba import prange
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
-from stylesplat.meshes.rasterize import NOTHING, Fragments, draw_mesh, draw_triangles, pixel_of
+from stylesplat.meshes.rasterize import (
+    NOTHING,
+    Fragments,
+    draw_mesh,
+    draw_triangles,
+    pixel_of,
+    projection_of,
+)
 from stylesplat.meshes.surface import MeshViews, Surface, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
@@ -125,7 +132,7 @@ def bake(mesh: TexturedMesh, splats: Splats, views: MeshViews) -> TexturedMesh:
 
     for row, image, depths in per_view(look, range(len(views.cameras)), "rendering the texture"):
         camera = views.cameras[row]
-        matrix = (camera.Ks[0] @ camera.viewmats[0, :3]).double().numpy()
+        matrix = projection_of(camera)
         place = matrix, camera.positions[0].double().numpy(), depths, margin
         _gather(texels.points, texels.normals, image, *place, sums[int(views.trusted[row])])
     guessed, seen = sums

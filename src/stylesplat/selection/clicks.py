@@ -24,7 +24,7 @@ from stylesplat.scene.arguments import PickSize, check_point
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.random_walks import sweep, two_sided, visits
+from stylesplat.selection.random_walks import nearer_to_seeds, sweep, two_sided
 from stylesplat.selection.surface_graph import SurfaceGraph, surface_of, symmetric
 
 FOLD = 8.0  # how fast connections weaken across folds
@@ -92,9 +92,7 @@ def _cut(
 ) -> np.ndarray:
     """The patches of the seeds among connected ones, without those of the rivals."""
     if len(rivals):
-        inside, sums = graph[rows][:, rows], graph.sum(axis=1)[rows]
-        mine, theirs = (visits(inside, np.isin(rows, each), sums) for each in (seeds, rivals))
-        rows = rows[(mine > theirs) | np.isin(rows, seeds)]
+        rows = nearer_to_seeds(graph, rows, seeds, rivals, graph.sum(axis=1)[rows])
     if size == "part":
         return _piece(graph, rows, seeds)
     if size == "object":

@@ -23,7 +23,7 @@ from stylesplat.rendering.shares import AT_ONCE, contributed, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import Mask
 from stylesplat.scene.splats import Splats, rgb_from_sh0
-from stylesplat.selection.random_walks import two_sided, visits
+from stylesplat.selection.random_walks import nearer_to_seeds, two_sided
 from stylesplat.selection.soft_picks import sampled_views
 from stylesplat.selection.surface_graph import Plane, connection_strengths, find_planes
 
@@ -200,8 +200,5 @@ def _cut(
     """The clusters of the seeds among connected ones, without those of the rivals."""
     sharp, soft = (surface.connections(SHARP_FOLD, COLOR), surface.connections(FOLD, 0.0))
     if len(rivals):
-        inside = sharp[rows][:, rows]
-        sums = inside.sum(axis=1)
-        mine, theirs = (visits(inside, np.isin(rows, each), sums) for each in (seeds, rivals))
-        rows = rows[(mine > theirs) | np.isin(rows, seeds)]
+        rows = nearer_to_seeds(sharp, rows, seeds, rivals, sharp[rows][:, rows].sum(axis=1))
     return two_sided(soft, rows, seeds, WEAK)

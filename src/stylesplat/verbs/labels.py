@@ -7,13 +7,12 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, with_drawn_maps
 from stylesplat.io.label_maps import read_names
-from stylesplat.masks.import_masks import import_label_maps
+from stylesplat.masks.import_masks import import_label_maps, refuse_plain
 from stylesplat.masks.quick_splat import rendered_capture
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import with_poses_of
-from stylesplat.scene.labels import BACKGROUND, ids_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import SHAPING
 from stylesplat.selection.identities import object_ids
@@ -55,14 +54,8 @@ def labels(
     capture = masks if isinstance(masks, Capture) else _with_masks(scene, masks)
     training = {*scene.views("train").names}
     rows = [row for row, name in enumerate(capture.cameras.names) if name in training]
-    shown = set[int]().union(
-        *(ids_of(each) for row in rows if (each := capture.labels(row)) is not None)
-    )
-    if len(shown) < 2:
-        what = "nothing but background" if shown <= {BACKGROUND} else "one object in every pixel"
-        raise StyleSplatError(
-            f"The label maps of this scene's training photos show {what}. Check --masks."
-        )
+    maps = map(capture.labels, rows)
+    refuse_plain(maps, "The label maps of this scene's training photos", "Check --masks.")
     small = with_poses_of(at_most(capture.only(rows), WORKING_SIZE), scene.cameras)
     found = relabel(scene, small, add=False, device=place)
     known = object_ids(found.splats)

@@ -10,7 +10,7 @@ from stylesplat.io.captures.capture_folder import with_drawn_maps
 from stylesplat.masks import sam
 from stylesplat.masks.from_boxes import Boxes, Strokes, mask_boxes, refuse_without_box
 from stylesplat.masks.from_model import mask_with_model
-from stylesplat.masks.import_masks import ImportedMasks, check_mask_source, import_label_maps
+from stylesplat.masks.import_masks import check_mask_source, import_label_maps, refuse_plain
 from stylesplat.masks.quick_splat import rendered_capture
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture
@@ -93,26 +93,14 @@ def mask(
     if method == "files":
         assert source is not None
         found = import_label_maps(Path(source), capture.cameras.names)
-        _refuse_plain(found, source)
+        maps = (drawn.read() for drawn in found.maps.values())
+        refuse_plain(maps, f"The masks in {source}", "Make them anew.")
         return with_drawn_maps(capture, found.maps, found.names)
     if method == "grabcut":
         return mask_boxes(capture, **drawn, scene=scene, device=device)
     return mask_with_model(
         capture, method, model=model, scene=scene, device=device, progress=progress
     )
-
-
-def _refuse_plain(found: ImportedMasks, source: Path | str) -> None:
-    """Refuse label maps that tell nothing apart."""
-    values = set[int]()
-    for drawn in found.maps.values():
-        labels = drawn.read()
-        first = int(labels[0, 0])
-        values.add(first)
-        if len(values) > 1 or (labels != first).any():
-            return
-    what = "one object in every pixel" if values.pop() else "nothing but background"
-    raise StyleSplatError(f"The masks in {source} show {what}. Make them anew.")
 
 
 def settled_method(method: Method | None, given: Mapping[str, Any]) -> Method:
