@@ -20,9 +20,9 @@ from stylesplat.stylization.optimize import optimize_colors
 from stylesplat.stylization.views import (
     ObjectView,
     find_boxes,
+    matte_views,
     total_weights,
     typical_length,
-    with_fixed_bands,
 )
 
 CONFIG = StyleConfig(block=2, lr=0.05, form=0.0)
@@ -88,7 +88,7 @@ def test_content_keeps_features_and_form_the_luminance_that_stands_out(
         return sum(extra(measure, view, replace(SCENE, sh0=sh0)) for view in views)
 
     if setting == "content":
-        assert distance(SCENE.sh0) == pytest.approx(0, abs=1e-6)  # bands are fixed with a rounding
+        assert distance(SCENE.sh0) == pytest.approx(0, abs=1e-6)
     free, kept = (distance(optimised(objective, views, **{setting: s})) for s in (0.0, 1.0))
     assert kept < (0.5 if setting == "content" else 0.9) * free
 
@@ -96,13 +96,13 @@ def test_content_keeps_features_and_form_the_luminance_that_stands_out(
 def test_content_and_form_compare_with_the_highlights_that_were_there(
     objective: Objective, views: list[ObjectView]
 ):
-    """Even if they are painted over by then, and views are fixed to that."""
+    """Even if they are painted over by then, and views are matte."""
     content = with_settings(objective, content=1.0, form=1.0)
     matte = replace(SCENE, shN=torch.zeros_like(SCENE.shN))
     for target in content.targets(views, SCENE, None):
         style, free = content(target, matte)
-        _, fixed = content(replace(target, view=with_fixed_bands([target.view], matte)[0]), matte)
-        assert float(fixed) == pytest.approx(float(free), rel=1e-3)
+        _, quick = content(replace(target, view=matte_views([target.view])[0]), matte)
+        assert float(quick) == pytest.approx(float(free), rel=1e-3)
         assert free > style + 1e-4
 
 

@@ -29,8 +29,6 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layer import without_identities
 from stylesplat.scene.splats import SH_C0, Splats
 
-GREY = 0.5  # the colour of zero coefficients
-
 
 @dataclass(frozen=True)
 class Contributions:
@@ -46,8 +44,8 @@ class Contributions:
     """The camera's position: colours depend on the direction."""
     blocks: BlockWeights
     """The weights."""
-    bands: Float[Tensor, "M 3"] | None = None
-    """What the higher bands add to the colours from there, if they are fixed."""
+    is_matte: bool = False
+    """Whether the picked Gaussians have no higher bands."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -68,35 +66,30 @@ class Contributions:
         The splats differ from the scene at most in the colours of the picked Gaussians.
         """
         visible = self.gaussians
-        if self.bands is not None:
-            sh0 = splats.sh0[:, 0].index_select(0, visible)  # quicker than []
-            colors = sh0 * SH_C0 + self.bands
-            return _Compose.apply(colors.relu() if clamp else colors, self)
+        if self.is_matte:
+            colors = splats.sh0[:, 0].index_select(0, visible) * SH_C0 + 0.5  # quicker than []
+            return self.image(colors.relu() if clamp else colors)
         dirs = splats.means[visible] - self.origin
         sh = splats.sh0[visible], splats.shN[visible]
         return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=clamp))
 
-    def with_fixed_bands(
-        self, splats: Splats, varied: Bool[Tensor, " N"] | None = None
-    ) -> "Contributions":
-        """The same for splats that differ from these at most in `sh0`, which is quicker.
-
-        `varied` are Gaussians whose higher bands are not all 0; None if that is unknown.
-        """
-        visible, bands = self.gaussians, splats.means.new_full((len(self.gaussians), 3), GREY)
-        places = torch.arange(len(visible)) if varied is None else varied[visible].nonzero()[:, 0]
-        rows = visible[places]
-        dirs = splats.means[rows] - self.origin
-        sh = torch.zeros_like(splats.sh0[rows]), splats.shN[rows]
-        colors = cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=False)
-        return replace(self, bands=bands.index_copy(0, places, colors))
+    def as_matte(self) -> "Contributions":
+        """The same for picked Gaussians without higher bands, which is quicker."""
+        return replace(self, is_matte=True)
 
     def weights(self, pixels: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, " M"]:
         """Each Gaussian's contribution to some pixels, or to all: column sums of the weights."""
         counted = torch.ones_like(self.background)
         if pixels is not None:
             counted *= pixels[:, :, None]
-        return _color_gradients(self, counted)[:, 0]
+        return self.backproject(counted)[:, 0]
+
+    def backproject(self, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "M 3"]:
+        """The transpose of rendering: an image times the weights of each Gaussian, summed."""
+        partial = cpu.partial_sums(len(self.gaussians), vec.LANES)
+        flat = image.contiguous().view(-1).numpy()
+        linear_blocks.compose_backward(self.blocks, flat, self.size, partial.flatten(1).numpy())
+        return partial.sum(dim=0)[:, :3]
 
 
 @dataclass(frozen=True)
@@ -125,17 +118,19 @@ class RasterizedContributions:
         near = without_identities(splats).map(lambda tensor: tensor.index_select(0, self.near))
         return rasterize(near, self.camera)[0][0]
 
-    def with_fixed_bands(
-        self, splats: Splats, varied: Bool[Tensor, " N"] | None = None
-    ) -> "RasterizedContributions":
-        """Itself: fixed bands save no time here."""
+    def as_matte(self) -> "RasterizedContributions":
+        """Itself: that saves no time here."""
         return self
 
     def weights(self, pixels: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, " M"]:
         """Each Gaussian's contribution to some pixels, or to all."""
         counted = torch.ones_like(self.coverage) if pixels is None else pixels.to(self.coverage)
+        return self.backproject(counted[..., None])[:, 0]
+
+    def backproject(self, image: Float[Tensor, "H W D"]) -> Float[Tensor, "M D"]:
+        """The transpose of rendering; see `Contributions.backproject`."""
         near = without_looks(self.scene)[self.near]
-        return contributed(near, self.camera, counted[..., None])[self.is_picked, 0]
+        return contributed(near, self.camera, image)[self.is_picked]
 
 
 @torch.no_grad()
@@ -204,13 +199,6 @@ def _block_weights(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int])
     return blocks
 
 
-def _color_gradients(view: Contributions, v_image: Tensor) -> Tensor:
-    partial = cpu.partial_sums(len(view.gaussians), vec.LANES)
-    flat = v_image.contiguous().view(-1).numpy()
-    linear_blocks.compose_backward(view.blocks, flat, view.size, partial.flatten(1).numpy())
-    return partial.sum(dim=0)[:, :3]
-
-
 class _Compose(Function):
     @staticmethod
     def forward(ctx, colors, view):
@@ -230,4 +218,4 @@ class _Compose(Function):
     @staticmethod
     @once_differentiable
     def backward(ctx, v_image):
-        return _color_gradients(ctx.view, v_image), None
+        return ctx.view.backproject(v_image), None

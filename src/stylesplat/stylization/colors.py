@@ -14,7 +14,7 @@ from stylesplat.color.lab import LUMA
 from stylesplat.color.palette import Palette
 from stylesplat.color.transfer import color_map, map_colors
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
-from stylesplat.stylization.views import ObjectView, total_weights, with_fixed_bands
+from stylesplat.stylization.views import ObjectView, total_weights
 
 VARIATION = 0.05  # deviation of the colours that `vary_colors` adds, of 1
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
@@ -96,18 +96,18 @@ def blur_colors(
     Renders as small as the strokes are large match nothing finer than their pixels: there Gaussians
     differ by chance. The deviation is that of a Gaussian blur of the renders, in pixels.
     """
-    matte = replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
-    total, weights = torch.zeros_like(splats.sh0), torch.zeros_like(splats.sh0)
+    total, weights = torch.zeros_like(splats.means), torch.zeros_like(splats.means)
     for view in views:
-        image, own = view.render(matte), view.pixels[..., None]
+        image, own = view.render(splats), view.pixels[..., None]
         blurred = smooth(image.permute(2, 0, 1), view.pixels, deviation).permute(1, 2, 0)
-        total += view.backproject(matte, blurred)
-        weights += view.backproject(matte, own.expand_as(image).to(image))
-    mean = (total / weights.clamp(min=HIDDEN) - 0.5) / SH_C0
-    visible = mask[:, None, None] & (weights > HIDDEN)
-    return replace(splats, sh0=torch.where(visible, mean, splats.sh0))
+        total += view.backproject(splats, blurred)
+        weights += view.backproject(splats, own.expand_as(image).to(image))
+    mean = sh0_from_rgb(total / weights.clamp(min=HIDDEN))
+    visible = mask[:, None] & (weights > HIDDEN)
+    return replace(splats, sh0=torch.where(visible, mean, splats.sh0[:, 0])[:, None])
 
 
+@torch.no_grad()
 def project_to_palette(
     splats: Splats,
     mask: Bool[Tensor, " N"],
@@ -121,7 +121,6 @@ def project_to_palette(
     bare. Each round backprojects every pixel's offset to the Gaussians by their weights, and
     averages (simultaneous algebraic reconstruction, Gilbert 1972).
     """
-    views = with_fixed_bands(views, splats)
     weights = total_weights(views, splats, mask)
     weights = weights + FAINT * weights[weights > 0].median()
     rows = mask.nonzero()[:, 0]
@@ -130,13 +129,11 @@ def project_to_palette(
     for _ in range(ROUNDS):
         # below black nothing shows, and nothing can be asked for
         colors = colors.clamp(min=DARKEST)
-        sh0 = splats.sh0.index_copy(0, rows, sh0_from_rgb(colors)[:, None]).requires_grad_()
-        with torch.enable_grad():
-            for view in views:
-                image = view.render(replace(splats, sh0=sh0))
-                (image * palette.offset(image) * view.pixels[..., None]).sum().backward()
-        assert sh0.grad is not None
-        offsets = sh0.grad[rows, 0] / SH_C0 / weights[:, None]
-        colors = (colors + STRIDE * offsets).minimum(brightest)
+        painted = splats.with_rows(rows, {"sh0": sh0_from_rgb(colors)[:, None]})
+        offsets = torch.zeros_like(splats.means)
+        for view in views:
+            wanted = palette.offset(view.render(painted)) * view.pixels[..., None]
+            offsets += view.backproject(painted, wanted)
+        colors = (colors + STRIDE * offsets[rows] / weights[:, None]).minimum(brightest)
         colors = torch.where(beneath[rows, None], colors + palette.offset(colors), colors)
     return splats.with_rows(rows, {"sh0": sh0_from_rgb(colors.clamp(min=0))[:, None]})

@@ -19,10 +19,10 @@ from torch.nn import functional as F
 
 from stylesplat.color.blur import blur, smooth
 from stylesplat.color.lab import luma_weights
-from stylesplat.rendering.render import rasterize
+from stylesplat.rendering.render import render
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.colors import HIDDEN, STRIDE
-from stylesplat.stylization.views import ObjectView, with_fixed_bands
+from stylesplat.stylization.views import ObjectView
 
 BAND_DEVIATIONS = (0.004, 0.015, 0.05)  # of blurs whose differences are bands, in lengths
 ENERGY_DEVIATION = 0.03  # of the blur that averages a band's energy, in lengths
@@ -216,13 +216,12 @@ def form_relief(
     """
     hidden = mask[:, None, None]
     flat = replace(splats, sh0=splats.sh0.masked_fill(hidden, 0), shN=splats.shN * ~hidden)
-    views = with_fixed_bands(views, flat)
     weights, targets = torch.zeros_like(splats.opacities), []
     for view in views:
-        form = measure_form(rasterize(before, view.camera)[0][0], view.pixels, length, survey)
+        form = measure_form(render(before, view.camera)[0], view.pixels, length, survey)
         own = view.pixels.to(splats.means)
         target = torch.stack([*(band.detail for band in form), own], dim=2)
-        weights += view.backproject(flat, target)[:, 0, 2]
+        weights += view.backproject(flat, target)[:, 2]
         targets.append((view, (target + view.render(flat))[..., :2], own[..., None]))
     visible, relief = mask & (weights > HIDDEN), splats.means.new_zeros(len(splats), 2)
     for _ in range(ROUNDS):
@@ -230,7 +229,7 @@ def form_relief(
         missing = torch.zeros_like(relief)
         for view, target, own in targets:
             error = (target - view.render(replace(flat, sh0=sh0))[..., :2]) * own
-            missing += view.backproject(flat, F.pad(error, (0, 1)))[:, 0, :2]
+            missing += view.backproject(flat, F.pad(error, (0, 1)))[:, :2]
         relief = relief + STRIDE * missing / weights.clamp(min=HIDDEN)[:, None]
         relief = torch.where(visible[:, None], relief, 0).clamp(-1, 1)
     return relief

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.color.palette import Palette
-from stylesplat.rendering.render import rasterize
+from stylesplat.rendering.render import render
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features.network import FeatureNetwork
@@ -75,7 +75,7 @@ class Objective:
             cells = view.cells.nonzero(as_tuple=True)
             form = content = None
             if self.config.form > 0 or self.config.content > 0:
-                image = rasterize(original, view.camera)[0][0]
+                image, _ = render(original, view.camera)
                 if self.config.form > 0:
                     own = PooledMask.of(view.pixels, self.length)
                     bands = measure_form(own.average(image), own.mask, own.length, self.form)

@@ -46,12 +46,12 @@ from stylesplat.stylization.views import (
     Box,
     ObjectView,
     box_cameras,
+    matte_views,
     object_views,
     require_boxes,
     stage_views,
     total_weights,
     typical_length,
-    with_fixed_bands,
 )
 from stylesplat.training.adam import Moments, adam_step
 
@@ -113,12 +113,14 @@ class _Object:
 
     def stage_views(self, stage: Stage, generator: torch.Generator) -> list[ObjectView]:
         surface = self.canvas.surface
-        return stage_views(self.context, self.target, self.boxes, stage, generator, surface)
+        views = stage_views(self.context, self.target, self.boxes, stage, generator, surface)
+        return views if self.target.config.published else matte_views(views)
 
     def views(self, length: float) -> tuple[list[ObjectView], float]:
         """A few views of the whole object, which is as long in them."""
         few, zoom = evenly(self.boxes, COLOR_VIEWS), length / typical_length(self.boxes)
-        return object_views(self.context, self.target, few, zoom, max_memory=math.inf), length
+        views = object_views(self.context, self.target, few, zoom, max_memory=math.inf)
+        return matte_views(views), length
 
 
 def paint_steps(
@@ -297,6 +299,7 @@ def _begin(
     pictures = style_pictures(object.target.styles, config, own, share)
     if config.published:
         return pictures, palette, splats
+    splats = replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
     splats = remove_pattern(splats, mask, views, length, config.pattern_removed)
     form = config.form * config.pattern_removed  # what was removed of it with the pattern
     splats = add_luminance(splats, form * relief.sum(dim=1))
@@ -304,7 +307,7 @@ def _begin(
         palette = build_palette(all_colors(pictures))
         colors = all_colors(without_strokes(pictures, config.scale))
         splats = transfer_colors(vary_colors(splats, mask, seed=config.seed), mask, colors, views)
-    return pictures, palette, replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
+    return pictures, palette, splats
 
 
 def style_pictures(
@@ -371,10 +374,7 @@ def optimize_colors(
     if config.published:
         leaves["shN"] = paint.shN[rows].requires_grad_()
     else:
-        views = with_fixed_bands([target.view for target in targets], paint)
-        pairs = zip(targets, views, strict=True)
-        targets = [replace(target, view=view) for target, view in pairs]
-        weights = total_weights(views, paint, mask)
+        weights = total_weights([target.view for target in targets], paint, mask)
         trust = (weights / (weights + TRUSTED * weights[weights > 0].median()))[:, None, None]
     moments = Moments.zeros(leaves)
     for number, target in enumerate(drawn(targets, steps, generator), start=1):

@@ -20,7 +20,7 @@ from stylesplat.rendering.shares import COVERED, contributed, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop, project
 from stylesplat.scene.sampling import evenly
-from stylesplat.scene.splats import SH_C0, Splats
+from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Stage
 from stylesplat.stylization.target import PaintContext, PaintTarget
 
@@ -73,31 +73,20 @@ class ObjectView:
             return self.linear.render(splats)
         return rasterize(splats, self.camera)[0][0]
 
-    def backproject(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 1 3"]:
-        """The transpose of rendering: an image times the weight of each Gaussian, summed."""
-        with torch.enable_grad():
-            grey = torch.zeros_like(splats.sh0).requires_grad_()
-            total = (self.render(replace(splats, sh0=grey)) * image).sum()
-            (sums,) = torch.autograd.grad(total, grey)
-        return sums / SH_C0
+    def backproject(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 3"]:
+        """The transpose of rendering: an image times the weights of each Gaussian, summed.
 
-    def weights(self, splats: Splats) -> Float[Tensor, " N"]:
-        """The contribution of each of the object's Gaussians, or more, to the image."""
+        Of Gaussians that are not the object's it may be 0.
+        """
         if self.linear is None:
-            width, height = self.camera.size
-            everywhere = splats.means.new_ones(height, width, 1)
-            return contributed(splats, self.camera, everywhere)[:, 0]
-        weights = splats.means.new_zeros(len(splats))
-        return weights.index_add_(0, self.linear.gaussians, self.linear.weights())
+            return contributed(splats, self.camera, image)
+        sums = image.new_zeros(len(splats), 3)
+        return sums.index_add_(0, self.linear.gaussians, self.linear.backproject(image))
 
 
-def with_fixed_bands(views: Sequence[ObjectView], splats: Splats) -> list[ObjectView]:
-    """Views that are quicker, for splats that differ from these at most in `sh0`."""
-    varied = splats.shN.flatten(1).any(dim=1)
-    return [
-        replace(view, linear=view.linear and view.linear.with_fixed_bands(splats, varied))
-        for view in views
-    ]
+def matte_views(views: Sequence[ObjectView]) -> list[ObjectView]:
+    """Views that are quicker, for splats whose object has no higher bands."""
+    return [replace(view, linear=view.linear and view.linear.as_matte()) for view in views]
 
 
 def total_weights(
@@ -106,7 +95,7 @@ def total_weights(
     """The contribution of each of the object's Gaussians, summed over all views."""
     weights = splats.means.new_zeros(len(splats))
     for view in views:
-        weights += view.weights(splats)
+        weights += view.backproject(splats, weights.new_ones(*view.pixels.shape, 3))[:, 0]
     return weights[mask]
 
 
