@@ -43,12 +43,12 @@ def fitted(boxes: list[Box]) -> Canvas:
     """Laid and fitted, so that it may show beside the object."""
     canvas = canvas_on(SOLID, boxes)
     assert canvas is not None
-    return fit_canvas(canvas, boxes, seed=0)
+    return fit_canvas(canvas, seed=0)
 
 
 @pytest.fixture(scope="module")
-def laid(fitted: Canvas, boxes: list[Box]) -> Canvas:
-    return confine_canvas(fitted, boxes, FINE)[0]
+def laid(fitted: Canvas) -> Canvas:
+    return confine_canvas(fitted, FINE)[0]
 
 
 def painted_with_stripes(canvas: Canvas) -> Splats:
@@ -79,21 +79,21 @@ def test_discs_cover_the_object_and_look_like_it(laid: Canvas):
     assert min(shares) > 0.7 and sum(shares) / len(shares) > 0.82, shares
 
 
-def test_nothing_shows_where_nothing_of_the_object_did(fitted: Canvas, boxes: list[Box]):
+def test_nothing_shows_where_nothing_of_the_object_did(fitted: Canvas):
     """Discs that show there become smaller or go; most stay as they are."""
     scales = fitted.splats.scales + math.log(1.6) * fitted.is_disc[:, None]
     swollen = fitted.changed(scales=scales)
     assert spilled(swollen) > 100 * UNSEEN, "else the check is worth nothing"
-    confined, kept = confine_canvas(swollen, boxes, FINE)
+    confined, kept = confine_canvas(swollen, FINE)
     assert spilled(confined) < UNSEEN
     assert (~kept).sum() < 0.05 * fitted.is_disc.sum()
     same_size = (confined.splats.scales == swollen.splats.scales[kept]).all(dim=1)
     assert 0.8 < same_size.float().mean() < 1
 
 
-def test_nor_do_discs_along_strokes_show_there(fitted: Canvas, boxes: list[Box]):
+def test_nor_do_discs_along_strokes_show_there(fitted: Canvas):
     along = painted_with_stripes(fitted)
-    turned, kept = confine_canvas(fitted, boxes, FINE, painted=along)
+    turned, kept = confine_canvas(fitted, FINE, painted=along)
     free = align_to_strokes(along, fitted.is_disc, fitted.spacing)
     assert spilled(replace(fitted, splats=free)) > 100 * UNSEEN
     assert spilled(turned) < UNSEEN
@@ -142,7 +142,7 @@ def test_the_room_is_nearly_used_and_the_seed_decides_how(fitted: Canvas, boxes:
     assert small is not None and again is not None and other is not None
     assert 150 < small.is_disc.sum() <= 300
     assert not same(other.splats, again.splats)
-    once, shuffled = (fit_canvas(again, boxes, seed=seed) for seed in (0, 1))
+    once, shuffled = (fit_canvas(again, seed=seed) for seed in (0, 1))
     assert same(once.splats, fitted.splats) and not same(shuffled.splats, fitted.splats)
 
 

@@ -21,6 +21,7 @@ from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.confine import confine_canvas
 from stylesplat.stylization.features.network import FeatureNetwork
 from stylesplat.stylization.paint import crop_scene
+from stylesplat.stylization.surface import unpainted_views
 from stylesplat.stylization.target import PaintTarget, paint_context
 from stylesplat.stylization.views import find_boxes
 
@@ -86,8 +87,8 @@ def test_the_canvas(cuda: str):  # noqa: F811
         boxes = find_boxes(splats, LARGER, mask)
         canvas = lay_canvas(splats, mask, boxes, length=30.0, max_discs=400, seed=0)
         assert canvas is not None
-        canvas = fit_canvas(canvas, boxes, seed=0)
-        return confine_canvas(canvas, boxes, LARGER, painted=canvas.splats)[0]
+        canvas = fit_canvas(canvas, seed=0)
+        return confine_canvas(canvas, LARGER, painted=canvas.splats)[0]
 
     with Transfers() as transfers:
         found = laid(cuda)
@@ -110,11 +111,12 @@ def test_the_canvas(cuda: str):  # noqa: F811
 def test_fitting_never_waits_for_the_device(cuda: str, monkeypatch: pytest.MonkeyPatch):  # noqa: F811
     """Whatever it asks, it asks before its steps."""
     splats, mask = SOLID.to(cuda), RED.to(cuda)
-    boxes, trips = find_boxes(splats, LARGER, mask), list[list[str]]()
+    views = unpainted_views(splats, mask, find_boxes(splats, LARGER, mask))
+    canvas, trips = replace(Canvas.without_discs(splats, mask), views=views), list[list[str]]()
     for steps in (1, 3):
         monkeypatch.setattr(fitting, "STEPS", steps)
         with HostTrips() as mode:
-            fit_canvas(Canvas.without_discs(splats, mask), boxes, seed=0)
+            fit_canvas(canvas, seed=0)
         trips.append(mode.found)
     assert trips[0] == trips[1] != []
 

@@ -73,6 +73,10 @@ class Contributions:
         sh = splats.sh0[visible], splats.shN[visible]
         return self.image(cpu.spherical_harmonics(splats.sh_degree, dirs, *sh, clamp=clamp))
 
+    def composite(self, values: Float[Tensor, "M 3"]) -> Float[Tensor, "H W 3"]:
+        """Numbers of the picked Gaussians in the place of their colours, before nothing."""
+        return replace(self, background=torch.zeros_like(self.background)).image(values)
+
     def as_matte(self) -> "Contributions":
         """The same for picked Gaussians without higher bands, which is quicker."""
         return replace(self, is_matte=True)
@@ -117,6 +121,13 @@ class RasterizedContributions:
         """The image with the colours of these splats; see `Contributions.render`."""
         near = without_identities(splats).map(lambda tensor: tensor.index_select(0, self.near))
         return rasterize(near, self.camera)[0][0]
+
+    def composite(self, values: Float[Tensor, "M 3"]) -> Float[Tensor, "H W 3"]:
+        """Numbers of the picked Gaussians; see `Contributions.composite`."""
+        places = self.is_picked.nonzero()[:, 0]
+        features = values.new_zeros(len(self.near), 3).index_copy(0, places, values)
+        near = without_looks(self.scene)[self.near]
+        return rasterize(near, self.camera, features=features)[0][0, ..., 3:]
 
     def as_matte(self) -> "RasterizedContributions":
         """Itself: that saves no time here."""

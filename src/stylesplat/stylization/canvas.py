@@ -19,11 +19,9 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.gaussians import with_matrices_of
-from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import colors_of, rasterize
-from stylesplat.rendering.shares import COVERED, colors_and_coverage, coverage, without_looks
+from stylesplat.rendering.shares import COVERED, coverage, without_looks
 from stylesplat.rendering.visibility import in_view
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import UNSEEN
@@ -32,20 +30,20 @@ from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.surface import (
     LENGTH,
     POOLED,
+    UnpaintedView,
     find_surface,
     pool_points,
     project_to_planes,
     thin,
+    unpainted_views,
 )
-from stylesplat.stylization.views import Box, Surface, box_cameras, per_view, typical_length
+from stylesplat.stylization.views import Box, Surface, per_view
 from stylesplat.training.adam import Moments, adam_step
 
 SPACING = 1.3  # pixels between discs: a stroke is several of them wide
 WIDE, FLAT = 1.0, 0.15  # deviations of a disc in its plane and across it, in spacings
 OPACITY = 0.8  # of a disc before it is fitted: more looks grainy, as a pixel shows a single disc
 HIDDEN = (0.5, 0.9)  # hidden part of a Gaussian's contribution from which it fades, and is gone
-VIEWS = 12  # in which hidden Gaussians are looked for
-HOLE_VIEWS = 16  # in which holes between the discs are looked for
 LOST = 0.2  # coverage: where the object would lose more under a canvas, the canvas has a hole
 RIM = 3  # pixels along the object's outline that are no holes
 IN_HOLES = 0.05  # part of a Gaussian's contribution to a view that has to lie in holes
@@ -54,9 +52,6 @@ SPARE = 0.95  # share of the discs' maximum that is aimed at
 CUBE = 3.0  # pixels of the side of cubes that tell how many discs there will be
 PER_CUBE = 0.35  # discs, one side from each other, at least: fox, doll, vase have .5, a ball .37
 
-FIT_VIEWS = 16  # renders of the scene before, which tell what the discs have to look like
-FIT_LENGTH = 180.0  # longer side of the object in them, in pixels
-FIT_MARGIN = 8  # pixels around a box, where nothing is to show
 STEPS = 18  # with 28 painted objects look the same
 RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}  # of logits, logarithms and colours
 RAISED = 0.4  # colours at most: more is noise, with none what lies behind shines through
@@ -75,6 +70,8 @@ class Canvas:
     """The discs follow all other Gaussians."""
     parents: Int[Tensor, " N"]
     """The Gaussian of the scene before that each one belongs to: of a disc, the nearest."""
+    views: Sequence[UnpaintedView] = ()
+    """Views of the scene before."""
     spacing: float = 0.0
     """The distance between neighbouring discs."""
 
@@ -130,7 +127,8 @@ def lay_canvas(
     The discs are fine enough for views in which the object is so many pixels long. Next come
     `fit_canvas` and `confine_canvas`. Returns None if the object has no surface, as smoke has none.
     """
-    *surface, pixel = find_surface(splats, mask, boxes)
+    views = unpainted_views(splats, mask, boxes)
+    *surface, pixel = find_surface(splats, mask, views)
     if len(surface[0]) < FEW:
         return None
     (cubes,) = pool_points(CUBE * pixel, surface[0])
@@ -159,7 +157,7 @@ def lay_canvas(
         shN=splats.shN[parents] * 0,
     )
     parents = torch.cat([torch.arange(len(splats), device=splats.device), parents])
-    return fade_hidden(Canvas(splats, mask, Splats.cat([splats, discs]), parents, spacing), boxes)
+    return fade_hidden(Canvas(splats, mask, Splats.cat([splats, discs]), parents, views, spacing))
 
 
 def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
@@ -171,20 +169,18 @@ def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
 
 
 @torch.no_grad()
-def fade_hidden(canvas: Canvas, boxes: Sequence[Box]) -> Canvas:
+def fade_hidden(canvas: Canvas) -> Canvas:
     """Fade the object's Gaussians as far as the discs hide them."""
-    before, splats, count = without_looks(canvas.before), canvas.splats, len(canvas.before)
+    before, splats, count = canvas.before, canvas.splats, len(canvas.before)
     others = ~canvas.mask | canvas.is_disc
     bare, is_disc = without_looks(splats[others]), canvas.is_disc[others]
 
-    def look(camera: Cameras) -> Tensor:
-        hidden = coverage(bare, camera, is_disc) > COVERED
-        view = linear_view(before, camera, canvas.own)
-        sums = torch.stack([view.weights(hidden), view.weights()], dim=1)
-        return sums.new_zeros(count, 2).index_copy_(0, view.gaussians, sums)
+    def look(view: UnpaintedView) -> Tensor:
+        hidden, linear = coverage(bare, view.camera, is_disc) > COVERED, view.linear
+        sums = torch.stack([linear.weights(hidden), linear.weights()], dim=1)
+        return sums.new_zeros(count, 2).index_copy_(0, linear.gaussians, sums)
 
-    cameras = box_cameras(boxes, LENGTH, VIEWS)
-    found = per_view(look, cameras, "looking under the canvas", splats.device)
+    found = per_view(look, canvas.views, "looking under the canvas", splats.device)
     hidden, everywhere = torch.stack([*found]).sum(dim=0).unbind(dim=1)
     low, high = HIDDEN
     fading = ((hidden / everywhere.clamp(min=1e-9) - low) / (high - low)).clamp(0, 1) * canvas.own
@@ -194,23 +190,22 @@ def fade_hidden(canvas: Canvas, boxes: Sequence[Box]) -> Canvas:
 
 
 @torch.no_grad()
-def fill_holes(canvas: Canvas, boxes: Sequence[Box]) -> Canvas:
+def fill_holes(canvas: Canvas) -> Canvas:
     """Give the Gaussians that show in holes between the discs their opacity back."""
-    faded, before, mask = without_looks(canvas.splats), without_looks(canvas.before), canvas.mask
+    faded, mask = without_looks(canvas.splats), canvas.mask
 
-    def look(camera: Cameras) -> Tensor:
-        view = linear_view(before, camera, canvas.own)
-        lost = view.coverage - coverage(faded, camera, mask) > LOST
-        covered = (view.coverage > COVERED).cpu().numpy().astype(np.uint8)
+    def look(view: UnpaintedView) -> Tensor:
+        linear = view.linear
+        lost = linear.coverage - coverage(faded, view.camera, mask) > LOST
+        covered = (linear.coverage > COVERED).cpu().numpy().astype(np.uint8)
         inner = torch.from_numpy(cv2.erode(covered, np.ones((2 * RIM + 1, 2 * RIM + 1))))
         inner = inner.to(lost)
-        return view.gaussians[view.weights(lost & inner) > IN_HOLES * view.weights()]
+        return linear.gaussians[linear.weights(lost & inner) > IN_HOLES * linear.weights()]
 
-    cameras = box_cameras(boxes, LENGTH, HOLE_VIEWS)
-    found = per_view(look, cameras, "looking for holes of the canvas", faded.device)
+    found = per_view(look, canvas.views, "looking for holes of the canvas", faded.device)
     rows = torch.cat([*found])
     opacities = canvas.splats.opacities.clone()
-    opacities[rows] = before.opacities[rows]
+    opacities[rows] = canvas.before.opacities[rows]
     return canvas.changed(opacities=opacities)
 
 
@@ -228,15 +223,13 @@ class _View(NamedTuple):
     """These, in the colours that they have from there."""
 
 
-def fit_canvas(canvas: Canvas, boxes: Sequence[Box], *, seed: int) -> Canvas:
+def fit_canvas(canvas: Canvas, *, seed: int) -> Canvas:
     """Give the discs of a canvas what makes the object look as before.
 
     In every step the object's colours are raised by other amounts, so that its coverage has to be
     right whatever lies behind.
     """
-    length = min(FIT_LENGTH, typical_length(boxes))
-    cameras = box_cameras(boxes, length, FIT_VIEWS, FIT_MARGIN)
-    views = [*at_once(partial(_look, canvas), cameras, canvas.splats.device)]
+    views = [*at_once(partial(_look, canvas), canvas.views, canvas.splats.device)]
     leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in RATES}
     moments, own = Moments.zeros(leaves), canvas.mask.to(canvas.splats.means)
     generator = torch.Generator().manual_seed(seed)
@@ -260,10 +253,10 @@ def fit_canvas(canvas: Canvas, boxes: Sequence[Box], *, seed: int) -> Canvas:
 
 
 @torch.no_grad()
-def _look(canvas: Canvas, camera: Cameras) -> _View:
-    splats, camera = canvas.splats, with_matrices_of(canvas.splats, camera)
+def _look(canvas: Canvas, view: UnpaintedView) -> _View:
+    splats, camera = canvas.splats, view.camera
     rows = in_view(splats, camera).rows
     colors = colors_of(splats, rows, camera.positions)
     baked = replace(without_looks(splats)[rows], sh0=sh0_from_rgb(colors)[:, None])
-    before = colors_and_coverage(canvas.before, camera, canvas.own)
+    before = view.image, view.linear.coverage[..., None]
     return _View(camera, *before, rows, canvas.is_disc[rows], baked)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,11 +17,12 @@ from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.shares import COVERED, coverage, full_coverage, without_looks
 from stylesplat.rendering.visibility import pixel_bounds, touching
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, fade_hidden, fill_holes
-from stylesplat.stylization.views import Box, per_view
+from stylesplat.stylization.views import per_view
 
 VIEWS = 24  # that are checked: discs lie on the very outline of the object
 COARSER = 2.0  # ratio of the photos' size to that of the check: finds the same as full size
@@ -36,14 +38,21 @@ RIDGE = 1e-3  # of the fit, for discs whose neighbours lie on a line
 LONG, NARROW = 1.8, 0.6  # factors on scales along and across a stroke; 2.5 spikes the silhouette
 SHINES = 0.1  # pixels of a disc that shine through what is protected, if that lies before it
 
-# One camera, the pixels [H, W] in which no disc may show, and the pixels of each that may
-Outside = tuple[Cameras, Tensor, float]
+
+class Outside(NamedTuple):
+    """Where no disc may show."""
+
+    camera: Cameras
+    pixels: Bool[Tensor, "H W"]
+    most: float = 0.0
+    """Pixels of each disc that may, all the same."""
+    rows: Int[Tensor, " L"] | None = None
+    """The only Gaussians that reach these pixels, if that is known."""
 
 
 @torch.no_grad()
 def confine_canvas(
     canvas: Canvas,
-    boxes: Sequence[Box],
     cameras: Cameras,
     *,
     painted: Splats | None = None,
@@ -74,9 +83,10 @@ def confine_canvas(
     canvas = canvas.changed(scales=scales)
     kept = torch.ones_like(canvas.is_disc)
     while outside:  # a removed disc may uncover others
-        rows, outside = _overflow(canvas.select(kept), outside)
-        kept[kept.nonzero()[rows, 0]] = False
-    return fill_holes(fade_hidden(canvas.select(kept), boxes), boxes), kept
+        rows, outside = _overflow(canvas, outside)
+        kept[rows] = False
+        canvas = canvas.changed(opacities=canvas.splats.opacities.index_fill(0, rows, UNSEEN))
+    return fill_holes(fade_hidden(canvas.select(kept))), kept
 
 
 def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
@@ -106,7 +116,7 @@ def _find_outside(
         alone = full_coverage(own, camera)  # whatever hides it
         solid = (alone > COVERED).cpu().numpy().astype(np.uint8)
         edge = torch.from_numpy(cv2.dilate(solid, disc)).bool().to(covered.device)
-        return camera, (covered == 0) | ((covered < FAINT) & ~edge), 0.0
+        return Outside(camera, (covered == 0) | ((covered < FAINT) & ~edge))
 
     return [*per_view(look, cameras, "looking beside the object", splats.device)]
 
@@ -118,7 +128,7 @@ def _find_covered(
     bare = without_looks(splats)
 
     def look(camera: Cameras) -> Outside:
-        return camera, coverage(bare, camera, mask) > COVERED, SHINES
+        return Outside(camera, coverage(bare, camera, mask) > COVERED, SHINES)
 
     return [*per_view(look, cameras, "looking at what is protected", splats.device)]
 
@@ -126,28 +136,26 @@ def _find_covered(
 def _overflow(
     canvas: Canvas, outside: Sequence[Outside]
 ) -> tuple[Int[Tensor, " M"], list[Outside]]:
-    """The discs that show outside the object, and the pixels outside that they may uncover."""
+    """The discs that show outside the object, and where others may next."""
     bare, is_disc = without_looks(canvas.splats), canvas.is_disc
 
-    def look(view: Outside) -> Tensor:
-        camera, pixels, most = view
-        low, high = pixel_bounds(bare, camera)
-        suspects = is_disc.nonzero()[:, 0]
-        suspects = suspects[touching(low[suspects], high[suspects], pixels)]
-        pixels = pixels & reached_pixels(bare[suspects], camera)
-        if not pixels.any():
-            return suspects[:0]
+    def look(view: Outside) -> tuple[Tensor, Outside]:
+        camera, rows, pixels = view.camera, view.rows, view.pixels
+        part = bare if rows is None else bare[rows]
+        rows = torch.arange(len(bare), device=bare.device) if rows is None else rows
+        low, high = pixel_bounds(part, camera)
+        suspects = touching(low, high, pixels) & is_disc[rows]
+        pixels = pixels & reached_pixels(part[suspects], camera)
         there = touching(low, high, pixels).nonzero()[:, 0]
-        seen = linear_view(bare[there], camera, is_disc[there])
-        return there[seen.gaussians[seen.weights(pixels) > most]]
+        seen = linear_view(part[there], camera, is_disc[rows[there]])
+        found = rows[there[seen.gaussians[seen.weights(pixels) > view.most]]]
+        return found, view._replace(
+            pixels=pixels & reached_pixels(bare[found], camera), rows=rows[there]
+        )
 
-    found = [*per_view(look, outside, "checking the outline", bare.device)]
-    uncovered = [
-        (camera, pixels & reached_pixels(canvas.splats[rows], camera), most)
-        for (camera, pixels, most), rows in zip(outside, found, strict=True)
-        if len(rows)
-    ]
-    return torch.cat([is_disc.nonzero()[:0, 0], *found]).unique(), uncovered
+    looks = [*per_view(look, outside, "checking the outline", bare.device)]
+    found = torch.cat([is_disc.nonzero()[:0, 0], *(rows for rows, _ in looks)]).unique()
+    return found, [view for rows, view in looks if len(rows)]
 
 
 def reached_pixels(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
@@ -177,10 +185,8 @@ def align_to_strokes(splats: Splats, discs: Bool[Tensor, " N"], distance: float)
 
     luma = splats.sh0[rows, 0] @ splats.sh0.new_tensor(LUMA)
     gradients = _gradients(means / distance, tangents, luma, near, weights(GRADIENT_WIDTH))
-    averaged, tensors = weights(TENSOR_WIDTH), means.new_zeros(len(rows), 2, 2)
-    for column in range(near.shape[1]):
-        local = torch.einsum("dij,di->dj", tangents, gradients[near[:, column]])
-        tensors += averaged[:, column, None, None] * local[:, :, None] * local[:, None]
+    local = torch.einsum("dij,dki->dkj", tangents, gradients[near])
+    tensors = torch.einsum("dk,dki,dkj->dij", weights(TENSOR_WIDTH), local, local)
     # The eigenvectors in closed form: cuSOLVER takes few matrices at once
     twice, sums = 2 * tensors[:, 0, 1], tensors[:, 0, 0] + tensors[:, 1, 1]
     apart = tensors[:, 0, 0] - tensors[:, 1, 1]

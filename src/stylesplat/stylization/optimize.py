@@ -271,14 +271,13 @@ def _lay(object: _Object, length: float) -> _Object:
     if canvas is None:
         say(f"{object.target.name} has no surface for a canvas: its own Gaussians are painted.")
         return object
-    return object.on(fit_canvas(canvas, object.boxes, seed=config.seed))
+    return object.on(fit_canvas(canvas, seed=config.seed))
 
 
 def _confine(object: _Object, paint: Splats, *, turned: bool) -> tuple[_Object, Splats]:
     """Let no disc show beside the object, and turn them along the strokes if there are any."""
     canvas, kept = confine_canvas(
         object.canvas,
-        object.boxes,
         object.context.all_cameras,
         painted=paint if turned else None,
         protected=object.target.protected,

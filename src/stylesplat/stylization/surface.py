@@ -1,16 +1,17 @@
 """An object's surface as its views show it, sampled evenly."""
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array, csr_array
 from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.rendering.render import render
+from stylesplat.rendering.gaussians import with_matrices_of
+from stylesplat.rendering.linear import LinearView, linear_view
 from stylesplat.rendering.shares import COVERED, TINY_COVERAGE, full_coverage, without_looks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import (
@@ -26,6 +27,7 @@ from stylesplat.stylization.views import Box, box_cameras, per_view
 
 VIEWS = 16
 LENGTH = 200.0  # longer side of the object in them, in pixels
+MARGIN = 8  # pixels around its box, where nothing is to show
 SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
 BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it
 PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
@@ -36,9 +38,33 @@ POOLED = 0.6  # side of the cubes whose points are averaged, in distances of the
 PLANE = 16  # points that a plane is fitted to
 
 
+class UnpaintedView(NamedTuple):
+    """What one camera sees of an object before a canvas is laid on it."""
+
+    camera: Cameras
+    linear: LinearView
+    """The contributions of the object's Gaussians."""
+    image: Float[Tensor, "H W 3"]
+
+
+@torch.no_grad()
+def unpainted_views(
+    splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]
+) -> list[UnpaintedView]:
+    """Views of the whole object, `LENGTH` pixels long."""
+
+    def look(camera: Cameras) -> UnpaintedView:
+        camera = with_matrices_of(splats, camera)
+        linear = linear_view(splats, camera, mask)
+        return UnpaintedView(camera, linear, linear.render(splats))
+
+    cameras = box_cameras(boxes, LENGTH, VIEWS, MARGIN)
+    return [*per_view(look, cameras, "looking at the object", splats.device)]
+
+
 @torch.no_grad()
 def find_surface(
-    splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]
+    splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[UnpaintedView]
 ) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"], Float[Tensor, "P 3"], float]:
     """Find an object's surface from rendered depths.
 
@@ -46,14 +72,13 @@ def find_surface(
         The points, one for each pixel that shows it; their normals towards the camera that saw
         them; their colours; the typical size of a pixel if the object is `LENGTH` pixels long.
     """
-    cameras = box_cameras(boxes, LENGTH, VIEWS)
     far = BEHIND * extent(splats.means[mask])
     alone = without_looks(splats[mask])
 
-    def look(camera: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-        return *_points_of_view(splats, mask, camera, far), full_coverage(alone, camera)
+    def look(view: UnpaintedView) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+        return *_points_of_view(splats.means, view, far), full_coverage(alone, view.camera)
 
-    found = per_view(look, cameras, "looking for the surface", splats.device)
+    found = per_view(look, views, "looking for the surface", splats.device)
     *parts, silhouettes = zip(*found, strict=True)
     points, normals, colors, sizes, covered = (torch.cat(each) for each in parts)
     size = float(sizes.median())
@@ -61,8 +86,8 @@ def find_surface(
     def outside(points: Float[Tensor, "P 3"]) -> Bool[Tensor, " P"]:
         """Which points lie beyond the silhouette of a view."""
         found = torch.zeros(len(points), dtype=torch.bool, device=points.device)
-        for camera, silhouette in zip(cameras, silhouettes, strict=True):
-            inside, there = _look_up(points, camera, silhouette)
+        for view, silhouette in zip(views, silhouettes, strict=True):
+            inside, there = _look_up(points, view.camera, silhouette)
             found |= inside.masked_scatter(inside, there < COVERED)
         return found
 
@@ -102,13 +127,15 @@ def pull_inside(
 
 
 def _points_of_view(
-    splats: Splats, mask: Tensor, camera: Cameras, far: float
+    means: Float[Tensor, "N 3"], view: UnpaintedView, far: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Points, normals, colours, sizes and coverage of one camera's pixels that show the surface."""
-    image, covered, depths = _mean_depths(splats, mask, camera)
-    inside, there = _look_up(splats.means, camera, depths + far)
-    behind = inside.masked_scatter(inside, depths_of(splats.means[inside], camera) > there)
-    _, own, depths = _mean_depths(splats, mask & ~behind, camera)
+    camera, means = view.camera, means[view.linear.gaussians]
+    of_gaussians = depths_of(means, camera)
+    covered, depths = _mean_depths(view, of_gaussians, torch.ones_like(of_gaussians))
+    inside, there = _look_up(means, camera, depths + far)
+    behind = inside.masked_scatter(inside, of_gaussians[inside] > there)
+    own, depths = _mean_depths(view, of_gaussians, (~behind).to(depths))
     width, height = camera.size
     points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
     points = points.view(height, width, 3)
@@ -116,17 +143,17 @@ def _points_of_view(
     reliable = (cosines > GRAZING) & (covered > COVERED) & (own > SOLID / 2)
     sizes = depths / camera.Ks[0, 0, 0].to(depths)
     points, normals = points[reliable], normals[reliable]
-    return points, normals, image[reliable], sizes[reliable], covered[reliable]
+    return points, normals, view.image[reliable], sizes[reliable], covered[reliable]
 
 
-def _mean_depths(splats: Splats, mask: Tensor, camera: Cameras) -> tuple[Tensor, Tensor, Tensor]:
-    """The image, the coverage of some Gaussians and their mean depth."""
-    mine = mask.to(splats.means)
-    features = torch.stack([mine, mine * depths_of(splats.means, camera)], dim=1)
-    image, _ = render(splats, camera, features=features)
-    colors, covered, depths = image.split((3, 1, 1), dim=2)
-    covered, depths = covered[..., 0], depths[..., 0]
-    return colors, covered, depths / covered.clamp(min=TINY_COVERAGE)
+def _mean_depths(
+    view: UnpaintedView, depths: Float[Tensor, " M"], counted: Float[Tensor, " M"]
+) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
+    """The coverage of some of the object's visible Gaussians and their mean depth."""
+    middle = depths.mean()  # offsets from it are exacter: weights may be float16
+    values = torch.stack([counted, counted * (depths - middle), 0 * counted], dim=1)
+    covered, offsets, _ = view.linear.composite(values).unbind(dim=2)
+    return covered, middle + offsets / covered.clamp(min=TINY_COVERAGE)
 
 
 def _look_up(
@@ -168,11 +195,17 @@ def project_to_planes(
 
 def thin(points: Float[Tensor, "P 3"], distance: float, *, seed: int) -> Int[Tensor, " L"]:
     """Choose points of which no two are closer than a distance, as many as fit, in random order."""
-    pairs = KDTree(points.double().cpu().numpy()).query_pairs(distance, output_type="ndarray")
-    near = coo_array((np.ones(len(pairs), bool), pairs.T), shape=(len(points), len(points)))
-    near = csr_array(near + near.T)
-    free = np.ones(len(points), bool)
-    for row in np.random.default_rng(seed).permutation(len(points)).argsort():
-        if free[row]:
-            free[near.indices[near.indptr[row] : near.indptr[row + 1]]] = False
+    places = points.double().cpu().numpy()
+    place_in_order = np.random.default_rng(seed).permutation(len(places))
+    tree = KDTree(places, compact_nodes=False, balanced_tree=False)  # is made sooner
+    pairs = tree.query_pairs(distance, output_type="ndarray")
+    turned = place_in_order[pairs[:, 0]] > place_in_order[pairs[:, 1]]
+    first, later = np.where(turned[:, None], pairs[:, ::-1], pairs).T
+    free = np.ones(len(places), bool)
+    while len(first):  # each round chooses the points that wait for no other
+        waiting = np.zeros_like(free)
+        waiting[later] = True
+        free[later[~waiting[first]]] = False
+        undecided = waiting[first] & free[first] & free[later]
+        first, later = first[undecided], later[undecided]
     return torch.from_numpy(free.nonzero()[0]).to(points.device)
