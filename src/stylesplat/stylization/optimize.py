@@ -58,7 +58,7 @@ from stylesplat.training.adam import Moments, adam_step
 OWN = 0.5  # share of a Gaussian that is the object's: one with less is not painted
 KEPT_HUES: dict[ColorMode, float] = {"blend": 0.5, "keep": 1.0}
 STYLE_FEATURES = 2048  # at random, of those of a fine stage; 4,096 look the same, and take longer
-COLOR_VIEWS = 8  # whose pixels give an object's colours
+COLOR_VIEWS = 8  # whose pixels give an object's colours; with 6 rare sides get too much form
 COLOR_LENGTH = 240.0  # longer side of the object in them at most, in pixels
 CANVAS_RATE = 0.5  # factor of the rate on a canvas: a pixel shows few discs, and more looks grainy
 SHARPENED = 2.0  # form that is added to the colours before fine stages, of the finer band

@@ -25,7 +25,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection.shapes import extent
 from stylesplat.stylization.views import Box, box_cameras, per_view
 
-VIEWS = 16
+VIEWS = 16  # with 12 places that few of them show stay bare
 LENGTH = 200.0  # longer side of the object in them, in pixels
 MARGIN = 8  # pixels around its box, where nothing is to show
 SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
