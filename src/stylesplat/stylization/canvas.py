@@ -7,7 +7,6 @@ take. The canvas hides them. They keep their positions, and undoing gives them b
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -23,7 +22,6 @@ from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import colors_of, rasterize
 from stylesplat.rendering.shares import COVERED, coverage, without_looks
 from stylesplat.rendering.visibility import in_view
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.sampling import drawn
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
@@ -212,13 +210,9 @@ def fill_holes(canvas: Canvas) -> Canvas:
 class _View(NamedTuple):
     """What one camera saw before the canvas was laid, and what it sees of it."""
 
-    camera: Cameras
-    image: Float[Tensor, "H W 3"]
-    coverage: Float[Tensor, "H W 1"]
+    before: UnpaintedView
     rows: Int[Tensor, " M"]
     """The Gaussians of the scene with the canvas that are in view."""
-    is_disc: Bool[Tensor, " M"]
-    """Which of them are discs."""
     splats: Splats
     """These, in the colours that they have from there."""
 
@@ -229,7 +223,15 @@ def fit_canvas(canvas: Canvas, *, seed: int) -> Canvas:
     In every step the object's colours are raised by other amounts, so that its coverage has to be
     right whatever lies behind.
     """
-    views = [*at_once(partial(_look, canvas), canvas.views, canvas.splats.device)]
+
+    def look(before: UnpaintedView) -> _View:
+        splats, camera = canvas.splats, before.camera
+        rows = in_view(splats, camera).rows
+        colors = colors_of(splats, rows, camera.positions)
+        baked = replace(without_looks(splats)[rows], sh0=sh0_from_rgb(colors)[:, None])
+        return _View(before, rows, baked)
+
+    views = [*at_once(look, canvas.views, canvas.splats.device)]
     leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in RATES}
     moments, own = Moments.zeros(leaves), canvas.mask.to(canvas.splats.means)
     generator = torch.Generator().manual_seed(seed)
@@ -237,26 +239,17 @@ def fit_canvas(canvas: Canvas, *, seed: int) -> Canvas:
     raises = (RAISED * torch.stack([raised for _, raised in order])).to(own)  # at once, to a GPU
     turns = zip((view for view, _ in order), raises, strict=True)
     for step, (view, raised) in enumerate(track(turns, "fitting the canvas", total=STEPS), start=1):
-        is_disc, rows = view.is_disc, view.rows
+        before, rows, is_disc = view.before, view.rows, canvas.is_disc[view.rows]
         with torch.enable_grad():
             moved = {name: leaf[rows] for name, leaf in leaves.items()}
             sh0 = torch.where(is_disc[:, None, None], moved["sh0"], view.splats.sh0)
             moved["sh0"] = sh0 + raised / SH_C0 * own[rows, None, None]
-            image, _, _ = rasterize(replace(view.splats, **moved), view.camera)
-            (image[0] - view.image - raised * view.coverage).square().mean().backward()
+            image, _, _ = rasterize(replace(view.splats, **moved), before.camera)
+            wanted = before.image + raised * before.linear.coverage[..., None]
+            (image[0] - wanted).square().mean().backward()
         rates = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
         visible = torch.zeros_like(canvas.is_disc).index_copy(0, rows, is_disc)
         adam_step(leaves, moments, rates, step, visible=visible)
         for leaf in leaves.values():
             leaf.grad = None
     return canvas.changed(**{name: leaf.detach() for name, leaf in leaves.items()})
-
-
-@torch.no_grad()
-def _look(canvas: Canvas, view: UnpaintedView) -> _View:
-    splats, camera = canvas.splats, view.camera
-    rows = in_view(splats, camera).rows
-    colors = colors_of(splats, rows, camera.positions)
-    baked = replace(without_looks(splats)[rows], sh0=sh0_from_rgb(colors)[:, None])
-    before = view.image, view.linear.coverage[..., None]
-    return _View(camera, *before, rows, canvas.is_disc[rows], baked)

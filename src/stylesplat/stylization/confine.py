@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import cv2
@@ -74,9 +75,7 @@ def confine_canvas(
     coarser = min(COARSER, max(1.0, float(cameras.sizes.max()) / LEAST_SIZE))
     checked = cameras[[*evenly(range(len(cameras)), VIEWS)]].downscale(coarser)
     checked = _crop_to_gaussians(splats[canvas.own], checked)
-    outside = _find_outside(splats, canvas.own, checked)
-    if protected is not None:
-        outside += _find_covered(splats, protected, checked)
+    outside = _find_outside(splats, canvas.own, protected, checked)
     rows, outside = _overflow(canvas, outside)
     scales = canvas.splats.scales.clone()
     scales[rows] = round_discs.scales[rows] + math.log(SMALLER)
@@ -104,33 +103,24 @@ def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
 
 
 def _find_outside(
-    splats: Splats, mask: Bool[Tensor, " N"], cameras: Sequence[Cameras]
+    splats: Splats, mask: Tensor, protected: Tensor | None, cameras: Sequence[Cameras]
 ) -> list[Outside]:
-    """The pixels of each camera that show nothing of an object, or haze away from its edge."""
+    """Where there is nothing of an object, haze away from its edge, or what is protected."""
     bare = without_looks(splats)
     own = bare[mask]
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * EDGE + 1, 2 * EDGE + 1))
 
-    def look(camera: Cameras) -> Outside:
+    def look(camera: Cameras) -> list[Outside]:
         covered = coverage(bare, camera, mask)
         alone = full_coverage(own, camera)  # whatever hides it
         solid = (alone > COVERED).cpu().numpy().astype(np.uint8)
         edge = torch.from_numpy(cv2.dilate(solid, disc)).bool().to(covered.device)
-        return Outside(camera, (covered == 0) | ((covered < FAINT) & ~edge))
+        found = [Outside(camera, (covered == 0) | ((covered < FAINT) & ~edge))]
+        if protected is not None:
+            found.append(Outside(camera, coverage(bare, camera, protected) > COVERED, SHINES))
+        return found
 
-    return [*per_view(look, cameras, "looking beside the object", splats.device)]
-
-
-def _find_covered(
-    splats: Splats, mask: Bool[Tensor, " N"], cameras: Sequence[Cameras]
-) -> list[Outside]:
-    """The pixels of each camera that show protected Gaussians."""
-    bare = without_looks(splats)
-
-    def look(camera: Cameras) -> Outside:
-        return Outside(camera, coverage(bare, camera, mask) > COVERED, SHINES)
-
-    return [*per_view(look, cameras, "looking at what is protected", splats.device)]
+    return [*chain(*per_view(look, cameras, "looking beside the object", splats.device))]
 
 
 def _overflow(

@@ -42,7 +42,7 @@ NEAR = 0.04  # deviation of the window of a local correlation, in lengths
 FAINT = 0.01  # of 1: detail of less contrast is not seen
 ROUNDS = 6  # of `form_relief`: with 1 eyes are blurred, 12 show no more
 RARE = 0.05  # share of an object: less form than that counts less
-POOLED_DEVIATION = 1.2  # pixels of the finest band's blur at least, in a pooled view
+POOLED_DEVIATION = 1.0  # pixels of the finest band's blur at least, in a pooled view
 
 
 class FormSurvey(NamedTuple):
@@ -165,12 +165,13 @@ def bimodality(
 ) -> Float[Tensor, "H W"]:
     """Sarle's coefficient of bimodality around each place: 1 for two values, 1/3 for a normal
     distribution, nearly 0 for what is faint."""
-    powers = torch.stack([grey.double() ** n for n in (1, 2, 3, 4)])
+    grey = grey - (grey * mask).sum() / mask.sum().clamp(min=1)  # float32 is exact enough then
+    powers = torch.stack([grey, grey**2, grey**3, grey**4])
     mean, square, cube, fourth = smooth(powers, mask, deviation)
     variance = (square - mean**2).clamp(min=0)
     third = cube - 3 * mean * square + 2 * mean**3
     fourth = fourth - 4 * mean * cube + 6 * mean**2 * square - 3 * mean**4
-    return ((third**2 + variance**3) / (fourth * variance + FAINT**6)).to(grey)
+    return (third**2 + variance**3) / (fourth * variance + FAINT**6)
 
 
 def form_distance(

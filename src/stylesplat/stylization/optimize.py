@@ -59,6 +59,7 @@ OWN = 0.5  # share of a Gaussian that is the object's: one with less is not pain
 KEPT_HUES: dict[ColorMode, float] = {"blend": 0.5, "keep": 1.0}
 STYLE_FEATURES = 2048  # at random, of those of a fine stage; 4,096 look the same, and take longer
 COLOR_VIEWS = 8  # whose pixels give an object's colours; with 6 rare sides get too much form
+BLUR_VIEWS = 6  # that suffice between stages
 COLOR_LENGTH = 240.0  # longer side of the object in them at most, in pixels
 CANVAS_RATE = 0.5  # factor of the rate on a canvas: a pixel shows few discs, and more looks grainy
 SHARPENED = 2.0  # form that is added to the colours before fine stages, of the finer band
@@ -206,7 +207,7 @@ def _paint(
             object, paint = _confine(object, paint, turned=number > 0)
         mask = object.target.mask
         views = object.stage_views(stage, generator)
-        if stage.window is None and len(views) >= COLOR_VIEWS:
+        if stage.window is None and len(views) >= (COLOR_VIEWS if number == 0 else BLUR_VIEWS):
             whole = evenly(views, COLOR_VIEWS), stage.length
         elif number <= fixed_at:  # later stages have the same Gaussians
             whole = object.views(min(stage.length, COLOR_LENGTH))

@@ -74,10 +74,7 @@ class ObjectView:
         return rasterize(splats, self.camera)[0][0]
 
     def backproject(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 3"]:
-        """The transpose of rendering: an image times the weights of each Gaussian, summed.
-
-        Of Gaussians that are not the object's it may be 0.
-        """
+        """The sum of an image times the weights of each Gaussian; right for the object's alone."""
         if self.linear is None:
             return contributed(splats, self.camera, image)
         sums = image.new_zeros(len(splats), 3)
