@@ -22,7 +22,7 @@ from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.canvas import Canvas, fill_holes
+from stylesplat.stylization.canvas import Canvas, fade_hidden, fill_holes
 from stylesplat.stylization.views import per_view
 
 VIEWS = 24  # that are checked: discs lie on the very outline of the object
@@ -85,7 +85,8 @@ def confine_canvas(
         rows, outside = _overflow(canvas, outside)
         kept[rows] = False
         canvas = canvas.changed(opacities=canvas.splats.opacities.index_fill(0, rows, UNSEEN))
-    return fill_holes(canvas.select(kept)), kept
+    # what removed discs hid comes back; thin parts are all rim, in which no holes are looked for
+    return fill_holes(fade_hidden(canvas.select(kept))), kept
 
 
 def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
