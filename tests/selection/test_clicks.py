@@ -8,6 +8,7 @@ from torch.nn import functional as F
 from balls import CAMERAS, enlarged
 from scenes import cloud, randn
 from stylesplat.errors import StyleSplatError
+from stylesplat.masks.box_picks import pick_in_boxes
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.arguments import PickSize
 from stylesplat.scene.projection import project
@@ -86,6 +87,15 @@ def masked(scene: Scene, of: torch.Tensor) -> Bool[torch.Tensor, " N"]:
 def test_a_masked_object_is_completed_and_ends_where_it_leans():
     assert agreement(masked(BARE, OF == 0), 0) > 0.7
     assert agreement(masked(BARE, OF == 2), 2) > 0.7
+
+
+def test_a_box_decides_where_its_cut_misses_half_of_the_object():
+    both, half = (
+        coverage(BARE.splats, VIEWS[0], each) > 0.5 for each in ((OF == 0) | (OF == 1), OF == 0)
+    )
+    (top, left), (bottom, right) = (edge.tolist() for edge in both.nonzero().aminmax(dim=0))
+    found = pick_in_boxes(BARE.splats, VIEWS, [(0, (left, top, right + 1, bottom + 1))], {0: half})
+    assert found is not None and agreement(found, 0, 1) > 0.7
 
 
 def test_a_masked_object_reaches_down_to_what_it_stands_on():

@@ -7,10 +7,10 @@ from functools import cache
 from itertools import repeat
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.masks.box_picks import pick_in_boxes
 from stylesplat.masks.grabcut import (
     Box,
     Channels,
@@ -18,7 +18,6 @@ from stylesplat.masks.grabcut import (
     Stroke,
     cut_box,
     grabcut_image,
-    pixels_inside,
     refine_mask,
 )
 from stylesplat.metrics.iou import mask_iou
@@ -30,9 +29,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import Mask
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import IDENTITY_SIZE, Splats
-from stylesplat.selection.masked import pick_masked
 
-BOX_FIT = 0.05  # by how much the box of a pick in 3D may fit worse than that of GrabCut's cut
 GROWTH = 2  # factor between the numbers of masked views before and after a round
 SETTLING_ROUNDS = 2  # over all views at most, after each has a mask
 SETTLED = 0.98  # mean IoU with the round before, at which they stop
@@ -137,7 +134,7 @@ def propagate_boxes(
     for row, box in boxes:
         drawn = [stroke for at, stroke in strokes if at == row]
         cuts[row] = cut_box(images(row), box, cameras.names[row], drawn)
-    picked = _pick_in_boxes(splats, cameras, boxes, {row: cut for row, (_, cut) in cuts.items()})
+    picked = pick_in_boxes(splats, cameras, boxes, {row: cut for row, (_, cut) in cuts.items()})
     if picked is not None:
         return [(coverage(splats, camera, picked) > COVERED).cpu() for camera in cameras]
     channels = cuts[boxes[0][0]][0]
@@ -164,36 +161,6 @@ def propagate_boxes(
                 break
             votes = lift_masks(splats, cameras, known)
     return [known[row] for row in range(len(cameras))]
-
-
-def _pick_in_boxes(
-    splats: Splats,
-    cameras: Cameras,
-    boxes: Sequence[tuple[int, Box]],
-    cuts: Mapping[int, Mask],
-) -> Bool[Tensor, " N"] | None:
-    """The object in 3D that cuts show; None if it fills the boxes less well than the cuts do."""
-    there = {row: torch.from_numpy(pixels_inside(box, cameras[row].size)) for row, box in boxes}
-    given = [(row, cuts[row], ~inside) for row, inside in there.items()]
-    try:
-        picked = pick_masked(splats.to("cpu"), cameras, given).to(splats.device)
-    except StyleSplatError:  # hardly any Gaussian shows
-        return None
-    for row, inside in there.items():
-        seen = coverage(splats, cameras[row], picked).cpu() > COVERED
-        fits = [mask_iou(_around(mask), inside) for mask in (seen, cuts[row])]
-        if fits[0] < fits[1] - BOX_FIT:
-            return None
-    return picked
-
-
-def _around(mask: Mask) -> Mask:
-    """The smallest box around a mask."""
-    rows, columns = (mask.any(dim=axis).nonzero()[:, 0] for axis in (1, 0))
-    box = torch.zeros_like(mask)
-    if len(rows):
-        box[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = True
-    return box
 
 
 @torch.no_grad()
