@@ -12,7 +12,7 @@ from capture_files import CORNER_HEIGHT, CORNER_WIDTH, WALL, corner, places_arou
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.sfm_file import read_sfm
 
-COUNT = 8
+COUNT, ON_ORBIT = 12, 60  # photos, and pairs of neighbours on a closed orbit
 ROWS, COLUMNS = np.mgrid[:CORNER_HEIGHT, :CORNER_WIDTH]
 OBJECT = ((ROWS - 120) / 85) ** 2 + ((COLUMNS - 160) / 95) ** 2 < 1
 BOX = (60, 30, 260, 210)
@@ -33,7 +33,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def assert_posed(capture: ss.Capture) -> None:
+def assert_posed(capture: ss.Capture, compared: int = ON_ORBIT) -> None:
     assert len(capture) == COUNT
     steps = capture.cameras.positions.diff(dim=0).norm(dim=1)
     truth = torch.from_numpy(places_around(COUNT)).diff(dim=0).norm(dim=1)
@@ -41,6 +41,7 @@ def assert_posed(capture: ss.Capture) -> None:
     assert (ratio / ratio.median() - 1).abs().max() < 0.05
     record = read_sfm(capture.path or Path())
     assert record is not None and record.numbers["reprojection_error"] < 1
+    assert record.numbers["compared_pairs"] == compared
 
 
 def test_two_motions_are_told_with_the_remedy(photos: Path, tmp_path: Path, said: list[str]):
@@ -60,6 +61,15 @@ def test_masks_say_what_is_posed(photos: Path, tmp_path: Path):
     assert_posed(ss.sfm(photos, tmp_path / "capture", masks=photos / "masks"))
 
 
+def test_photos_of_a_camera_that_moves_are_not_taken_for_an_orbit(photos: Path, tmp_path: Path):
+    folder = tmp_path / "photos"
+    surroundings = (np.roll(ROOM, 40 * row, axis=1) for row in range(COUNT))
+    turned = zip(corner(COUNT).items(), surroundings, strict=True)
+    write_photos(folder, {name: np.where(OBJECT, each, room) for (name, each), room in turned})
+    posed = ss.sfm(folder, tmp_path / "capture", masks=photos / "masks")
+    assert_posed(posed, compared=COUNT * (COUNT - 1) // 2)
+
+
 def test_cut_outs_are_posed_by_what_they_show(tmp_path: Path):
     """Half of them before white, the others transparent."""
     folder = tmp_path / "cut-outs"
@@ -77,7 +87,7 @@ def test_cut_outs_are_posed_by_what_they_show(tmp_path: Path):
         (np.ones_like(OBJECT), COUNT, "every pixel of each photo"),
         (np.zeros_like(OBJECT), COUNT, "no pixel of each photo"),
         (OBJECT[:, :200], COUNT, "00.jpg is 200x240, which is not the shape of the photo"),
-        (OBJECT, COUNT - 2, r"no mask of 06.jpg, 07.jpg \(2 of 8 photos\)"),
+        (OBJECT, COUNT - 2, r"no mask of 10.jpg, 11.jpg \(2 of 12 photos\)"),
         (OBJECT, 0, "No mask in .* belongs to a photo"),
     ],
 )

@@ -18,11 +18,14 @@ PIXELS = 2**14  # of a picture that stand for all
 DISTANCES_AT_ONCE = 2**22  # bounds the colours x colours matrix
 
 
+def linear_rgb(colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
+    """Intensities of light, 0 to 1, of sRGB colours (IEC 61966-2-1)."""
+    return torch.where(colors > 0.04045, ((colors + 0.055) / 1.055) ** 2.4, colors / 12.92)
+
+
 def lab_from_rgb(colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
     """sRGB colours, clamped to 0..1, as L in 0..100, a and b (CIE 1976, white D65)."""
-    colors = colors.clamp(0, 1)
-    linear = torch.where(colors > 0.04045, ((colors + 0.055) / 1.055) ** 2.4, colors / 12.92)
-    xyz = linear @ colors.new_tensor(TO_XYZ).T / colors.new_tensor(D65)
+    xyz = linear_rgb(colors.clamp(0, 1)) @ colors.new_tensor(TO_XYZ).T / colors.new_tensor(D65)
     cubes = torch.where(xyz > (6 / 29) ** 3, xyz ** (1 / 3), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
     x, y, z = cubes.unbind(-1)
     return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], dim=-1)

@@ -68,7 +68,8 @@ def pick_in_boxes(
 def _candidates(
     splats: Splats, cameras: Cameras, held: Mapping[int, Mask], cuts: Mapping[int, Mask]
 ) -> Iterator[Bool[Tensor, " N"]]:
-    """What cuts show, completed on the surface, and what clicks into them pick."""
+    """What cuts show, completed on the surface, what clicks into them pick, and all there is."""
+    yield torch.ones(len(splats), dtype=torch.bool)  # photos may be cut out to the object
     try:
         yield pick_masked(splats, cameras, [(row, cuts[row], ~box) for row, box in held.items()])
     except StyleSplatError:  # hardly any Gaussian shows

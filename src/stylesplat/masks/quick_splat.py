@@ -9,6 +9,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.masks.still_camera import cut_out_moving
 from stylesplat.metrics.images import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device, render
@@ -40,8 +41,12 @@ def working_splat(capture: Capture, scene: Scene | None, device: str) -> Working
     torch_device = pick_device(device)
     capture = replace(capture, label_maps=None, object_names={})
     if scene is None:
+        small = at_most(capture, QUICK_SIZE)
+        moving = cut_out_moving(small)
+        if moving is not None:
+            say("Much of the photos stays the same. What moves before it is cut out of them first.")
         say("Training a quick splat, for a minute or more; --scene takes one that you have.")
-        state = fit(at_most(capture, QUICK_SIZE), QUICK, device=torch_device)
+        state = fit(moving or small, QUICK, device=torch_device)
         return WorkingSplat(capture, state.splats.detach())
     missing = set(capture.cameras.names) - set(scene.cameras.names)
     if missing:

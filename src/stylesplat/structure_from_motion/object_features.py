@@ -11,14 +11,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Integer
-from PIL import Image
+from PIL import Image, ImageOps
 from scipy.spatial import KDTree
 
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.photos import OPAQUE, same_shape
 from stylesplat.io.files import inside
-from stylesplat.io.images import decode, image_sizes
+from stylesplat.io.images import decode, image_sizes, open_image
 from stylesplat.structure_from_motion.workspace import (
     Workspace,
     mask_file,
@@ -35,6 +35,8 @@ REACH = 0.04  # of an object beyond its features, in longer sides
 GRID = 4  # pixels
 PLAIN = 10  # grey levels by which plain surroundings vary in JPEG files
 OUTLINE = 5  # pixels: an outline's features slide over the object
+# A camera stands still if beside the object, in at least half of each photo, hardly a pixel changes
+THUMBNAIL, SAME, BESIDE, UNCHANGED = 120, 12, 0.5, 0.8
 
 Box = tuple[float, float, float, float]
 Masks = Mapping[str, Callable[[], Bool[np.ndarray, "_ _"]]]
@@ -206,3 +208,20 @@ def write_masks(masks: Masks, photos: Path, names: Sequence[str], folder: Path) 
         what = "every pixel" if min(shares) == 1 else "no pixel"
         raise StyleSplatError(f"The masks show {what} of each photo. Check --masks.")
     return folder
+
+
+def stands_still(photos: Path, files: Sequence[str], masks: Path) -> bool:
+    """Whether photos that follow each other are the same where their masks are black."""
+    beside, same, before = [], [], None
+    for file in files:
+        with open_image(photos / file) as image, open_image(masks / mask_file(file)) as mask:
+            image.draft("L", (THUMBNAIL, THUMBNAIL))
+            grey = ImageOps.exif_transpose(image).convert("L").resize((THUMBNAIL, THUMBNAIL))
+            rest = np.asarray(mask.resize((THUMBNAIL, THUMBNAIL))) == 0
+        now = np.asarray(grey).astype(int), rest
+        if before is not None:
+            both = rest & before[1]
+            beside.append(both.mean())
+            same.append((np.abs(now[0] - before[0])[both] < SAME).mean() if both.any() else 0.0)
+        before = now
+    return bool(np.median(beside) > BESIDE and np.median(same) > UNCHANGED)

@@ -20,7 +20,13 @@ from stylesplat.structure_from_motion.failures import (
     two_motions,
     why_unregistered,
 )
-from stylesplat.structure_from_motion.matching import match_pairs
+from stylesplat.structure_from_motion.matching import (
+    MatchTable,
+    Pairs,
+    choose_pairs,
+    match_pairs,
+    orbit_pairs,
+)
 from stylesplat.structure_from_motion.object_features import (
     Box,
     Masks,
@@ -28,6 +34,7 @@ from stylesplat.structure_from_motion.object_features import (
     read_matches,
     share_of_two_motions,
     spread_box,
+    stands_still,
     write_masks,
 )
 from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
@@ -40,6 +47,7 @@ from stylesplat.structure_from_motion.workspace import (
 )
 
 STAGES = ("features", "matching", "mapping")
+MOST = 0.9  # share of the photos of a closed orbit that neighbours have to pose
 
 
 @dataclass(frozen=True)
@@ -79,13 +87,13 @@ def reconstruct(
         counts = feature_counts(workspace)
         check_features(counts, len(names))
         times.append(time.perf_counter())
-        table = match_pairs(workspace, ordered=prepared.ordered)
-        check_matches(table)
+        every = partial(choose_pairs, workspace, ordered=prepared.ordered)
+        is_orbit = folder is not None and _is_orbit(workspace, prepared, folder)
+        table, models = _pose(workspace, orbit_pairs(len(names)) if is_orbit else every(), times)
+        if is_orbit and (not models or models[0].num_reg_images() < MOST * len(names)):
+            table, models = _pose(workspace, every(), times)
         sides = [max(image_sizes(inside(photos, name))[0]) for name in names]
         motions = 0.0 if folder else share_of_two_motions(*read_matches(workspace), sides)
-        times.append(time.perf_counter())
-        models = _map_photos(workspace)
-        times.append(time.perf_counter())
     try:
         check_models(models, table, len(names))
     except StyleSplatError as error:
@@ -119,7 +127,7 @@ def _masks_of(
     """Masks of the object that a box in one photo is around."""
     workspace = open_workspace(work, photos, prepared.names, config)
     extract_features(workspace)
-    match_pairs(workspace, ordered=prepared.ordered)
+    match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
     places, matches = read_matches(workspace)
     sizes = [image_sizes(inside(photos, name))[0] for name in prepared.names]
     first = prepared.names.index(box[0])
@@ -132,6 +140,24 @@ def _masks_of(
         partial(pixels_near_features, *each) for each in zip(places, shares, sizes, strict=True)
     ]
     return dict(zip(prepared.names, regions, strict=True))
+
+
+def _pose(
+    workspace: Workspace, pairs: Pairs, times: list[float]
+) -> tuple[MatchTable, list[pycolmap.Reconstruction]]:
+    """Match pairs and map the photos; the times after both follow that of their features."""
+    table = match_pairs(workspace, pairs)
+    check_matches(table)
+    matched = time.perf_counter()
+    models = _map_photos(workspace)
+    times[2:] = [matched, time.perf_counter()]
+    return table, models
+
+
+def _is_orbit(workspace: Workspace, prepared: PreparedPhotos, masks: Path) -> bool:
+    """Whether the photos seem to show, in order, an object that turns before a still camera."""
+    by_order = prepared.ordered and workspace.config.matching == "auto"
+    return by_order and stands_still(workspace.photos, workspace.files, masks)
 
 
 def _map_photos(workspace: Workspace) -> list[pycolmap.Reconstruction]:
