@@ -71,11 +71,11 @@ class TexelView(ObjectView):
         colors = rgb_from_sh0(splats.sh0.index_select(0, self.texels)[:, 0])
         return _Product.apply(colors, self.matrix).view_as(self.background) + self.background
 
-    def weights(self, splats: Splats) -> Float[Tensor, " N"]:
-        """The contribution of each texel."""
+    def backproject(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 3"]:
+        """The sum of an image times the weights of each texel."""
         assert self.texels is not None and self.matrix is not None
-        sums = torch.from_numpy(self.matrix.sum(axis=0)).to(splats.means)
-        return splats.means.new_zeros(len(splats)).index_add_(0, self.texels, sums)
+        sums = torch.from_numpy(self.matrix.T @ image.flatten(0, 1).numpy())
+        return image.new_zeros(len(splats), 3).index_add_(0, self.texels, sums)
 
 
 class _Product(Function):
