@@ -74,6 +74,18 @@ def test_clicks_on_the_table_and_on_nothing_are_refused():
         select(BARE, "it", all=True, not_point=at(CENTRES[0]))
 
 
+def test_a_click_on_a_curved_backdrop_is_refused():
+    dome = 5 * F.normalize(randn(6000, 3), dim=1)
+    splats = cloud(torch.cat([MEANS, dome]), 0.03, opacity=3.0)
+    splats.scales[len(MEANS) :] += 2.3  # ten times as large
+    scene = Scene(splats, VIEWS)
+    backdrop = (VIEWS.names[0], VIEWS[0].size[0] / 2, 4.0)
+    with pytest.raises(StyleSplatError, match="nothing behind it"):
+        select(scene, "backdrop", point=backdrop)
+    found = select(scene, "it", point=at(CENTRES[2])).objects["it"].picked
+    assert agreement(found[: len(MEANS)], 2) > 0.7
+
+
 def masked(scene: Scene, of: torch.Tensor) -> Bool[torch.Tensor, " N"]:
     """What is picked where the upper half of an object is masked, and nothing beside it belongs."""
     shown = coverage(scene.splats, VIEWS[0], of) > 0.5

@@ -24,6 +24,7 @@ from stylesplat.scene.arguments import PickSize, check_point
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
+from stylesplat.selection.figure_ground import share_before
 from stylesplat.selection.random_walks import nearer_to_seeds, sweep, two_sided
 from stylesplat.selection.surface_graph import SurfaceGraph, surface_of, symmetric
 
@@ -36,6 +37,7 @@ WEAK = 1.0
 # to 0.17 from seven clicks, smaller pieces of it 0.29 and more.
 BOUNDED = 0.2
 FEW = 20  # patches that a piece has at least
+BEFORE = 0.02  # of `share_before`, below which a pick is background
 
 
 def pick_clicked(
@@ -61,10 +63,10 @@ def pick_clicked(
     device = splats.device
     if device.type != "cpu":
         splats = splats.to("cpu")
-    surface = surface_of(splats, cameras)
+    surface, places = surface_of(splats, cameras), [*points]
     clicked, others = (
         np.unique([_patch_at(surface, splats, cameras, *each, size) for each in some]).astype(int)
-        for some in (points, not_points)
+        for some in (places, not_points)
     )
     graph = surface.pieces() if size == "part" else surface.connections(FOLD)
     chosen = np.zeros(len(surface.points), bool)
@@ -75,7 +77,10 @@ def pick_clicked(
         if len(np.intersect1d(seeds, rivals)):
             raise StyleSplatError("A point and a point to exclude hit the same place. Move one.")
         chosen[_cut(graph, rows, seeds, rivals, size)] = True
-    return torch.from_numpy(chosen[surface.owners]).to(device)
+    picked = torch.from_numpy(chosen[surface.owners])
+    if size != "part" and share_before(splats, cameras, picked) < BEFORE:
+        raise _background(*places[0])
+    return picked.to(device)
 
 
 def _parts(surface: SurfaceGraph, size: PickSize) -> Int[np.ndarray, " K"]:
@@ -149,9 +154,13 @@ def _patch_at(
         )
     best = int(np.bincount(surface.owners, shown).argmax())
     if size != "part" and surface.is_background[best]:
-        raise StyleSplatError(
-            f"Background shows at {point[0]:g},{point[1]:g} in {view}: a large plane, or what is "
-            "far away. Point at an object, take what is flat on a plane with --size part, or pick "
-            "by shape with --sphere or --box3d."
-        )
+        raise _background(view, point)
     return best
+
+
+def _background(view: str, point: tuple[float, float]) -> StyleSplatError:
+    return StyleSplatError(
+        f"Background shows at {point[0]:g},{point[1]:g} in {view}: a large plane, or what has "
+        "nothing behind it. Point at an object, take what is flat on a plane with --size part, or "
+        "pick by shape with --sphere or --box3d."
+    )
