@@ -18,7 +18,6 @@ from jaxtyping import Float, Shaped
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from stylesplat.color.lab import linear_rgb
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.splats.gltf_file import (
@@ -265,9 +264,10 @@ def _columns(splats: Splats, path: Path) -> dict[str, Shaped[Tensor, "N D"]]:
             "Export a .ply."
         )
     opacities = splats.opacities.sigmoid()[:, None]
-    # Linear colours and alpha for programs that draw points
+    # Linear colours and alpha for programs that draw points; sRGB's decoding, from its standard
     shown = rgb_from_sh0(splats.sh0[:, 0]).clamp_(0, 1)
-    points = torch.cat([linear_rgb(shown), opacities], dim=1)
+    linear = torch.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    points = torch.cat([linear, opacities], dim=1)
     bands = (splats.sh0[:, 0], *splats.shN.unbind(dim=1))
     return {
         "POSITION": splats.means,
