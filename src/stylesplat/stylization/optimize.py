@@ -283,6 +283,7 @@ def _confine(object: _Object, paint: Splats, *, turned: bool) -> tuple[_Object, 
         painted=paint if turned else None,
         protected=object.target.protected,
     )
+    canvas = replace(canvas, views=())  # they are not needed again, and take memory
     return object.on(canvas), replace(canvas.splats, sh0=paint.sh0[kept], shN=paint.shN[kept])
 
 
