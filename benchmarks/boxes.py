@@ -76,7 +76,8 @@ def of_turntable(capture: Capture, folder: Path) -> list[Drawn]:
         return resize_labels(labels, capture.cameras[row].size[::-1]) != BACKGROUND
 
     truth = {row: mask(row) for row in range(len(capture))}
-    return [Drawn("turntable", len(truth) * n // TURNED, truth) for n in range(TURNED)]
+    truth = {row: each for row, each in truth.items() if int(each.sum()) > FEW}
+    return [Drawn("turntable", [*truth][len(truth) * n // TURNED], truth) for n in range(TURNED)]
 
 
 def lowest_iou(one: Mask, other: Mask) -> float:

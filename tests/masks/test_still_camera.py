@@ -38,10 +38,26 @@ def test_what_moves_before_a_still_camera_is_cut_out_without_its_shadow():
         assert not found.photos[row][alpha == 0].any(), "nothing of the room is left"
 
 
-def test_photos_of_a_camera_that_moves_stay_whole():
+def capture_of(images: list[torch.Tensor]) -> Capture:
+    return Capture(VIEWS[[*range(len(images))]], images)
+
+
+def test_other_photos_stay_whole():
     moved = [each.roll(9 * row, dims=1) for row, each in enumerate(CAPTURE.photos)]
-    assert cut_out_moving(replace(CAPTURE, photos=moved)) is None
-    assert (
-        cut_out_moving(replace(CAPTURE, alphas=[torch.ones_like(CAPTURE.photos[0][..., 0])] * 8))
-        is None
-    )
+    assert cut_out_moving(capture_of(moved)) is None
+    for each in moved:
+        each[: HEIGHT // 2] = 255
+    assert cut_out_moving(capture_of(moved)) is None, "a plain sky is no room"
+    assert cut_out_moving(capture_of([*CAPTURE.photos[:5]])) is None, "too few"
+    cut_out = [torch.full((HEIGHT, WIDTH), 255, dtype=torch.uint8)] * len(VIEWS)
+    assert cut_out_moving(replace(CAPTURE, alphas=cut_out)) is None
+
+
+def test_what_has_the_hue_of_its_surroundings_is_not_cut_away():
+    """A grey statue in a grey room: each turn looks as if other light fell on it."""
+    grey = ROOM.mean(dim=2, keepdim=True).expand_as(ROOM)
+    statue = ((X - WIDTH // 2) ** 2 + (Y - 50) ** 2 < 20**2)[..., None]
+    lights = (0.5 + 0.1 * randn(HEIGHT, WIDTH, 1).clamp(-2, 2) for _ in VIEWS)
+    images = [torch.where(statue, light.expand_as(grey), grey) for light in lights]
+    photos = [(255 * image).round().to(torch.uint8) for image in images]
+    assert cut_out_moving(capture_of(photos)) is None

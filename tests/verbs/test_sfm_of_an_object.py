@@ -1,5 +1,6 @@
 """Poses of an object that turns before a still background, and of cut-outs."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from capture_files import CORNER_HEIGHT, CORNER_WIDTH, WALL, corner, places_arou
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.sfm_file import read_sfm
 
-COUNT, ON_ORBIT = 12, 60  # photos, and pairs of neighbours on a closed orbit
+COUNT = 12
+LOOP = [*range(0, COUNT, 2), *range(1, COUNT, 2)[::-1]]  # there and back: the last is by the first
+ON_LOOP, ALL = 60, 66  # pairs of neighbours on a closed orbit, and of all photos
 ROWS, COLUMNS = np.mgrid[:CORNER_HEIGHT, :CORNER_WIDTH]
 OBJECT = ((ROWS - 120) / 85) ** 2 + ((COLUMNS - 160) / 95) ** 2 < 1
 BOX = (60, 30, 260, 210)
@@ -20,7 +23,9 @@ ROOM = WALL[:CORNER_HEIGHT, :CORNER_WIDTH, 0]
 
 
 def turning(surroundings: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: np.where(OBJECT, each, surroundings) for name, each in corner(COUNT).items()}
+    images = corner(COUNT)
+    along = [[*images.values()][place] for place in LOOP]
+    return {n: np.where(OBJECT, each, surroundings) for n, each in zip(images, along, strict=True)}
 
 
 @pytest.fixture(scope="module")
@@ -33,10 +38,10 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def assert_posed(capture: ss.Capture, compared: int = ON_ORBIT) -> None:
+def assert_posed(capture: ss.Capture, compared: int = ON_LOOP) -> None:
     assert len(capture) == COUNT
     steps = capture.cameras.positions.diff(dim=0).norm(dim=1)
-    truth = torch.from_numpy(places_around(COUNT)).diff(dim=0).norm(dim=1)
+    truth = torch.from_numpy(places_around(COUNT)[LOOP]).diff(dim=0).norm(dim=1)
     ratio = steps / truth.float()
     assert (ratio / ratio.median() - 1).abs().max() < 0.05
     record = read_sfm(capture.path or Path())
@@ -64,10 +69,19 @@ def test_masks_say_what_is_posed(photos: Path, tmp_path: Path):
 def test_photos_of_a_camera_that_moves_are_not_taken_for_an_orbit(photos: Path, tmp_path: Path):
     folder = tmp_path / "photos"
     surroundings = (np.roll(ROOM, 40 * row, axis=1) for row in range(COUNT))
-    turned = zip(corner(COUNT).items(), surroundings, strict=True)
+    turned = zip(turning(ROOM).items(), surroundings, strict=True)
     write_photos(folder, {name: np.where(OBJECT, each, room) for (name, each), room in turned})
-    posed = ss.sfm(folder, tmp_path / "capture", masks=photos / "masks")
-    assert_posed(posed, compared=COUNT * (COUNT - 1) // 2)
+    assert_posed(ss.sfm(folder, tmp_path / "capture", masks=photos / "masks"), compared=ALL)
+
+
+def test_photos_of_half_a_turn_are_all_matched(photos: Path, tmp_path: Path):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for place, name in zip(LOOP, turning(ROOM), strict=True):
+        shutil.copy(photos / name, folder / f"{place:02}.jpg")
+    capture = ss.sfm(folder, tmp_path / "capture", masks=photos / "masks")
+    record = read_sfm(capture.path or Path())
+    assert record is not None and record.numbers["compared_pairs"] == ALL
 
 
 def test_cut_outs_are_posed_by_what_they_show(tmp_path: Path):
@@ -78,7 +92,7 @@ def test_cut_outs_are_posed_by_what_they_show(tmp_path: Path):
         pixels = np.dstack([np.asarray(Image.open(path)), 255 * OBJECT.astype(np.uint8)])
         Image.fromarray(pixels).save(path.with_suffix(".png"))
         path.unlink()
-    assert_posed(ss.sfm(folder, tmp_path / "capture"))
+    assert_posed(ss.sfm(folder, tmp_path / "capture"), compared=ALL)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 No one way to cut an object out of a splat suits all. What masks show, completed on the surface,
 ends well where objects stand on a plane; a click follows folds, and needs no exact mask (one box
-around the fox gave an IoU of .78 by the first, and gives .94 by the best of all).
+around the fox gave an IoU of .78 by masks alone, and gives .94 by the best of all).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -73,7 +73,7 @@ def _candidates(
     try:
         yield pick_masked(splats, cameras, [(row, cuts[row], ~box) for row, box in held.items()])
     except StyleSplatError:  # hardly any Gaussian shows
-        return
+        pass
     places = [[(cameras.names[row], place) for place in _middles(cuts[row])] for row in held]
     for rank in range(CLICKS):
         clicks = [each[rank] for each in places if rank < len(each)]

@@ -44,7 +44,7 @@ def working_splat(capture: Capture, scene: Scene | None, device: str) -> Working
         small = at_most(capture, QUICK_SIZE)
         moving = cut_out_moving(small)
         if moving is not None:
-            say("Much of the photos stays the same. What moves before it is cut out of them first.")
+            say("The camera stood still: the quick splat is trained on what moves alone.")
         say("Training a quick splat, for a minute or more; --scene takes one that you have.")
         state = fit(moving or small, QUICK, device=torch_device)
         return WorkingSplat(capture, state.splats.detach())

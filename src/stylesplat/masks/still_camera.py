@@ -22,6 +22,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.sampling import evenly
 
 PHOTOS = 48  # that tell what stands still
+MIN_PHOTOS = 8  # fewer tell nothing
 SAME = 10  # of 255, by which colours of a pixel may differ that are the same
 STAYS = 0.9  # share of the photos in which a pixel has the same colour if nothing moves there
 STILL = 0.2  # share of such pixels from which the camera stood still: .48 on the own turntable,
@@ -29,21 +30,29 @@ STILL = 0.2  # share of such pixels from which the camera stood still: .48 on th
 DIFFERS = 0.06  # of a colour channel; less is noise
 LIGHT, HUE = 2.5, 0.3  # logarithms of intensities: a shadow's at most, and how it may be tinted
 DARK = 0.01  # intensity that is added, so that noise in the dark has no hue
+EDGE, EDGES = 0.04, 0.005  # a plain sky is the same in all photos, too: still pixels at an edge
+LEAST = 0.02  # of each photo moves, or the object has the hue of what is behind it
 SPECK, GAP = 3, 9  # pixels at working size: smaller specks are dropped, narrower gaps closed
 
 
 @torch.no_grad()
 def cut_out_moving(capture: Capture) -> Capture | None:
-    """The photos with all transparent but what moves; None if the camera moved, too.
+    """The photos with all transparent but what moves before a camera that stood still.
 
-    Shadows that move are left out where they keep the hue of what they fall on.
+    Shadows that move are left out where they keep the hue of what they fall on. None if the camera
+    moved or too few photos tell, if what moves cannot be told from its surroundings, and for
+    photos of several sizes or that are cut out.
     """
     sizes = {camera.size for camera in capture.cameras}
-    if len(sizes) > 1 or capture.alphas is not None:
+    if len(sizes) > 1 or capture.alphas is not None or len(capture) < MIN_PHOTOS:
         return None
-    rows = evenly(range(len(capture)), PHOTOS)
-    still, share = _still(torch.stack([capture.photos[row] for row in rows]))
-    if (share > STAYS).float().mean() < STILL:
+    photos = [capture.photos[row] for row in evenly(range(len(capture)), PHOTOS)]
+    still, share = _still(torch.stack(photos))
+    stays, grey = share > STAYS, still.mean(dim=-1)
+    edges = (grey[1:, 1:] - grey[1:, :-1]).abs() + (grey[1:, 1:] - grey[:-1, 1:]).abs() > EDGE
+    if stays.float().mean() < STILL or (edges & stays[1:, 1:]).float().mean() < EDGES:
+        return None
+    if min(float(_moving(each, still).float().mean()) for each in photos) < LEAST:
         return None
 
     def alpha(row: int) -> UInt8[Tensor, "H W"]:

@@ -17,7 +17,7 @@ from stylesplat.structure_from_motion.workspace import Workspace
 EXHAUSTIVE = 60
 SIMILAR = 20  # photos that each is matched with if they are more: 9 of 10 matches of fox
 CONSECUTIVE = 10  # photos that each is matched with of those after it; then 16, 32 and so on
-BESIDE = 5  # photos before and after that each is matched with on a turntable
+ORBIT_NEIGHBOURS = 5  # photos before and after that each is matched with on a turntable
 # Image retrieval after Wu, Towards Linear-Time Incremental Structure from Motion, 2013. With 128
 # features 97 of 100 of fox's most similar pairs do match; twice as many features change nothing
 LARGEST, DESCRIPTOR = 128, 128
@@ -88,7 +88,11 @@ def orbit_pairs(count: int) -> Pairs:
         >>> sorted(orbit_pairs(100))[:6]
         [(0, 1), (0, 2), (0, 3), (0, 4), (0, 5), (0, 95)]
     """
-    pairs = ((row, (row + step) % count) for step in range(1, BESIDE + 1) for row in range(count))
+    pairs = (
+        (row, (row + step) % count)
+        for step in range(1, ORBIT_NEIGHBOURS + 1)
+        for row in range(count)
+    )
     return {(min(pair), max(pair)) for pair in pairs if pair[0] != pair[1]}
 
 

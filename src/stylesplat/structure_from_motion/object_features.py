@@ -19,6 +19,8 @@ from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.photos import OPAQUE, same_shape
 from stylesplat.io.files import inside
 from stylesplat.io.images import decode, image_sizes, open_image
+from stylesplat.progress import track
+from stylesplat.scene.sampling import evenly
 from stylesplat.structure_from_motion.workspace import (
     Workspace,
     mask_file,
@@ -36,7 +38,8 @@ GRID = 4  # pixels
 PLAIN = 10  # grey levels by which plain surroundings vary in JPEG files
 OUTLINE = 5  # pixels: an outline's features slide over the object
 # A camera stands still if beside the object, in at least half of each photo, hardly a pixel changes
-THUMBNAIL, SAME, BESIDE, UNCHANGED = 120, 12, 0.5, 0.8
+THUMBNAIL, COMPARED = 120, 40  # pixels, pairs of photos
+UNCHANGED, LEFT_OUT, STILL_SHARE = 12, 0.5, 0.8  # grey levels, and shares of pixels
 
 Box = tuple[float, float, float, float]
 Masks = Mapping[str, Callable[[], Bool[np.ndarray, "_ _"]]]
@@ -212,16 +215,18 @@ def write_masks(masks: Masks, photos: Path, names: Sequence[str], folder: Path) 
 
 def stands_still(photos: Path, files: Sequence[str], masks: Path) -> bool:
     """Whether photos that follow each other are the same where their masks are black."""
-    beside, same, before = [], [], None
-    for file in files:
+
+    def look(file: str) -> tuple[Integer[np.ndarray, "_ _"], Bool[np.ndarray, "_ _"]]:
         with open_image(photos / file) as image, open_image(masks / mask_file(file)) as mask:
             image.draft("L", (THUMBNAIL, THUMBNAIL))
             grey = ImageOps.exif_transpose(image).convert("L").resize((THUMBNAIL, THUMBNAIL))
-            rest = np.asarray(mask.resize((THUMBNAIL, THUMBNAIL))) == 0
-        now = np.asarray(grey).astype(int), rest
-        if before is not None:
-            both = rest & before[1]
-            beside.append(both.mean())
-            same.append((np.abs(now[0] - before[0])[both] < SAME).mean() if both.any() else 0.0)
-        before = now
-    return bool(np.median(beside) > BESIDE and np.median(same) > UNCHANGED)
+            left_out = np.asarray(mask.resize((THUMBNAIL, THUMBNAIL))) == 0
+            return np.asarray(grey).astype(int), left_out
+
+    sizes, same = [], []
+    for row in track(evenly(range(len(files) - 1), COMPARED), "looking at what stands still"):
+        (grey, left_out), (after, also) = look(files[row]), look(files[row + 1])
+        both = left_out & also
+        sizes.append(both.mean())
+        same.append((np.abs(after - grey)[both] < UNCHANGED).mean() if both.any() else 0.0)
+    return bool(np.median(sizes) > LEFT_OUT and np.median(same) > STILL_SHARE)

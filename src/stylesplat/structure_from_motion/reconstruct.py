@@ -21,8 +21,6 @@ from stylesplat.structure_from_motion.failures import (
     why_unregistered,
 )
 from stylesplat.structure_from_motion.matching import (
-    MatchTable,
-    Pairs,
     choose_pairs,
     match_pairs,
     orbit_pairs,
@@ -47,7 +45,7 @@ from stylesplat.structure_from_motion.workspace import (
 )
 
 STAGES = ("features", "matching", "mapping")
-MOST = 0.9  # share of the photos of a closed orbit that neighbours have to pose
+MIN_POSED = 0.9  # share of the photos of a closed orbit that neighbours have to pose
 
 
 @dataclass(frozen=True)
@@ -88,10 +86,17 @@ def reconstruct(
         check_features(counts, len(names))
         times.append(time.perf_counter())
         every = partial(choose_pairs, workspace, ordered=prepared.ordered)
-        is_orbit = folder is not None and _is_orbit(workspace, prepared, folder)
-        table, models = _pose(workspace, orbit_pairs(len(names)) if is_orbit else every(), times)
-        if is_orbit and (not models or models[0].num_reg_images() < MOST * len(names)):
-            table, models = _pose(workspace, every(), times)
+        models, table, matched = list[pycolmap.Reconstruction](), None, 0.0
+        if folder is not None and _may_be_orbit(workspace, prepared, folder):
+            table, matched = match_pairs(workspace, orbit_pairs(len(names))), time.perf_counter()
+            if (names[0], names[-1]) in table.matches:
+                models = _map_photos(workspace)
+        if table is None or not models or models[0].num_reg_images() < MIN_POSED * len(names):
+            table = match_pairs(workspace, every())
+            check_matches(table)
+            matched = time.perf_counter()
+            models = _map_photos(workspace)
+        times += [matched, time.perf_counter()]
         sides = [max(image_sizes(inside(photos, name))[0]) for name in names]
         motions = 0.0 if folder else share_of_two_motions(*read_matches(workspace), sides)
     try:
@@ -142,22 +147,14 @@ def _masks_of(
     return dict(zip(prepared.names, regions, strict=True))
 
 
-def _pose(
-    workspace: Workspace, pairs: Pairs, times: list[float]
-) -> tuple[MatchTable, list[pycolmap.Reconstruction]]:
-    """Match pairs and map the photos; the times after both follow that of their features."""
-    table = match_pairs(workspace, pairs)
-    check_matches(table)
-    matched = time.perf_counter()
-    models = _map_photos(workspace)
-    times[2:] = [matched, time.perf_counter()]
-    return table, models
-
-
-def _is_orbit(workspace: Workspace, prepared: PreparedPhotos, masks: Path) -> bool:
+def _may_be_orbit(workspace: Workspace, prepared: PreparedPhotos, masks: Path) -> bool:
     """Whether the photos seem to show, in order, an object that turns before a still camera."""
     by_order = prepared.ordered and workspace.config.matching == "auto"
-    return by_order and stands_still(workspace.photos, workspace.files, masks)
+    return (
+        by_order
+        and not prepared.cut_outs
+        and stands_still(workspace.photos, workspace.files, masks)
+    )
 
 
 def _map_photos(workspace: Workspace) -> list[pycolmap.Reconstruction]:

@@ -165,13 +165,12 @@ def bimodality(
 ) -> Float[Tensor, "H W"]:
     """Sarle's coefficient of bimodality around each place: 1 for two values, 1/3 for a normal
     distribution, nearly 0 for what is faint."""
-    grey = grey - (grey * mask).sum() / mask.sum().clamp(min=1)  # float32 is exact enough then
-    powers = torch.stack([grey, grey**2, grey**3, grey**4])
+    powers = torch.stack([grey.double() ** n for n in (1, 2, 3, 4)])
     mean, square, cube, fourth = smooth(powers, mask, deviation)
     variance = (square - mean**2).clamp(min=0)
     third = cube - 3 * mean * square + 2 * mean**3
     fourth = fourth - 4 * mean * cube + 6 * mean**2 * square - 3 * mean**4
-    return (third**2 + variance**3) / (fourth * variance + FAINT**6)
+    return ((third**2 + variance**3) / (fourth * variance + FAINT**6)).to(grey)
 
 
 def form_distance(

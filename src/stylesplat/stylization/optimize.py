@@ -121,7 +121,7 @@ class _Object:
         """A few views of the whole object, which is as long in them."""
         few, zoom = evenly(self.boxes, COLOR_VIEWS), length / typical_length(self.boxes)
         views = object_views(self.context, self.target, few, zoom, max_memory=math.inf)
-        return matte_views(views), length
+        return views if self.target.config.published else matte_views(views), length
 
 
 def paint_steps(
@@ -296,11 +296,12 @@ def _begin(
     """
     config, splats, mask = object.target.config, object.canvas.splats, object.target.mask
     share, palette = KEPT_HUES.get(config.color, 0.0), None
+    if not config.published:
+        splats = replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
     own = object_colors(splats, views) if share > 0 else None
     pictures = style_pictures(object.target.styles, config, own, share)
     if config.published:
         return pictures, palette, splats
-    splats = replace(splats, shN=splats.shN.masked_fill(mask[:, None, None], 0))
     splats = remove_pattern(splats, mask, views, length, config.pattern_removed)
     form = config.form * config.pattern_removed  # what was removed of it with the pattern
     splats = add_luminance(splats, form * relief.sum(dim=1))
