@@ -50,31 +50,39 @@ def pick_in_boxes(
         The pick whose renders agree best with boxes and cuts; None if none fills the boxes as well
         as the cuts do.
     """
-    held = {row: torch.from_numpy(pixels_inside(box, cameras[row].size)) for row, box in boxes}
+    box_masks = {row: torch.from_numpy(pixels_inside(box, cameras[row].size)) for row, box in boxes}
+    needed = {
+        row: mask_iou(_bounding_box(cuts[row]), box) - BOX_FIT for row, box in box_masks.items()
+    }
     best, most = None, 0.0
-    for pick in _candidates(splats.to("cpu"), cameras, held, cuts):
+    for pick in _candidates(splats.to("cpu"), cameras, box_masks, cuts):
         picked = pick.to(splats.device)
-        seen = {row: coverage(splats, cameras[row], picked).cpu() > COVERED for row in held}
-        fits = {row: mask_iou(_around(seen[row]), box) for row, box in held.items()}
-        agreement = sum(BOX_WEIGHT * fits[row] + mask_iou(seen[row], cuts[row]) for row in held)
-        fills = all(
-            fits[row] >= mask_iou(_around(cuts[row]), box) - BOX_FIT for row, box in held.items()
+        rendered = {
+            row: coverage(splats, cameras[row], picked).cpu() > COVERED for row in box_masks
+        }
+        fits = {row: mask_iou(_bounding_box(rendered[row]), box) for row, box in box_masks.items()}
+        agreement = sum(
+            BOX_WEIGHT * fits[row] + mask_iou(rendered[row], cuts[row]) for row in box_masks
         )
-        if fills and agreement > most:
+        if agreement > most and all(fits[row] >= needed[row] for row in box_masks):
             best, most = picked, agreement
     return best
 
 
 def _candidates(
-    splats: Splats, cameras: Cameras, held: Mapping[int, Mask], cuts: Mapping[int, Mask]
+    splats: Splats, cameras: Cameras, box_masks: Mapping[int, Mask], cuts: Mapping[int, Mask]
 ) -> Iterator[Bool[Tensor, " N"]]:
     """What cuts show, completed on the surface, what clicks into them pick, and all there is."""
     yield torch.ones(len(splats), dtype=torch.bool)  # photos may be cut out to the object
     try:
-        yield pick_masked(splats, cameras, [(row, cuts[row], ~box) for row, box in held.items()])
+        yield pick_masked(
+            splats, cameras, [(row, cuts[row], ~box) for row, box in box_masks.items()]
+        )
     except StyleSplatError:  # hardly any Gaussian shows
         pass
-    places = [[(cameras.names[row], place) for place in _middles(cuts[row])] for row in held]
+    places = [
+        [(cameras.names[row], place) for place in _places_to_click(cuts[row])] for row in box_masks
+    ]
     for rank in range(CLICKS):
         clicks = [each[rank] for each in places if rank < len(each)]
         for size in SIZES if clicks else ():
@@ -84,7 +92,7 @@ def _candidates(
                 break
 
 
-def _middles(mask: Mask) -> list[tuple[float, float]]:
+def _places_to_click(mask: Mask) -> list[tuple[float, float]]:
     """Pixels deep inside a mask, apart from each other, the deepest first."""
     depth = np.asarray(distance_transform_edt(mask.numpy()))
     rows, columns = np.indices(depth.shape)
@@ -96,7 +104,7 @@ def _middles(mask: Mask) -> list[tuple[float, float]]:
     return found
 
 
-def _around(mask: Mask) -> Mask:
+def _bounding_box(mask: Mask) -> Mask:
     """The smallest box around a mask."""
     rows, columns = (mask.any(dim=axis).nonzero()[:, 0] for axis in (1, 0))
     box = torch.zeros_like(mask)

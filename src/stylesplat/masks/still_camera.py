@@ -6,7 +6,7 @@ photos that do not show the object there.
 """
 
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
@@ -55,16 +55,18 @@ def cut_out_moving(capture: Capture) -> Capture | None:
     if min(float(_moving(each, still).float().mean()) for each in photos) < LEAST:
         return None
 
-    def alpha(row: int) -> UInt8[Tensor, "H W"]:
-        return 255 * _moving(capture.photos[row], still).to(torch.uint8)
+    @lru_cache(maxsize=2)  # the photo is asked for, and then its alpha
+    def cut_out(row: int) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W"]]:
+        photo = capture.photos[row]
+        moving = _moving(photo, still)
+        return photo * moving[..., None], 255 * moving.to(torch.uint8)
 
-    def photo(row: int) -> UInt8[Tensor, "H W 3"]:
-        return capture.photos[row] * (alpha(row) > 0)[..., None]
+    def part(row: int, which: int) -> Tensor:
+        return cut_out(row)[which]
 
-    photos, alphas = (
-        Lazy([partial(each, row) for row in range(len(capture))]) for each in (photo, alpha)
-    )
-    return replace(capture, photos=photos, alphas=alphas)
+    rows = range(len(capture))
+    cut_photos, alphas = (Lazy([partial(part, row, which) for row in rows]) for which in (0, 1))
+    return replace(capture, photos=cut_photos, alphas=alphas)
 
 
 def _still(

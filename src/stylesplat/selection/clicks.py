@@ -24,7 +24,7 @@ from stylesplat.scene.arguments import PickSize, check_point
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.figure_ground import share_before
+from stylesplat.selection.figure_ground import occluding_share
 from stylesplat.selection.random_walks import nearer_to_seeds, sweep, two_sided
 from stylesplat.selection.surface_graph import SurfaceGraph, surface_of, symmetric
 
@@ -37,7 +37,7 @@ WEAK = 1.0
 # to 0.17 from seven clicks, smaller pieces of it 0.29 and more.
 BOUNDED = 0.2
 FEW = 20  # patches that a piece has at least
-BEFORE = 0.02  # of `share_before`, below which a pick is background
+MIN_OCCLUDING = 0.02  # of `occluding_share`, below which a pick is background
 
 
 def pick_clicked(
@@ -78,8 +78,8 @@ def pick_clicked(
             raise StyleSplatError("A point and a point to exclude hit the same place. Move one.")
         chosen[_cut(graph, rows, seeds, rivals, size)] = True
     picked = torch.from_numpy(chosen[surface.owners])
-    if size != "part" and share_before(splats, cameras, picked) < BEFORE:
-        raise _background(*places[0])
+    if size != "part" and occluding_share(splats, cameras, picked) < MIN_OCCLUDING:
+        raise _background_error(*places[0])
     return picked.to(device)
 
 
@@ -154,11 +154,11 @@ def _patch_at(
         )
     best = int(np.bincount(surface.owners, shown).argmax())
     if size != "part" and surface.is_background[best]:
-        raise _background(view, point)
+        raise _background_error(view, point)
     return best
 
 
-def _background(view: str, point: tuple[float, float]) -> StyleSplatError:
+def _background_error(view: str, point: tuple[float, float]) -> StyleSplatError:
     return StyleSplatError(
         f"Background shows at {point[0]:g},{point[1]:g} in {view}: a large plane, or what has "
         "nothing behind it. Point at an object, take what is flat on a plane with --size part, or "

@@ -25,7 +25,7 @@ FARTHER = 0.04  # of the pick's extent, by which depths at an outline jump
 
 
 @torch.no_grad()
-def share_before(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> float:
+def occluding_share(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]) -> float:
     """The share of a pick's outlines in a few views that something farther, or nothing, is beside.
 
     On the fox, the picture on its wall and the demo's objects .08 to .89, on pieces of walls and of

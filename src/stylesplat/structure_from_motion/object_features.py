@@ -6,6 +6,7 @@ wrong for the other, and poses of both together are wrong for both.
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -216,6 +217,7 @@ def write_masks(masks: Masks, photos: Path, names: Sequence[str], folder: Path) 
 def stands_still(photos: Path, files: Sequence[str], masks: Path) -> bool:
     """Whether photos that follow each other are the same where their masks are black."""
 
+    @lru_cache(maxsize=1)  # most photos are in two pairs
     def look(file: str) -> tuple[Integer[np.ndarray, "_ _"], Bool[np.ndarray, "_ _"]]:
         with open_image(photos / file) as image, open_image(masks / mask_file(file)) as mask:
             image.draft("L", (THUMBNAIL, THUMBNAIL))

@@ -20,11 +20,7 @@ from stylesplat.structure_from_motion.failures import (
     two_motions,
     why_unregistered,
 )
-from stylesplat.structure_from_motion.matching import (
-    choose_pairs,
-    match_pairs,
-    orbit_pairs,
-)
+from stylesplat.structure_from_motion.matching import choose_pairs, match_pairs, orbit_pairs
 from stylesplat.structure_from_motion.object_features import (
     Box,
     Masks,
