@@ -61,7 +61,7 @@ def test_boxes_in_two_photos(seen: Images):
     found = propagate_boxes(SPLATS, LARGE, seen, places)
     assert min(mask_iou(*each) for each in zip(found, truth, strict=True)) > 0.7  # measured: 0.76
     for row, place in places:
-        assert torch.equal(found[row], cut_box(seen(row), place, "")[1]), "as it was cut"
+        assert torch.equal(found[row], cut_box(seen.with_depth(row), place, "")[1]), "as it was cut"
 
 
 def test_where_an_object_does_not_show_its_mask_is_empty():

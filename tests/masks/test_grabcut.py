@@ -8,6 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.masks.grabcut import (
     GrabCutImage,
     Stroke,
+    color_levels,
     cut_box,
     grabcut_image,
     refine_mask,
@@ -38,7 +39,9 @@ def painted(*masks: torch.Tensor, wall: float = 120.0) -> torch.Tensor:
 
 
 def seen(photo: torch.Tensor, nearness: torch.Tensor | None = None) -> GrabCutImage:
-    return grabcut_image(photo, torch.ones(HEIGHT, WIDTH) if nearness is None else nearness)
+    return grabcut_image(
+        color_levels(photo), torch.ones(HEIGHT, WIDTH) if nearness is None else nearness
+    )
 
 
 NOWHERE, EVERYWHERE = torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)

@@ -7,15 +7,18 @@ from functools import cache
 from itertools import repeat
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.masks.box_picks import pick_in_boxes
+from stylesplat.masks.contours import move_to_edges
 from stylesplat.masks.grabcut import (
     Box,
     Channels,
+    ColorLevels,
     GrabCutImage,
     Stroke,
+    color_levels,
     cut_box,
     grabcut_image,
     refine_mask,
@@ -37,22 +40,31 @@ CLOSER = 2.0  # times more pixels than in any known view, from which a Gaussian 
 MIN_SHOWN = 0.5  # pixels of a Gaussian in a view, from which a mark there can mean it
 MIN_ALPHA = 0.05  # below which the depth of a pixel means nothing
 
-Images = Callable[[int], GrabCutImage]
-"""The GrabCut image of a view, by row."""
+
+@dataclass(frozen=True)
+class Images:
+    """What views show, by row; made on access and kept."""
+
+    colors: Callable[[int], ColorLevels]
+    with_depth: Callable[[int], GrabCutImage]
 
 
 def grabcut_images(splats: Splats, capture: Capture) -> Images:
     @cache
+    def colors(row: int) -> ColorLevels:
+        return color_levels(capture.photos[row])
+
+    @cache
     @torch.no_grad()
-    def image_of(row: int) -> GrabCutImage:
+    def with_depth(row: int) -> GrabCutImage:
         camera = capture.cameras[row]
         depths = depths_of(splats.means, camera)
         inverse = 1 / depths.clamp(min=1e-6 * float(depths.abs().max()))
         image, alphas = render(splats, camera, features=inverse[:, None], sh_degree=0)
         inverse_depth = (image[..., 3] / alphas[..., 0].clamp(min=MIN_ALPHA)).cpu()
-        return grabcut_image(capture.photos[row], inverse_depth)
+        return grabcut_image(colors(row), inverse_depth)
 
-    return image_of
+    return Images(colors, with_depth)
 
 
 @dataclass(frozen=True)
@@ -115,9 +127,9 @@ def propagate_boxes(
 
     GrabCut segments there. What it finds is completed and bounded on the surface of the splat,
     without the plane that the object stands on. If that fills the boxes as well, its renders are
-    the masks. Otherwise the masks are lifted onto the Gaussians, rendered into the nearest other
-    views and their contours moved to edges; then the next views, until all have one; then all
-    again until they settle.
+    the masks, with contours moved to edges. Otherwise the masks are lifted onto the Gaussians,
+    rendered into the nearest other views and their contours moved to edges; then the next views,
+    until all have one; then all again until they settle.
 
     Args:
         splats: A scene of the views; its labels do not matter.
@@ -133,10 +145,10 @@ def propagate_boxes(
     cuts = {}
     for row, box in boxes:
         drawn = [stroke for at, stroke in strokes if at == row]
-        cuts[row] = cut_box(images(row), box, cameras.names[row], drawn)
+        cuts[row] = cut_box(images.with_depth(row), box, cameras.names[row], drawn)
     picked = pick_in_boxes(splats, cameras, boxes, {row: cut for row, (_, cut) in cuts.items()})
     if picked is not None:
-        return [(coverage(splats, camera, picked) > COVERED).cpu() for camera in cameras]
+        return _masks_at_edges(splats, cameras, images, picked, name)
     channels = cuts[boxes[0][0]][0]
     known = {row: mask for row, (_, mask) in cuts.items()}
     others, votes = nearest_views(cameras, [*known]), lift_masks(splats, cameras, known)
@@ -161,6 +173,25 @@ def propagate_boxes(
                 break
             votes = lift_masks(splats, cameras, known)
     return [known[row] for row in range(len(cameras))]
+
+
+def _masks_at_edges(
+    splats: Splats, cameras: Cameras, images: Images, picked: Bool[Tensor, " N"], name: str
+) -> list[Mask]:
+    """The masks of picked Gaussians, whose contours lie at edges of photos.
+
+    The first contours are lifted, so that views agree on them, rendered and moved once more.
+    """
+    with task(f"moving contours of {name!r} to edges", 2 * len(cameras), unit="view") as bar:
+
+        def moved(row: int) -> Mask:
+            covered = (coverage(splats, cameras[row], picked) > COVERED).cpu()
+            bar.advance()
+            return move_to_edges(images.colors(row), covered)
+
+        votes = lift_masks(splats, cameras, {row: moved(row) for row in range(len(cameras))})
+        picked = torch.where(votes.votes.sum(dim=1) > MIN_SHOWN, votes.share > 0.5, picked)
+        return [moved(row) for row in range(len(cameras))]
 
 
 @torch.no_grad()
@@ -212,7 +243,7 @@ def _refine_views(
             group = rows[start : start + threads]
             rendered = (render_votes(splats, cameras, votes, row) for row in group)
             probabilities, novelties = zip(*rendered, strict=True)
-            group_images = [images(row) for row in group]
+            group_images = [images.with_depth(row) for row in group]
             masks = pool.map(refine_mask, group_images, probabilities, novelties, repeat(channels))
             found |= zip(group, masks, strict=True)
             advance(len(group))

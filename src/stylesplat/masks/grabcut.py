@@ -30,8 +30,10 @@ CHANNELS = ((0, 1, 2), (1, 2, 3), (0, 1, 3), (0, 2, 3))
 
 Box = tuple[float | int, float | int, float | int, float | int]
 Channels = tuple[int, int, int]
+ColorLevels = UInt8[np.ndarray, "H W 3"]
+"""Lightness and the two chroma axes of CIELAB, 2.5 levels a unit."""
 GrabCutImage = UInt8[np.ndarray, "H W 4"]
-"""Lightness, the two chroma axes of CIELAB, inverse depth."""
+"""Color levels and inverse depth."""
 
 
 @dataclass(frozen=True)
@@ -51,16 +53,18 @@ class Stroke:
         return torch.from_numpy(mask).bool()
 
 
-def grabcut_image(
-    photo: UInt8[Tensor, "H W 3"], inverse_depth: Float[Tensor, "H W"]
-) -> GrabCutImage:
-    """The channels that GrabCut sees of an sRGB photo; the unit of depth does not matter."""
+def color_levels(photo: UInt8[Tensor, "H W 3"]) -> ColorLevels:
+    """The colours of an sRGB photo, where distances are differences that are seen."""
     lab = cv2.cvtColor(photo.numpy().astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+    lightness, chroma = 2.55 * lab[..., :1], 128 + CHROMA * lab[..., 1:]
+    return np.concatenate([lightness, chroma], axis=2).clip(0, 255).astype(np.uint8)
+
+
+def grabcut_image(colors: ColorLevels, inverse_depth: Float[Tensor, "H W"]) -> GrabCutImage:
+    """The channels that GrabCut sees; the unit of depth does not matter."""
     low, high = np.percentile(inverse_depth.numpy(), EXTREMES)
     near = 255 * (inverse_depth.numpy() - low) / max(high - low, 1e-12)
-    lightness, chroma = 2.55 * lab[..., :1], 128 + CHROMA * lab[..., 1:]
-    stacked = np.concatenate([lightness, chroma, near[..., None]], axis=2)
-    return stacked.clip(0, 255).astype(np.uint8)
+    return np.dstack([colors, near.clip(0, 255).astype(np.uint8)])
 
 
 def refuse_box(box: Box, size: tuple[int, int], photo: str) -> None:
@@ -125,7 +129,7 @@ def refine_mask(
     novel = novelty.numpy() > 0.5
     if novel.any():
         near |= novel & _dilate(near, SURROUNDINGS * diagonal)
-    window = _bounds(near, round(SURROUNDINGS * diagonal))
+    window = bounds(near, round(SURROUNDINGS * diagonal))
     likely, near = likely[window], near[window]
     inside = likely > 0.5
     marks = np.where(inside, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
@@ -170,7 +174,7 @@ def _dilate(mask: np.ndarray, radius: float) -> np.ndarray:
     return cv2.dilate(mask.astype(np.uint8), disc) > 0
 
 
-def _bounds(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
+def bounds(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
     """The rows and columns that a mask spans, with a margin."""
     spans = ((int(places.min()), int(places.max())) for places in np.nonzero(mask))
     rows, columns = (slice(max(0, first - margin), last + 1 + margin) for first, last in spans)

@@ -62,6 +62,11 @@ def visits(
     """Visits of walks from the seeds to each node, over the sum of its connections."""
     sums = sums.clip(1e-12)
     starts = seeded * sums / max((seeded * sums).sum(), 1e-12)
-    system = (diags_array(sums * (1 + ENDS)) - graph).tocsc()
+    return solve_symmetric(csr_array(diags_array(sums * (1 + ENDS)) - graph), starts)
+
+
+def solve_symmetric(system: csr_array, right: Float[np.ndarray, " R"]) -> Float[np.ndarray, " R"]:
+    """The solution of a sparse system that is symmetric and diagonally dominant."""
     options = {"SymmetricMode": True}
-    return splu(system, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve(starts)
+    factors = splu(system.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    return factors.solve(right)
