@@ -38,6 +38,9 @@ SETTLING_ROUNDS = 2  # over all views at most, after each has a mask
 SETTLED = 0.98  # mean IoU with the round before, at which they stop
 CLOSER = 2.0  # times more pixels than in any known view, from which a Gaussian is new
 MIN_SHOWN = 0.5  # pixels of a Gaussian in a view, from which a mark there can mean it
+# Share of a Gaussian's pixels in masks, from which it belongs to an object that is rendered again:
+# with .5 the lowest tenth of the fox has an IoU of .89, with .4 .91; renders then grow too wide.
+MIN_SHARE = 0.4
 MIN_ALPHA = 0.05  # below which the depth of a pixel means nothing
 
 
@@ -190,7 +193,7 @@ def _masks_at_edges(
             return move_to_edges(images.colors(row), covered)
 
         votes = lift_masks(splats, cameras, {row: moved(row) for row in range(len(cameras))})
-        picked = torch.where(votes.votes.sum(dim=1) > MIN_SHOWN, votes.share > 0.5, picked)
+        picked = torch.where(votes.votes.sum(dim=1) > MIN_SHOWN, votes.share > MIN_SHARE, picked)
         return [moved(row) for row in range(len(cameras))]
 
 
