@@ -39,3 +39,13 @@ def test_a_contour_without_an_edge_stays():
 @pytest.mark.parametrize("mask", [torch.zeros(SIZE, SIZE), torch.ones(SIZE, SIZE)])
 def test_masks_without_contours_stay(mask: torch.Tensor):
     assert torch.equal(move_to_edges(photo(disc(60, 60), 60), mask.bool()), mask.bool())
+
+
+def test_a_leg_grows_to_its_end():
+    leg = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+    leg[20:70, 30:90], leg[70:100, 57:63] = True, True
+    cut = leg.clone()
+    cut[97:] = False
+    moved = move_to_edges(photo(leg, 60), cut)
+    assert (moved & leg)[97:].sum() > 0.9 * leg[97:].sum()
+    assert mask_iou(moved, leg) > 0.98

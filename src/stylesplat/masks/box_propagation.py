@@ -36,6 +36,8 @@ from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 GROWTH = 2  # factor between the numbers of masked views before and after a round
 SETTLING_ROUNDS = 2  # over all views at most, after each has a mask
 SETTLED = 0.98  # mean IoU with the round before, at which they stop
+ROUNDS = 5  # of contours that move to edges, at most
+SAME = 0.998  # mean IoU with the round before, at which they stop
 CLOSER = 2.0  # times more pixels than in any known view, from which a Gaussian is new
 MIN_SHOWN = 0.5  # pixels of a Gaussian in a view, from which a mark there can mean it
 # Share of a Gaussian's pixels in masks, from which it belongs to an object that is rendered again:
@@ -183,18 +185,28 @@ def _masks_at_edges(
 ) -> list[Mask]:
     """The masks of picked Gaussians, whose contours lie at edges of photos.
 
-    The first contours are lifted, so that views agree on them, rendered and moved once more.
+    They are lifted, so that views agree on them, rendered and moved again, until they stay: thin
+    legs grow to their ends so.
     """
-    with task(f"moving contours of {name!r} to edges", 2 * len(cameras), unit="view") as bar:
+    rows, masks = range(len(cameras)), list[Mask]()
+    with task(f"moving contours of {name!r} to edges", ROUNDS * len(rows), unit="view") as bar:
 
         def moved(row: int) -> Mask:
             covered = (coverage(splats, cameras[row], picked) > COVERED).cpu()
             bar.advance()
             return move_to_edges(images.colors(row), covered)
 
-        votes = lift_masks(splats, cameras, {row: moved(row) for row in range(len(cameras))})
-        picked = torch.where(votes.votes.sum(dim=1) > MIN_SHOWN, votes.share > MIN_SHARE, picked)
-        return [moved(row) for row in range(len(cameras))]
+        for left in reversed(range(ROUNDS)):
+            before, masks = masks, [moved(row) for row in rows]
+            overlap = [mask_iou(*each) for each in zip(before, masks, strict=False)]
+            if left == 0 or sum(overlap) > SAME * len(rows):
+                bar.advance(left * len(rows))
+                break
+            votes = lift_masks(splats, cameras, dict(enumerate(masks)))
+            picked = torch.where(
+                votes.votes.sum(dim=1) > MIN_SHOWN, votes.share > MIN_SHARE, picked
+            )
+    return masks
 
 
 @torch.no_grad()

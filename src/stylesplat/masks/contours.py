@@ -8,7 +8,7 @@ the side that the mask says, which holds contours where the photo shows none.
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, maximum_filter
 from scipy.sparse import coo_array, csr_array, diags_array
 
 from stylesplat.masks.grabcut import ColorLevels, bounds
@@ -17,6 +17,7 @@ from stylesplat.selection.random_walks import solve_symmetric
 
 BAND = 0.06  # of the root of the mask's area: how far a contour may move
 MIN_BAND = 2.0  # pixels
+THIN = 2.0  # pixels: the middle of legs of twice that width belongs to the object for certain
 EDGE = 8.0  # difference of colours, over which a connection drops to 1/e
 WEAKEST = 1e-5  # connection across the strongest edge
 TRUST = 0.005  # probability with which a walk ends at a pixel, over that of a step in plain colour
@@ -30,9 +31,10 @@ def move_to_edges(colors: ColorLevels, mask: Mask) -> Mask:
     width = max(MIN_BAND, BAND * float(inside.sum()) ** 0.5)
     window = bounds(inside, int(width) + 2)
     before = inside[window]
-    to_contour = np.asarray(distance_transform_edt(before))
-    to_contour += np.asarray(distance_transform_edt(~before))
-    is_open, belongs = to_contour.ravel() <= width, before.ravel().astype(float)
+    depth, height = (np.asarray(distance_transform_edt(side)) for side in (before, ~before))
+    is_leg = (depth >= THIN) & (depth == maximum_filter(depth, size=3))
+    is_open = ((depth + height <= width) & ~is_leg).ravel()
+    belongs = before.ravel().astype(float)
     graph = _pixel_graph(colors[window].astype(float))[is_open]
     system = csr_array(diags_array(graph.sum(axis=1) + TRUST) - graph[:, is_open])
     ends = graph @ (belongs * ~is_open) + TRUST * belongs[is_open]
