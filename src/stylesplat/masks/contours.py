@@ -17,7 +17,7 @@ from stylesplat.selection.random_walks import solve_symmetric
 
 BAND = 0.06  # of the root of the mask's area: how far a contour may move
 MIN_BAND = 2.0  # pixels
-THIN = 2.0  # pixels: the middle of legs of twice that width belongs to the object for certain
+THIN = 2.0  # pixels from the contour, from which the middle of a leg is the object's for certain
 EDGE = 8.0  # difference of colours, over which a connection drops to 1/e
 WEAKEST = 1e-5  # connection across the strongest edge
 TRUST = 0.005  # probability with which a walk ends at a pixel, over that of a step in plain colour
