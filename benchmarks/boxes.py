@@ -18,7 +18,7 @@ from fox_outlines import FOX, outline_mask
 import stylesplat as ss
 from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.io.label_maps import read_label_map
-from stylesplat.masks.box_propagation import grabcut_images, propagate_boxes
+from stylesplat.masks.box_propagation import propagate_boxes, view_images
 from stylesplat.masks.from_boxes import SIZE
 from stylesplat.masks.grabcut import Box
 from stylesplat.masks.quick_splat import working_splat
@@ -91,7 +91,7 @@ def judge(capture: Capture, drawn: list[Drawn]) -> Iterator[list[str]]:
     """Rows of the table."""
     working = working_splat(capture, None, "cpu")
     cameras = working.capture.cameras
-    images = grabcut_images(working.splats, working.capture)
+    images = view_images(working.splats, working.capture)
     for each in drawn:
         start = time.process_time()
         masks = propagate_boxes(working.splats, cameras, images, [(each.row, each.box)])

@@ -10,7 +10,7 @@ from balls import CAMERAS, SPLATS, box_around, enlarged
 from scenes import box, cloud
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks import box_propagation
-from stylesplat.masks.box_propagation import Images, grabcut_images, propagate_boxes
+from stylesplat.masks.box_propagation import Images, propagate_boxes, view_images
 from stylesplat.masks.grabcut import cut_box
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.rendering.render import rasterize
@@ -26,7 +26,7 @@ MARGIN = 2  # pixels between an object and its box
 def photographed(splats: Splats, cameras: Cameras) -> Images:
     images = [rasterize(splats, cameras[row])[0][0] for row in range(len(cameras))]
     photos = [(255 * image.clamp(0, 1)).round().to(torch.uint8) for image in images]
-    return grabcut_images(splats, Capture(cameras=cameras, photos=photos))
+    return view_images(splats, Capture(cameras=cameras, photos=photos))
 
 
 LARGE = enlarged(CAMERAS, 2)

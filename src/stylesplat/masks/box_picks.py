@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.grabcut import Box, pixels_inside
+from stylesplat.masks.grabcut import Box, pixels_inside, window_around
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.arguments import PickSize
@@ -106,8 +106,7 @@ def _places_to_click(mask: Mask) -> list[tuple[float, float]]:
 
 def _bounding_box(mask: Mask) -> Mask:
     """The smallest box around a mask."""
-    rows, columns = (mask.any(dim=axis).nonzero()[:, 0] for axis in (1, 0))
     box = torch.zeros_like(mask)
-    if len(rows):
-        box[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = True
+    if mask.any():
+        box[window_around(mask.numpy(), 0)] = True
     return box

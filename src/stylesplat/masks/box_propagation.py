@@ -36,10 +36,10 @@ from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 GROWTH = 2  # factor between the numbers of masked views before and after a round
 SETTLING_ROUNDS = 2  # over all views at most, after each has a mask
 SETTLED = 0.98  # mean IoU with the round before, at which they stop
-ROUNDS = 5  # of contours that move to edges, at most
-SAME = 0.998  # mean IoU with the round before, at which they stop
+CONTOUR_ROUNDS = 5  # of moving contours to edges, at most
+CONTOURS_SETTLED = 0.998  # mean IoU with the round before, at which they stop
 CLOSER = 2.0  # times more pixels than in any known view, from which a Gaussian is new
-MIN_SHOWN = 0.5  # pixels of a Gaussian in a view, from which a mark there can mean it
+MIN_SHOWN = 0.5  # pixels that a Gaussian makes up, from which marks and masks can mean it
 # Share of a Gaussian's pixels in masks, from which it belongs to an object that is rendered again:
 # with .5 the lowest tenth of the fox has an IoU of .89, with .4 .91; renders then grow too wide.
 MIN_SHARE = 0.4
@@ -54,7 +54,7 @@ class Images:
     with_depth: Callable[[int], GrabCutImage]
 
 
-def grabcut_images(splats: Splats, capture: Capture) -> Images:
+def view_images(splats: Splats, capture: Capture) -> Images:
     @cache
     def colors(row: int) -> ColorLevels:
         return color_levels(capture.photos[row])
@@ -139,7 +139,7 @@ def propagate_boxes(
     Args:
         splats: A scene of the views; its labels do not matter.
         cameras: One per view.
-        images: Of `grabcut_images`.
+        images: Of `view_images`.
         boxes: Rows of views, and boxes in their pixels.
         strokes: Rows of views with a box, and strokes in them.
         name: The object's, for the progress bar.
@@ -185,27 +185,27 @@ def _masks_at_edges(
 ) -> list[Mask]:
     """The masks of picked Gaussians, whose contours lie at edges of photos.
 
-    They are lifted, so that views agree on them, rendered and moved again, until they stay: thin
-    legs grow to their ends so.
+    Masks are lifted, so that views agree on them, rendered, and their contours moved again, until
+    they stay. In several rounds thin legs grow to their ends.
     """
     rows, masks = range(len(cameras)), list[Mask]()
-    with task(f"moving contours of {name!r} to edges", ROUNDS * len(rows), unit="view") as bar:
+    steps = CONTOUR_ROUNDS * len(rows)
+    with task(f"moving contours of {name!r} to edges", steps, unit="view") as bar:
 
         def moved(row: int) -> Mask:
             covered = (coverage(splats, cameras[row], picked) > COVERED).cpu()
             bar.advance()
             return move_to_edges(images.colors(row), covered)
 
-        for left in reversed(range(ROUNDS)):
+        for left in reversed(range(CONTOUR_ROUNDS)):
             before, masks = masks, [moved(row) for row in rows]
             overlap = [mask_iou(*each) for each in zip(before, masks, strict=False)]
-            if left == 0 or sum(overlap) > SAME * len(rows):
+            if left == 0 or sum(overlap) > CONTOURS_SETTLED * len(rows):
                 bar.advance(left * len(rows))
                 break
             votes = lift_masks(splats, cameras, dict(enumerate(masks)))
-            picked = torch.where(
-                votes.votes.sum(dim=1) > MIN_SHOWN, votes.share > MIN_SHARE, picked
-            )
+            is_shown = votes.votes.sum(dim=1) > MIN_SHOWN
+            picked = torch.where(is_shown, votes.share > MIN_SHARE, picked)
     return masks
 
 

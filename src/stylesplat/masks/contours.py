@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.ndimage import distance_transform_edt, maximum_filter
 from scipy.sparse import coo_array, csr_array, diags_array
 
-from stylesplat.masks.grabcut import ColorLevels, bounds
+from stylesplat.masks.grabcut import ColorLevels, window_around
 from stylesplat.scene.labels import Mask
 from stylesplat.selection.random_walks import solve_symmetric
 
@@ -29,16 +29,16 @@ def move_to_edges(colors: ColorLevels, mask: Mask) -> Mask:
     if not inside.any() or inside.all():
         return mask
     width = max(MIN_BAND, BAND * float(inside.sum()) ** 0.5)
-    window = bounds(inside, int(width) + 2)
+    window = window_around(inside, int(width) + 2)
     before = inside[window]
-    depth, height = (np.asarray(distance_transform_edt(side)) for side in (before, ~before))
-    is_leg = (depth >= THIN) & (depth == maximum_filter(depth, size=3))
-    is_open = ((depth + height <= width) & ~is_leg).ravel()
+    within, outside = (np.asarray(distance_transform_edt(side)) for side in (before, ~before))
+    is_middle = (within >= THIN) & (within == maximum_filter(within, size=3))
+    undecided = ((within + outside <= width) & ~is_middle).ravel()
     belongs = before.ravel().astype(float)
-    graph = _pixel_graph(colors[window].astype(float))[is_open]
-    system = csr_array(diags_array(graph.sum(axis=1) + TRUST) - graph[:, is_open])
-    ends = graph @ (belongs * ~is_open) + TRUST * belongs[is_open]
-    belongs[is_open] = solve_symmetric(system, ends)
+    graph = _pixel_graph(colors[window].astype(float))[undecided]
+    system = csr_array(diags_array(graph.sum(axis=1) + TRUST) - graph[:, undecided])
+    ends = graph @ (belongs * ~undecided) + TRUST * belongs[undecided]
+    belongs[undecided] = solve_symmetric(system, ends)
     moved = inside.copy()
     moved[window] = (belongs > 0.5).reshape(before.shape)
     return torch.from_numpy(moved)

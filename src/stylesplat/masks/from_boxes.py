@@ -8,7 +8,7 @@ from typing import cast
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.box_propagation import grabcut_images, propagate_boxes, spread_marks
+from stylesplat.masks.box_propagation import propagate_boxes, spread_marks, view_images
 from stylesplat.masks.grabcut import Box, Stroke, pixels_inside, refuse_box
 from stylesplat.masks.import_masks import overlay_masks
 from stylesplat.masks.quick_splat import with_label_maps, working_splat
@@ -56,7 +56,7 @@ def mask_boxes(
     over = _place_strokes(strokes, [*names.values()], full, small.cameras)
     marks = _marks(over, keep, drop, names, full, small.cameras)
     working = working_splat(small, scene, device)
-    cameras, images = working.capture.cameras, grabcut_images(working.splats, working.capture)
+    cameras, images = working.capture.cameras, view_images(working.splats, working.capture)
     masks = {
         id: propagate_boxes(
             working.splats,

@@ -31,7 +31,7 @@ CHANNELS = ((0, 1, 2), (1, 2, 3), (0, 1, 3), (0, 2, 3))
 Box = tuple[float | int, float | int, float | int, float | int]
 Channels = tuple[int, int, int]
 ColorLevels = UInt8[np.ndarray, "H W 3"]
-"""Lightness and the two chroma axes of CIELAB, 2.5 levels a unit."""
+"""Lightness and the two chroma axes of CIELAB, some 2.5 levels a unit."""
 GrabCutImage = UInt8[np.ndarray, "H W 4"]
 """Color levels and inverse depth."""
 
@@ -129,7 +129,7 @@ def refine_mask(
     novel = novelty.numpy() > 0.5
     if novel.any():
         near |= novel & _dilate(near, SURROUNDINGS * diagonal)
-    window = bounds(near, round(SURROUNDINGS * diagonal))
+    window = window_around(near, round(SURROUNDINGS * diagonal))
     likely, near = likely[window], near[window]
     inside = likely > 0.5
     marks = np.where(inside, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
@@ -174,7 +174,7 @@ def _dilate(mask: np.ndarray, radius: float) -> np.ndarray:
     return cv2.dilate(mask.astype(np.uint8), disc) > 0
 
 
-def bounds(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
+def window_around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
     """The rows and columns that a mask spans, with a margin."""
     spans = ((int(places.min()), int(places.max())) for places in np.nonzero(mask))
     rows, columns = (slice(max(0, first - margin), last + 1 + margin) for first, last in spans)
