@@ -84,6 +84,11 @@ class Splats:
     confidence: Float[Tensor, " N"] | None = None
     """The share of a Gaussian's pixels that have its label, 0 if no label map shows it; None if
     identities were not lifted from label maps."""
+    antialiased: bool = False
+    """Whether opacities are those of a renderer that scales them by how much its blur of 0.3 pixels
+    enlarges a Gaussian's footprint (Mip-Splatting; gsplat's `antialiased` mode)."""
+    world_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """What was subtracted from the world's coordinates, which may be too large for float32."""
 
     def __repr__(self) -> str:
         return one_line(
