@@ -1,5 +1,6 @@
 """`stylesplat objects`, `select`, `rename` and `delete`: a scene's objects."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
@@ -85,7 +86,11 @@ def _object_lines(objects: list[dict[str, Any]], places: dict[str, Any]) -> Iter
 def _box(place: dict[str, Any]) -> str:
     if "box" not in place:
         return ""
-    return f", --box3d={','.join(f'{number:.3g}' for number in place['box'])}"
+    # Three digits of the box's size, and those in front of them
+    size = max(place["size"])
+    digits = [3 + int(math.log10(max(abs(number) / size, 1))) for number in place["box"]]
+    numbers = zip(place["box"], digits, strict=True)
+    return f", --box3d={','.join(f'{number:.{most}g}' for number, most in numbers)}"
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,8 @@ class Render(MakingCommand):
         size = None if self.size is None else _parse_size(self.size)
         if self.path is not None:
             rates = {"fps": self.fps, "seconds": self.seconds}
-            path = ss.read_camera_path(self.path, scene.cameras, **rates)
+            offset = scene.world_offset
+            path = ss.read_camera_path(self.path, scene.cameras, **rates, world_offset=offset)
             cameras = path.cameras if size is None else path.cameras.resize(*size)
             return cameras, path.fps if is_video(self.output, len(cameras)) else self.fps
         if self.around is not None or self.views == "orbit":

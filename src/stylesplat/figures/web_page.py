@@ -14,6 +14,7 @@ from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.figures.orbits import first_view
 from stylesplat.figures.packed import pack
 from stylesplat.io.atomic import atomic_path, refuse_file
+from stylesplat.io.splats.splat_files import say_left_out
 from stylesplat.rendering.gaussians import MIN_ALPHA
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import mask_of, splats_without_paint
@@ -38,6 +39,7 @@ def write_page(
     page = page_of(what, title=path.stem, sh_degree=degree)
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
+    say_left_out(what.splats if isinstance(what, Scene) else what, path)
 
 
 def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) -> str:

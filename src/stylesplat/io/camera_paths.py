@@ -15,6 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_files import MAX_JSON, fitting, read_json
 from stylesplat.scene.cameras import Cameras, are_rigid, look_at, median_lens, up_vector
 from stylesplat.scene.framing import MOST_FRAMES, frame_count, path_of, smooth_path
+from stylesplat.scene.world_offset import ORIGIN, Offset, from_world
 
 FPS, SECONDS = 30.0, 6.0  # unless a file says otherwise
 REMEDY = "The manual's section on `render` says what a path is."
@@ -74,6 +75,7 @@ def read_camera_path(
     *,
     fps: float | int | None = None,
     seconds: float | int | None = None,
+    world_offset: Offset = ORIGIN,
 ) -> CameraPath:
     """Read a camera path: nerfstudio's (a file with `camera_path`), or key frames.
 
@@ -82,6 +84,7 @@ def read_camera_path(
         views: The scene's cameras: key frames name them, and they give the up direction and lens.
         fps: Frames a second instead of the file's.
         seconds: Duration of the way through key frames instead of the file's.
+        world_offset: That of the scene: the cameras will be relative to it, as its own are.
 
     Raises:
         StyleSplatError: If the file is missing or holds anything else, or a duration was given
@@ -95,17 +98,19 @@ def read_camera_path(
                 "with --fps."
             )
         found: _Nerfstudio = fitting(content, _Nerfstudio, what, REMEDY)
-        return CameraPath(_nerfstudio(found, what), float(fps or found.fps))
+        return CameraPath(_nerfstudio(found, world_offset, what), float(fps or found.fps))
     keys: _Keys = fitting(content, _Keys, what, REMEDY)
     count = frame_count(seconds or keys.seconds, fps or keys.fps)
     _, size = median_lens(views)
-    frames = smooth_path(*_key_frames(keys, views, what), count, size, closed=keys.closed)
+    poses = _key_frames(keys, views, world_offset, what)
+    frames = smooth_path(*poses, count, size, closed=keys.closed)
     return CameraPath(frames, float(fps or keys.fps))
 
 
-def _nerfstudio(found: _Nerfstudio, what: str) -> Cameras:
-    poses = torch.tensor([pose.camera_to_world for pose in found.camera_path]).double()
-    poses = poses.reshape(-1, 4, 4)
+def _nerfstudio(found: _Nerfstudio, offset: Offset, what: str) -> Cameras:
+    numbers = [pose.camera_to_world for pose in found.camera_path]
+    poses = torch.tensor(numbers, dtype=torch.float64).reshape(-1, 4, 4)
+    poses[:, :3, 3] = from_world(poses[:, :3, 3], offset)
     poses[:, :3, 1:3] *= -1  # y down, z ahead
     wrong = (~are_rigid(poses)).nonzero()[:, 0].tolist()
     if wrong or not torch.equal(poses[:, 3], torch.eye(4).double()[3].expand(len(poses), 4)):
@@ -118,7 +123,7 @@ def _nerfstudio(found: _Nerfstudio, what: str) -> Cameras:
     return path_of(torch.linalg.inv(poses), focals, size)
 
 
-def _key_frames(keys: _Keys, views: Cameras, what: str) -> tuple[Tensor, Tensor]:
+def _key_frames(keys: _Keys, views: Cameras, offset: Offset, what: str) -> tuple[Tensor, Tensor]:
     """World-to-camera matrices, and focal lengths over the pictures' height."""
     lens, (_, height) = median_lens(views)
     up, viewmats, focals = up_vector(views), list[Tensor](), list[float]()
@@ -129,7 +134,8 @@ def _key_frames(keys: _Keys, views: Cameras, what: str) -> tuple[Tensor, Tensor]
             viewmats.append(views.viewmats[index].double().cpu())
             focal = float(views.Ks[index, 1, 1]) / float(views.sizes[index, 1])
         elif key.view is None and key.position is not None and key.look_at is not None:
-            eye, focus = torch.tensor(key.position).double(), torch.tensor(key.look_at).double()
+            places = torch.tensor([key.position, key.look_at], dtype=torch.float64)
+            eye, focus = from_world(places, offset)
             viewmats.append(look_at(eye[None], focus, up)[0])
             if not are_rigid(viewmats[-1][None]).all():
                 raise StyleSplatError(

@@ -88,8 +88,14 @@ def _read_table(file: BinaryIO) -> Shaped[np.ndarray, " N"]:
     if not count:
         return np.empty(0, dtype)
     if encoding == "ascii":
-        return np.loadtxt(lines[:count], dtype, ndmin=1)
+        return np.loadtxt(lines[:count], _with_doubles(dtype), ndmin=1)
     return np.memmap(file, dtype, "r", start, count)
+
+
+def _with_doubles(dtype: np.dtype) -> np.dtype:
+    """The columns of a text, which may have more digits than the float that its header says."""
+    kinds = {name: dtype[name] for name in dtype.names or ()}
+    return np.dtype([(n, "f8" if kind == np.float32 else kind) for n, kind in kinds.items()])
 
 
 def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:

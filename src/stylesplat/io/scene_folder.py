@@ -34,6 +34,7 @@ from stylesplat.scene.labels import MAX_ID
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene, SceneObject, check_name, name_fault
 from stylesplat.scene.splats import Classifier, Splats
+from stylesplat.scene.world_offset import LARGEST_POSITION, ORIGIN, Offset
 
 SPLATS = "splats.ply"  # what the scene looks like
 BASE = "base.ply"  # what lies beneath the layers
@@ -56,6 +57,9 @@ IDENTITY_TENSORS = {
 ATTEMPTS = 5  # at reading a folder that others change; each takes seconds, and so does a change
 
 
+_Coordinate = Annotated[float, Meta(ge=-LARGEST_POSITION, le=LARGEST_POSITION)]
+
+
 class _Settings(msgspec.Struct):
     downscale: Annotated[float, Meta(ge=1, le=0xFFFF)] = 1.0
 
@@ -68,6 +72,7 @@ class _Info(msgspec.Struct):
     test_views: tuple[PhotoName, ...] = ()
     settings: _Settings = msgspec.field(default_factory=_Settings)
     fits: tuple[Literal["colors", "pose"], ...] = ()  # what was fitted to each photo
+    world_offset: tuple[_Coordinate, _Coordinate, _Coordinate] = ORIGIN
 
 
 class _How(msgspec.Struct):
@@ -139,7 +144,8 @@ def _state(folder: Path) -> tuple[int, ...] | None:
 
 def _read(folder: Path) -> Scene:
     declared, info = _read_info(folder / SCENE)
-    splats = _with_identities(_read_gaussians(folder / SPLATS), folder / IDENTITY_FILE)
+    splats = _read_gaussians(folder / SPLATS, declared.world_offset)
+    splats = _with_identities(splats, folder / IDENTITY_FILE)
     picks = read_tensors(folder / PICKS, PICKED, N=len(splats))
     base, layers = _read_stack(folder, splats)
     metrics = read_json(folder / METRICS, most=MAX_JSON)
@@ -159,11 +165,12 @@ def _read(folder: Path) -> Scene:
     )
 
 
-def _read_gaussians(path: Path) -> Splats:
+def _read_gaussians(path: Path, offset: Offset) -> Splats:
     splats = read_splat_ply(path)
     if not len(splats):
         raise StyleSplatError(f"Cannot read {path}: there are no Gaussians. {AGAIN}")
-    return replace(splats, shN=pad_bands(splats.shN))
+    means = splats.means.float()
+    return replace(splats, means=means, shN=pad_bands(splats.shN), world_offset=offset)
 
 
 def _with_identities(splats: Splats, path: Path) -> Splats:
@@ -186,7 +193,7 @@ def _read_stack(folder: Path, splats: Splats) -> tuple[Splats | None, tuple[Laye
         )
     if not (folder / STACK).exists():
         return None, ()
-    base = _read_gaussians(folder / BASE)
+    base = _read_gaussians(folder / BASE, splats.world_offset)
     layers, count = read_layers(folder, len(base)), len(base)
     if len(splats) != count + sum(len(each.parents) for each in layers if each.is_shown):
         raise StyleSplatError(
@@ -208,7 +215,7 @@ def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
     declared = fitting(content, _Info, f"Cannot read {path}", AGAIN)
     settings = content.pop("settings", {})
     settings.pop("downscale", None)
-    own = ("capture", "capture_relative", "test_views")
+    own = ("capture", "capture_relative", "test_views", "world_offset")
     others = {key: value for key, value in content.items() if key not in own}
     return declared, others | ({"settings": settings} if settings else {})
 
@@ -257,7 +264,7 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
     if differs("metrics"):
         write_json(scene.metrics, folder / METRICS)
     old = before is not None and read_json(folder / SCENE, most=MAX_JSON).get("version") != VERSION
-    if old or differs("info", "capture", "held_out", "downscale"):
+    if old or differs("info", "capture", "held_out", "downscale", "world_offset"):
         relative = {}
         if scene.capture is not None:
             with suppress(ValueError):  # on another drive of Windows
@@ -270,6 +277,7 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
             **relative,
             "test_views": scene.held_out,
             "settings": {**scene.info.get("settings", {}), "downscale": scene.downscale},
+            **({"world_offset": scene.world_offset} if scene.world_offset != ORIGIN else {}),
         }
         write_json(info, folder / SCENE)
 

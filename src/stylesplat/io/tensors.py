@@ -14,10 +14,10 @@ from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes, reading
 from stylesplat.scene.labels import MAX_ID
 from stylesplat.scene.splats import IDENTITY_SIZE
+from stylesplat.scene.world_offset import LARGEST_POSITION
 
 REMEDY = "Make the scene again."
 # No real splat comes near these, and float32 holds the fourth powers that renders take of them
-LARGEST_POSITION = 1e9  # of a coordinate; the Earth's radius in metres is 6e6
 LARGEST_LOG = 20.0  # of a standard deviation: exp(20) is 5e8
 SMALLEST_LOG = -1e4  # flat Gaussians have standard deviations of nearly 0
 LARGEST = 1e5  # of a colour, logit, identity or weight

@@ -9,14 +9,16 @@ from PIL import Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, refuse_file
-from stylesplat.io.splats.gltf import HALF_TURN, HALF_TURN_XYZW, VERTICES
+from stylesplat.io.splats.gltf import HALF_TURN, VERTICES, half_turned_node
 from stylesplat.io.splats.gltf_file import FLOAT, VERSION, glb_head, padded_json
 from stylesplat.meshes.texture import TexturedMesh
+from stylesplat.scene.world_offset import ORIGIN, Offset
 
 SUFFIXES = (".glb", ".obj")
 UNLIT = "KHR_materials_unlit"
 INDICES, INTEGERS = 34963, 5125  # the target of a view that holds indices; uint32
 LINEAR, MIPMAPS = 9729, 9987  # filters of a texture: between texels, between its sizes
+WORLD_DIGITS = 13  # millionths of millions
 MATERIAL = "newmtl paint\nKd 1 1 1\nillum 0\nmap_Kd {}\n"  # illum 0: colours without light
 
 
@@ -30,17 +32,20 @@ def refuse_mesh_file(path: Path, *, overwrite: bool) -> None:
         refuse_file(file, overwrite=overwrite)
 
 
-def write_mesh(mesh: TexturedMesh, path: Path) -> None:
-    """Write a mesh with y up, as programs expect it: turned by half about z, as splats in a GLB."""
+def write_mesh(mesh: TexturedMesh, path: Path, offset: Offset = ORIGIN) -> None:
+    """Write a mesh with y up, as programs expect it: turned by half about z, as splats in a GLB.
+
+    Its vertices are relative to the world's offset, and are written in the world.
+    """
     if path.suffix.lower() == ".glb":
         with atomic_path(path) as draft:
-            draft.write_bytes(_glb(mesh))
+            draft.write_bytes(_glb(mesh, offset))
         return
     material, picture = _beside(path)
     with atomic_path(path) as obj, atomic_path(material) as mtl, atomic_path(picture) as png:
         png.write_bytes(_png(mesh))
         mtl.write_text(MATERIAL.format(picture.name))
-        obj.write_text(_obj(mesh, material.name))
+        obj.write_text(_obj(mesh, material.name, offset))
 
 
 def _beside(path: Path) -> tuple[Path, ...]:
@@ -56,18 +61,21 @@ def _png(mesh: TexturedMesh) -> bytes:
     return file.getvalue()
 
 
-def _obj(mesh: TexturedMesh, material: str) -> str:
+def _obj(mesh: TexturedMesh, material: str, offset: Offset) -> str:
     uvs = np.stack([mesh.uvs[:, 0], 1 - mesh.uvs[:, 1]], axis=1)  # v is upwards
     lines = [f"mtllib {material}", "usemtl paint"]
-    vertices, normals = mesh.vertices @ HALF_TURN, mesh.normals @ HALF_TURN
-    for kind, rows in (("v", vertices), ("vt", uvs), ("vn", normals)):
-        lines += [f"{kind} " + " ".join(f"{value:.7g}" for value in row) for row in rows.tolist()]
+    vertices, normals = (mesh.vertices + offset) @ HALF_TURN, mesh.normals @ HALF_TURN
+    digits = 7 if offset == ORIGIN else WORLD_DIGITS
+    for kind, rows, most in (("v", vertices, digits), ("vt", uvs, 7), ("vn", normals, 7)):
+        lines += [
+            f"{kind} " + " ".join(f"{value:.{most}g}" for value in row) for row in rows.tolist()
+        ]
     corners = (" ".join(f"{n}/{n}/{n}" for n in row) for row in (mesh.faces + 1).tolist())
     lines += [f"f {row}" for row in corners]
     return "\n".join(lines) + "\n"
 
 
-def _glb(mesh: TexturedMesh) -> bytes:
+def _glb(mesh: TexturedMesh, offset: Offset) -> bytes:
     arrays = [np.ascontiguousarray(each, "<f4") for each in (mesh.vertices, mesh.normals, mesh.uvs)]
     arrays.append(np.ascontiguousarray(mesh.faces.reshape(-1), "<u4"))
     parts = [*(each.tobytes() for each in arrays), _png(mesh)]
@@ -93,7 +101,7 @@ def _glb(mesh: TexturedMesh) -> bytes:
         "extensionsUsed": [UNLIT],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": HALF_TURN_XYZW}],
+        "nodes": [{"mesh": 0, **half_turned_node(offset)}],
         "meshes": [
             {
                 "primitives": [

@@ -18,6 +18,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import OwnLabels, resize_labels
 from stylesplat.scene.one_line import counted, one_line, pixels
 from stylesplat.scene.sampling import evenly
+from stylesplat.scene.world_offset import ORIGIN, Offset
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,9 @@ class Capture:
     """The factor by which the photos are smaller than at full size."""
     alphas: Sequence[UInt8[Tensor, "_ _"] | None] | None = None
     """Opacities of the pixels of cut-out photos, 255 = opaque; None for a photo without alpha."""
+    world_offset: Offset = ORIGIN
+    """What was subtracted from the world's coordinates, which may be too large for float32; cameras
+    and points are relative to it."""
 
     def __post_init__(self) -> None:
         given = {"photos": self.photos, "label maps": self.label_maps, "alphas": self.alphas}

@@ -11,6 +11,7 @@ from torch import Tensor
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats, sh_basis
+from stylesplat.scene.world_offset import ORIGIN, Offset, from_world, to_world
 
 # `ns-process-data` writes COLMAP's world with these axes: x, z, -y
 NERFSTUDIO_AXES = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -47,6 +48,19 @@ def move_cameras(cameras: Cameras, frame: Frame) -> Cameras:
     return replace(cameras, viewmats=viewmats)
 
 
+def in_frame_of(splats: Splats, offset: Offset) -> Splats:
+    """The splats relative to an offset of the world that they are in.
+
+    Splats around the origin of a world that needs an offset are taken to be relative to it already:
+    most formats cannot hold it.
+    """
+    middle = splats.means.median(dim=0).values
+    away = from_world(to_world(middle, splats.world_offset), offset)
+    if splats.world_offset == ORIGIN and middle.norm() < away.norm():
+        return replace(splats, world_offset=offset)
+    return splats.relative_to(offset)
+
+
 def with_poses_of(capture: Capture, cameras: Cameras) -> Capture:
     """A capture with the poses of other cameras of the same names, which may differ in size."""
     posed = cameras[[cameras.index(name) for name in capture.cameras.names]]
@@ -69,6 +83,16 @@ def known_frames(cameras: Cameras) -> dict[str, Frame]:
         "nerfstudio": _normalized(cameras, SAME),
         "nerfstudio-colmap": _normalized(cameras, axes),
     }
+
+
+def offset_of_frame(name: str, offset: Offset) -> Offset:
+    """The offset of the world of a known frame, for a capture with this one."""
+    if name == "capture":
+        return offset
+    if name == "nerfstudio-axes":
+        x, y, z = (NERFSTUDIO_AXES.double() @ torch.tensor(offset).double() + 0.0).tolist()
+        return x, y, z
+    return ORIGIN  # these are centred
 
 
 def _normalized(cameras: Cameras, before: Frame) -> Frame:

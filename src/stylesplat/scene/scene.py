@@ -15,6 +15,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.one_line import counted, one_line, pixels
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.world_offset import Offset
 
 Which = Literal["test", "train", "all"]
 
@@ -110,6 +111,11 @@ class Scene:
     def unpainted(self) -> Splats:
         """The splat beneath all layers. Its rows are the first ones of `splats`."""
         return self.splats if self.base is None else self.base
+
+    @property
+    def world_offset(self) -> Offset:
+        """What was subtracted from the world's coordinates of the splats and the cameras."""
+        return self.splats.world_offset
 
     @property
     def painted_objects(self) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.scene.one_line import counted, one_line
+from stylesplat.scene.world_offset import ORIGIN, Offset, from_world, to_world
 
 SH_C0 = 0.28209479177387814  # sqrt(1 / 4 pi): value of the constant band of colour
 SH_C1 = 0.4886025119029199
@@ -66,7 +67,7 @@ class Splats:
     """
 
     means: Float[Tensor, "N 3"]
-    """Centres in the capture's world frame."""
+    """Centres in the capture's world frame, relative to `world_offset`."""
     quats: Float[Tensor, "N 4"]
     """Rotations, wxyz."""
     scales: Float[Tensor, "N 3"]
@@ -87,7 +88,7 @@ class Splats:
     antialiased: bool = False
     """Whether opacities are those of a renderer that scales them by how much its blur of 0.3 pixels
     enlarges a Gaussian's footprint (Mip-Splatting; gsplat's `antialiased` mode)."""
-    world_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    world_offset: Offset = ORIGIN
     """What was subtracted from the world's coordinates, which may be too large for float32."""
 
     def __repr__(self) -> str:
@@ -142,6 +143,13 @@ class Splats:
         """The same splats on another device."""
         classifier = self.classifier.to(device) if self.classifier else None
         return replace(self.map(lambda tensor: tensor.to(device)), classifier=classifier)
+
+    def relative_to(self, offset: Offset) -> "Splats":
+        """The same Gaussians in the world, with another `world_offset`."""
+        if offset == self.world_offset:
+            return self
+        means = from_world(to_world(self.means, self.world_offset), offset).to(self.means)
+        return replace(self, means=means, world_offset=offset)
 
     def detach(self) -> "Splats":
         """The same values, cut from any autograd graph."""

@@ -13,6 +13,7 @@ from stylesplat.scene.arguments import PickSize, pasted
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import family, mask_of
 from stylesplat.scene.scene import Scene, SceneObject, is_id
+from stylesplat.scene.world_offset import from_world
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.pick import (
     THRESHOLD,
@@ -277,11 +278,13 @@ def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
     for _, mask in choice.rows:
         yield mask.to(splats.means.device)
     for corners in choice.box3d:
-        low, high = torch.tensor(corners).view(2, 3)
+        ends = torch.tensor(corners, dtype=torch.float64).view(2, 3)
+        low, high = from_world(ends, splats.world_offset)
         yield in_box(splats, low, high)
     for view, (*place, radius) in choice.sphere:
-        centre = torch.tensor(place)
-        if view:
+        if not view:
+            centre = from_world(torch.tensor(place, dtype=torch.float64), splats.world_offset)
+        else:
             centre = surface_point(splats, _camera(scene, view), (place[0], place[1]))
         yield in_sphere(splats, centre, radius)
 

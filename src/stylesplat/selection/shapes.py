@@ -14,16 +14,20 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import FAINT, Extent, solid
 from stylesplat.scene.projection import crop, overlapping, unproject
 from stylesplat.scene.splats import Splats, rgb_from_sh0
+from stylesplat.scene.world_offset import place_text
 
 
 def in_box(splats: Splats, low: Float[Tensor, "3"], high: Float[Tensor, "3"]) -> Bool[Tensor, " N"]:
-    """The Gaussians whose centres lie in a box along the world's axes, at least one."""
+    """The Gaussians whose centres lie in a box along the world's axes, at least one.
+
+    Its corners are relative to the splats' `world_offset`, as is all that follows here.
+    """
     if not (low < high).all():
         raise StyleSplatError(
-            f"The box from {_text(low)} to {_text(high)} is empty. Give the lower corner first."
+            f"The box {_span(splats, low, high)} is empty. Give the lower corner first."
         )
     inside = Extent(low.to(splats.means), high.to(splats.means)).contains(splats.means)
-    return _some(inside, splats, f"the box from {_text(low)} to {_text(high)}")
+    return _some(inside, splats, f"the box {_span(splats, low, high)}")
 
 
 def in_sphere(splats: Splats, centre: Float[Tensor, "3"], radius: float) -> Bool[Tensor, " N"]:
@@ -31,7 +35,8 @@ def in_sphere(splats: Splats, centre: Float[Tensor, "3"], radius: float) -> Bool
     if not radius > 0:
         raise StyleSplatError(f"A sphere cannot have the radius {radius:g}. Give more than 0.")
     inside = (splats.means - centre.to(splats.means)).norm(dim=1) <= radius
-    return _some(inside, splats, f"the sphere of radius {radius:g} around {_text(centre)}")
+    place = place_text(centre, splats.world_offset)
+    return _some(inside, splats, f"the sphere of radius {radius:g} around {place}")
 
 
 @torch.no_grad()
@@ -55,13 +60,14 @@ def _some(inside: Tensor, splats: Splats, shape: str) -> Bool[Tensor, " N"]:
     if not inside.any():
         low, high = splats.means.amin(dim=0), splats.means.amax(dim=0)
         raise StyleSplatError(
-            f"No Gaussian lies in {shape}. The splat reaches from {_text(low)} to {_text(high)}."
+            f"No Gaussian lies in {shape}. The splat reaches {_span(splats, low, high)}."
         )
     return inside
 
 
-def _text(point: Tensor) -> str:
-    return ",".join(f"{value:.3g}" for value in point.tolist())
+def _span(splats: Splats, low: Tensor, high: Tensor) -> str:
+    start, end = (place_text(corner, splats.world_offset) for corner in (low, high))
+    return f"from {start} to {end}"
 
 
 SLACK = 1e-6  # of a distance

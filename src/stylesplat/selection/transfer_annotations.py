@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_ply import of_degree
 from stylesplat.progress import say
 from stylesplat.scene.compose import compose, mask_of, object_subset, spans
-from stylesplat.scene.frames import SAME, Frame, move_cameras, move_splats
+from stylesplat.scene.frames import SAME, Frame, in_frame_of, move_cameras, move_splats
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.layer import Layer, layer_subset
 from stylesplat.scene.scene import Scene, SceneObject
@@ -45,7 +45,7 @@ def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat
     Its metrics are `gaussians`, `matched`, `new_gaussians`, `lost_gaussians` and `moved`: empty, or
     the number of `gaussians`, the `scale` and the `degrees` of the motion.
     """
-    splats = of_degree(splats.to("cpu"), DEGREE)
+    splats = in_frame_of(of_degree(splats.to("cpu"), DEGREE), scene.world_offset)
     frame, rows = match_gaussians(splats, scene.splats)
     here = rows >= 0
     if int(here.sum()) < min(LEAST, len(splats)):

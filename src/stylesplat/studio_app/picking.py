@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from PIL import Image, ImageDraw
 from torch import Tensor
 from torch.nn.functional import pad
@@ -17,6 +17,7 @@ from stylesplat.models.hub import is_at_hand
 from stylesplat.rendering.shares import AT_ONCE, contributed
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import project
+from stylesplat.scene.world_offset import to_world
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.shapes import alike, grow, near, surface_point
 from stylesplat.selection.text import CHECKPOINT
@@ -29,6 +30,7 @@ MADE = "object {}"  # names of picks that are made by shapes
 BENEATH = 0.1  # of what shows: how deep what is beneath belongs to it
 SEEDS = 25  # of the reach, within which what is around a click belongs to it whatever its look
 LEAST_SHOWN = 0.05  # of a pixel, by which a Gaussian shows
+DECIMALS = 5  # of places in the world that `objects.json` records
 NEW = "new object"  # the name of a shape until it is part of a pick
 
 
@@ -49,8 +51,8 @@ def pick_ball(
     centre = surface_point(splats, camera, _pixel_of(camera, place))
     if not near(splats.means, centre[None].to(splats.means), radius).any():
         raise StyleSplatError("Nothing lies in this ball. Click an object, or enlarge the radius.")
-    sphere = tuple(round(float(number), 5) for number in (*centre.tolist(), radius))
-    return _shaped(state, how, sphere=sphere)
+    middle = to_world(_rounded(centre), splats.world_offset).tolist()
+    return _shaped(state, how, sphere=(*middle, round(radius, DECIMALS)))
 
 
 def pick_alike(
@@ -86,6 +88,10 @@ def pick_drawn(
     return _shaped(state, how, rows=rows | (grow(splats, rows, BENEATH) & below))
 
 
+def _rounded(places: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
+    return places.cpu().double().apply_(lambda value: round(value, DECIMALS))
+
+
 def region_of(
     shape: Shape, points: Sequence[Place], size: tuple[int, int], radius: float
 ) -> Bool[Tensor, "H W"]:
@@ -107,7 +113,9 @@ def region_of(
 
 
 def pick_box(state: StudioState, low: Vector, high: Vector, how: How = "new") -> StudioState:
-    return _shaped(state, how, box3d=tuple(round(float(number), 5) for number in (*low, *high)))
+    corners = _rounded(torch.tensor([low, high], dtype=torch.float64))
+    places = to_world(corners, state.scene.world_offset)
+    return _shaped(state, how, box3d=tuple(places.flatten().tolist()))
 
 
 def pick_words(state: StudioState, text: str) -> StudioState:

@@ -49,6 +49,7 @@ def first_splats(
         opacities=torch.full((n,), log(OPACITY / (1 - OPACITY))),
         sh0=sh0_from_rgb(colors.float() / 255)[:, None],
         shN=torch.zeros(n, sh_bases(sh_degree) - 1, 3),
+        world_offset=capture.world_offset,
     )
     if not ids:
         return splats

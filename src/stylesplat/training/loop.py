@@ -104,6 +104,7 @@ def fit(
         saved = Checkpoint(checkpoint, config, mark, len(rows))
         if checkpoint.exists():
             continued = load_checkpoint(saved, device, finish=finish)
+            continued = replace(continued, world_offset=capture.world_offset)
             steps = f"{continued.step:,}"
             if finish or config.progress(continued.step, continued.seconds) >= 1:
                 say(f"Taking no more steps than the {steps} of {checkpoint}.")

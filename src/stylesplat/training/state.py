@@ -18,6 +18,7 @@ from stylesplat.rendering.at_once import RenderPool
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Classifier, Splats
+from stylesplat.scene.world_offset import ORIGIN, Offset
 from stylesplat.training.adam import Moments
 from stylesplat.training.densification import Optimizers, Params, Strategy
 from stylesplat.training.train_config import TrainConfig
@@ -45,6 +46,8 @@ class State:
     """Steps done."""
     seconds: float = 0.0
     """Time they took."""
+    world_offset: Offset = ORIGIN
+    """What the Gaussians are relative to, as the capture is."""
     strategy_state: dict[str, Any] = field(default_factory=dict)
     """What the strategy remembers; that of `train` remembers nothing."""
 
@@ -86,7 +89,8 @@ class State:
         classifier = None
         if self.ids:
             classifier = Classifier(self.params["weight"], self.params["bias"], self.ids)
-        return Splats(**{n: self.params[n] for n in self.names}, classifier=classifier)
+        own: dict[str, Any] = {n: self.params[n] for n in self.names}
+        return Splats(**own, classifier=classifier, world_offset=self.world_offset)
 
 
 def first_state(splats: Splats) -> State:
@@ -99,7 +103,8 @@ def first_state(splats: Splats) -> State:
         for name, t in params.items()
     }
     ids = splats.classifier.ids if splats.classifier else ()
-    return State(params, Moments.zeros(params), ids, len(splats))
+    zeros = Moments.zeros(params)
+    return State(params, zeros, ids, len(splats), world_offset=splats.world_offset)
 
 
 @dataclass(frozen=True)

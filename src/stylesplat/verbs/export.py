@@ -141,7 +141,7 @@ def _export_mesh(
             paint = painted[0], what.unpainted[rows[rows < len(what.unpainted)]]
     mesh = make_mesh(splats, photos, config, name=name, paint=paint)
     with changing(path):
-        write_mesh(mesh, path)
+        write_mesh(mesh, path, splats.world_offset)
     return len(mesh.faces)
 
 

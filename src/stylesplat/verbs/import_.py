@@ -19,11 +19,18 @@ from stylesplat.metrics.images import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, at_most
-from stylesplat.scene.frames import known_frames, move_cameras, with_poses_of
+from stylesplat.scene.frames import (
+    in_frame_of,
+    known_frames,
+    move_cameras,
+    offset_of_frame,
+    with_poses_of,
+)
 from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.scene import ListedObjects, Scene, SceneObject, is_id
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.world_offset import offset_text, place_text
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.objects import with_names
 from stylesplat.selection.transfer_annotations import transfer_annotations
@@ -107,7 +114,7 @@ def import_(
         )
     else:
         splats = splats.to(pick_device(device))
-        _check_fit(splats, str(file or "The splat"), at_most(capture, CHECK_SIZE), frame)
+        splats = _placed(splats, str(file or "The splat"), at_most(capture, CHECK_SIZE), frame)
         scene = _with_photos(splats, capture, frame)
     for name, each in listed.objects.items():
         if not is_id(name):
@@ -147,19 +154,44 @@ def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
     return with_names(scene, capture.object_names)
 
 
-def _check_fit(splats: Splats, name: str, small: Capture, frame: FrameName) -> None:
-    """Raise a StyleSplatError if renders do not match the photos; it names the frame that does."""
+def _placed(splats: Splats, name: str, small: Capture, frame: FrameName) -> Splats:
+    """The splats relative to the offset of their frame in the capture's world.
+
+    Raises a StyleSplatError if renders do not match the photos; it names the frame that does.
+    """
     frames = known_frames(small.cameras)
-    gain = frame_fits(splats, small, {frame: frames.pop(frame)})[frame]
-    if gain > CLOSER:
-        return
-    gains = frame_fits(splats, small, frames)
-    best = max(gains, key=lambda each: gains[each])
+    placed = {
+        each: in_frame_of(splats, offset_of_frame(each, small.world_offset)) for each in frames
+    }
+
+    def fit(each: str) -> float:
+        return frame_fits(placed[each], small, {each: frames[each]})[each]
+
+    own, gain = placed[frame], fit(frame)
     where = f" in {small.path}" if small.path else ""
+    if gain > CLOSER:
+        if own.means is splats.means and own.world_offset != splats.world_offset:
+            say(
+                f"{name} lies around the origin, but shows what the photos{where} do: it is taken "
+                f"to be relative to {offset_text(own.world_offset)}."
+            )
+        return own
+    gains = {each: fit(each) for each in frames if each != frame}
+    best = max(gains, key=lambda each: gains[each])
     fault = (
         f"{name} does not show what the photos{where} do (renders are {gain:+.1f} dB "
         "from pictures of one colour)"
     )
+    offsets = {splats.world_offset, small.world_offset}
+    if len(offsets) > 1:
+        here, there = (
+            place_text(each.median(dim=0).values, offset)
+            for each, offset in (
+                (splats.means, splats.world_offset),
+                (small.cameras.positions, small.world_offset),
+            )
+        )
+        fault += f"; it lies around {here}, they were taken around {there}"
     if gains[best] > CLOSER:
         raise StyleSplatError(
             f"{fault}, but it does in the frame of another program. Pass --frame {best}."

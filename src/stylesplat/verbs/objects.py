@@ -12,6 +12,7 @@ from stylesplat.progress import say, track
 from stylesplat.scene.arguments import pasted
 from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.scene import Scene, check_name
+from stylesplat.scene.world_offset import Offset, to_world
 from stylesplat.selection.choose import names_of
 from stylesplat.selection.identities import object_ids
 from stylesplat.selection.objects import require_named
@@ -52,11 +53,12 @@ def extents(scene: Scene) -> dict[str, Any]:
     `gaussians`: `box` along the world's axes as in `select`, its `centre` and its `size`.
     """
     named = {
-        name: {"gaussians": int(each.picked.sum()), **_place(extent_of(scene.splats, each.picked))}
+        name: {"gaussians": int(each.picked.sum()), **_place(scene, each.picked)}
         for name, each in scene.objects.items()
         if each.picked.any()
     }
-    return {"content": _place(content_of(scene.splats).extent), "named": named}
+    content = content_of(scene.splats).extent
+    return {"content": _in_world(content, scene.world_offset), "named": named}
 
 
 @check_arguments
@@ -128,13 +130,22 @@ def delete(scene: Scene, name: str) -> Scene:
 
 def _details(scene: Scene, mask: Bool[Tensor, " N"]) -> dict[str, Any]:
     """The mean confidence, if labels were lifted, and the place of an object."""
-    place, confidence = _place(extent_of(scene.splats, mask)), scene.splats.confidence
+    place, confidence = _place(scene, mask), scene.splats.confidence
     if confidence is None:
         return place
     return {"confidence": round(float(confidence[mask].mean()), 3), **place}
 
 
-def _place(extent: Extent) -> dict[str, list[float]]:
-    corners = [*extent.low.tolist(), *extent.high.tolist()]
-    parts = {"box": corners, "centre": extent.centre.tolist(), "size": extent.size.tolist()}
-    return {what: [float(f"{value:.4g}") for value in values] for what, values in parts.items()}
+def _place(scene: Scene, mask: Bool[Tensor, " N"]) -> dict[str, list[float]]:
+    return _in_world(extent_of(scene.splats, mask), scene.world_offset)
+
+
+def _in_world(extent: Extent, offset: Offset) -> dict[str, list[float]]:
+    """A box in the world, in four digits besides those of the world's offset."""
+
+    def rounded(values: Tensor) -> Tensor:
+        return values.double().apply_(lambda value: float(f"{value:.4g}"))
+
+    corners = (extent.low, extent.high, extent.centre)
+    low, high, centre = (to_world(rounded(corner), offset).tolist() for corner in corners)
+    return {"box": [*low, *high], "centre": centre, "size": rounded(extent.size).tolist()}

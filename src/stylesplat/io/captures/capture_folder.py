@@ -15,7 +15,7 @@ from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.captures.colmap import find_photos, read_colmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import OPAQUE, Photo, fit_photo
-from stylesplat.io.captures.posed_files import PosedFiles, drop_missing
+from stylesplat.io.captures.posed_files import PosedFiles, drop_missing, split_offset
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.captures.transforms import read_transforms
 from stylesplat.io.kinds import PHOTOS, TRANSFORMS, find_sparse, wrong_kind
@@ -25,6 +25,7 @@ from stylesplat.scene.cache import Cache, Lazy
 from stylesplat.scene.cameras import Cameras, are_rigid
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.sampling import evenly
+from stylesplat.scene.world_offset import ORIGIN, Offset, announced
 
 OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture
 EXACT = "object_mask_exact"  # label maps to measure with, where the others contain mistakes
@@ -50,6 +51,8 @@ class CaptureFiles:
     point_colors: UInt8[Tensor, "M 3"] | None
     cut_out: bool
     """Whether the photos are transparent around the object."""
+    world_offset: Offset
+    """What cameras and points are relative to."""
 
     def at(self, downscale: float | int) -> Capture:
         """The capture with photos, label maps and cameras that are `downscale` times smaller."""
@@ -78,6 +81,7 @@ class CaptureFiles:
             alphas=alphas,
             full=self.cameras,
             downscale=float(downscale),
+            world_offset=self.world_offset,
         )
 
 
@@ -95,6 +99,9 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
         posed = read_transforms(folder)
     else:
         raise wrong_kind(folder, "capture")
+    posed, offset = split_offset(posed)
+    if offset != ORIGIN:
+        say(announced(folder, offset))
     _check_poses(posed, folder)
     others = photos_besides(folder, posed.names)
     if others:
@@ -124,6 +131,7 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
         points=posed.points,
         point_colors=posed.point_colors,
         cut_out=any(photo.is_cut_out() for photo in with_alpha),
+        world_offset=offset,
     )
 
 

@@ -44,7 +44,7 @@ def read_colmap(folder: Path, sparse: Path) -> PosedFiles:
             )
         lenses = {key: Lens.from_colmap(camera) for key, camera in model.cameras.items()}
         points = [point for _, point in sorted(model.points3D.items())]
-        means = np.array([point.xyz for point in points], np.float32)
+        means = np.array([point.xyz for point in points], np.float64)
         colors = np.array([point.color for point in points], np.uint8)
         photos = find_photos(folder)
         return PosedFiles(

@@ -15,6 +15,7 @@ from stylesplat.errors import StyleSplatError, brief, some
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.json_files import MAX_NAME
 from stylesplat.progress import say
+from stylesplat.scene.world_offset import ORIGIN, Offset, choose_offset, from_world
 
 # Bytes of a file's or folder's name: systems take 255, and a draft's name has 14 more
 MAX_PART = 240
@@ -37,6 +38,7 @@ class PosedFiles:
     viewmats: Float[Tensor, "C 4 4"]
     """World to camera, OpenCV axes, as read: 64 bits, not checked."""
     points: Float[Tensor, "M 3"] | None
+    """In the world, 64 bits."""
     point_colors: UInt8[Tensor, "M 3"] | None
 
     def __post_init__(self) -> None:
@@ -52,6 +54,22 @@ class PosedFiles:
                 raise StyleSplatError(
                     f"The photo {brief(str(name))!r} is posed {count} times. Keep one of its poses."
                 )
+
+
+def split_offset(posed: PosedFiles) -> tuple[PosedFiles, Offset]:
+    """The poses and points relative to an offset of the world if they need one, and the offset.
+
+    Points have 32 bits from here on; the poses still have 64.
+    """
+    viewmats, points = posed.viewmats, posed.points
+    positions = -torch.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])
+    offset = choose_offset(positions if points is None else torch.cat([positions, points]))
+    if points is not None:
+        points = from_world(points, offset).float()
+    if offset != ORIGIN:
+        viewmats = viewmats.clone()
+        viewmats[:, :3, 3] += viewmats[:, :3, :3] @ viewmats.new_tensor(offset)
+    return replace(posed, viewmats=viewmats, points=points), offset
 
 
 def drop_missing(posed: PosedFiles, folder: Path) -> PosedFiles:

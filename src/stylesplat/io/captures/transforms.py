@@ -155,6 +155,6 @@ def _read_points(
     if missing:
         raise ValueError(f"the points {name} have no column {min(missing)}")
     with np.errstate(over="ignore", invalid="ignore"):  # PLY colours may be of any type
-        xyz = np.stack([table[c].astype(np.float32) for c in XYZ], axis=1)
+        xyz = np.stack([table[c].astype(np.float64) for c in XYZ], axis=1)
         colors = np.stack([table[c].astype(np.uint8) for c in RGB], axis=1)
     return torch.from_numpy(xyz), torch.from_numpy(colors)

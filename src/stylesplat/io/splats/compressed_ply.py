@@ -1,5 +1,8 @@
 """SuperSplat's compressed PLY: chunks of 256 Gaussians packed between their bounds."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 
 import gsply
@@ -11,6 +14,7 @@ from stylesplat.io.ply import PlyElement, parse_header
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.splat_ply import BANDS
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.world_offset import ORIGIN, Offset, choose_offset, to_world
 
 CHUNK = 256  # Gaussians that share their bounds
 TYPES = ("f4", "u4", "u1")  # of the properties that the format has
@@ -24,12 +28,32 @@ def is_compressed(content: bytes) -> bool:
 
 def read_compressed_ply(content: bytes) -> Splats:
     """Read the content of a compressed PLY file; what follows the Gaussians is ignored."""
-    _, elements, size = parse_header(content)
+    _, elements, start = parse_header(content)
     _check_elements({element.name: element for element in elements})
-    size += sum(element.rows * np.dtype(element.columns).itemsize for element in elements)
+    size = start + sum(element.rows * np.dtype(element.columns).itemsize for element in elements)
     if size > len(content):
         raise ValueError(f"its header announces a file of {size} bytes, it holds {len(content)}")
-    return from_gsply(gsply.decompress_from_bytes(content[:size]))
+    moved, offset = _without_offset(content[:size], elements, start)
+    splats = from_gsply(gsply.decompress_from_bytes(moved))
+    return splats if offset == ORIGIN else replace(splats, means=to_world(splats.means, offset))
+
+
+def _without_offset(
+    content: bytes, elements: Sequence[PlyElement], start: int
+) -> tuple[bytes, Offset]:
+    """A file whose chunks are near the origin, and what was subtracted: gsply has 32 bits."""
+    before = takewhile(lambda element: element.name != "chunk", elements)
+    start += sum(element.rows * np.dtype(element.columns).itemsize for element in before)
+    chunk = next(element for element in elements if element.name == "chunk")
+    chunks = np.frombuffer(content, np.dtype(chunk.columns), chunk.rows, start).copy()
+    corners = [np.stack([chunks[f"{end}_{axis}"] for axis in "xyz"], 1) for end in ("min", "max")]
+    offset = choose_offset(torch.from_numpy(np.concatenate(corners)))
+    if offset == ORIGIN:
+        return content, offset
+    for axis, shift in zip("xyz", offset, strict=True):
+        for end in ("min", "max"):
+            chunks[f"{end}_{axis}"] = chunks[f"{end}_{axis}"].astype(np.float64) - shift
+    return content[:start] + chunks.tobytes() + content[start + chunks.nbytes :], offset
 
 
 def _check_elements(elements: dict[str, PlyElement]) -> None:

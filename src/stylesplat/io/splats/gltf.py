@@ -8,6 +8,7 @@ do not know it show a cloud of coloured points.
 import base64
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,7 @@ from stylesplat.io.splats.spz import LARGEST_RATIO, pack_spz, unpack_spz
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats, rgb_from_sh0
+from stylesplat.scene.world_offset import Offset
 
 SPZ = (f"{SPLATTING}_compression_spz_2", f"{SPLATTING}_compression_spz")  # now, and before
 SMALLEST_ROW = 12  # bytes of a Gaussian whose attributes all share three numbers
@@ -51,7 +53,6 @@ LARGEST = 1 - 2.0**-25  # of an opacity: 1 has no logit, and float32 has no numb
 # glTF's x left, y up, z forward to our (COLMAP's) x right, y down, z forward, and back
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 HALF_TURN_XYZW = [0.0, 0.0, 1.0, 0.0]
-HALF_TURN_MATRIX = np.diag([-1.0, -1.0, 1.0, 1.0]).ravel().tolist()
 VERSION_INSIDE = 2  # of SPZ, which the extension is named after
 TOLERANCE = 1e-3  # of a rotation times its transpose; files round to about six digits
 EXACT_WITHIN = 1e-6  # of quarter turns and of scale 1, which are then taken as exact
@@ -73,7 +74,9 @@ def read_gltf(path: Path | str) -> Splats:
     parts, count = list[Splats](), 0
     for primitive, frame in _placed_splats(gltf):
         part = check_splats(_splats(gltf, primitive), path)
-        parts.append(part if frame is None else move_splats(part, frame))
+        if frame is not None:  # in 64 bits, as the shift may be too large for 32
+            part = move_splats(replace(part, means=part.means.double()), frame)
+        parts.append(part)
         count += len(part)
         ratio = 1 if _spz_view(primitive) is None else LARGEST_RATIO
         if count * SMALLEST_ROW > gltf.size * ratio:
@@ -251,6 +254,19 @@ def write_gltf(splats: Splats, path: Path | str, *, spz: bool = False) -> None:
         draft.write_text(json.dumps(document, indent=1))
 
 
+def half_turned_node(offset: Offset, *, as_matrix: bool = False) -> dict[str, list[float]]:
+    """The transform of a node from places relative to an offset of our world to glTF's world.
+
+    CesiumJS knows no other transform of splats than a matrix.
+    """
+    shift = HALF_TURN @ offset + 0.0  # no -0
+    if as_matrix:
+        matrix = np.diag([*HALF_TURN.diagonal(), 1.0])
+        matrix[:3, 3] = shift
+        return {"matrix": matrix.T.ravel().tolist()}  # column-major
+    return {"rotation": HALF_TURN_XYZW} | ({"translation": shift.tolist()} if any(offset) else {})
+
+
 def _bytes(column: Shaped[Tensor, "N D"]) -> memoryview:
     return np.ascontiguousarray(column.numpy()).data.cast("B")
 
@@ -326,15 +342,13 @@ def _document(
     if spz:
         splatting["extensions"] = {SPZ[0]: {"bufferView": 0}}
     names = [SPLATTING, SPZ[0]] if spz else [SPLATTING]
-    # CesiumJS knows no other transform of splats than a matrix
-    turn = {"matrix": HALF_TURN_MATRIX} if spz else {"rotation": HALF_TURN_XYZW}
     document = {
         "asset": {"version": f"{VERSION}.0", "generator": "StyleSplat"},
         "extensionsUsed": names,
         **({"extensionsRequired": names} if spz else {}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, **turn}],
+        "nodes": [{"mesh": 0, **half_turned_node(splats.world_offset, as_matrix=spz)}],
         "meshes": [{"primitives": [primitive]}],
         "buffers": [{"byteLength": sum(map(len, parts))}],
         "bufferViews": views,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.dot_splat import from_rgba, to_floats
@@ -83,4 +84,5 @@ def _read_section(
     sh0, opacities = from_rgba(rows["rgba"])
     quats, scales = to_floats(rows["quat"]), to_floats(rows["scale"])
     scales = scales.where(scales != 0, SMALLEST).log()  # half floats have no small ones
-    return Splats(to_floats(means), quats, scales, opacities, sh0, shN), rows_start + rows.nbytes
+    splats = Splats(torch.from_numpy(means), quats, scales, opacities, sh0, shN)
+    return splats, rows_start + rows.nbytes

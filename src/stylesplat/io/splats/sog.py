@@ -161,7 +161,7 @@ def _decode(meta: _Meta, files: Mapping[str, bytes]) -> Splats:
             raise ValueError(f"{bad} Gaussians have colours beyond the palette's {meta.shN.count}")
         shN = _look_up(texels, meta.shN.codebook).unflatten(0, (meta.shN.count, -1))[labels]
     return Splats(
-        means=torch.from_numpy((np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)),
+        means=torch.from_numpy(np.sign(logs) * np.expm1(np.abs(logs))),
         quats=from_smallest_three(largest, others * LARGEST),
         scales=_look_up(rows(meta.scales.files[0])[:, :3], meta.scales.codebook),
         opacities=alphas.clamp(SURE, 1 - SURE).logit(),

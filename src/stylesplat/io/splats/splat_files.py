@@ -1,8 +1,10 @@
 """Any file of splats, read and written."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Int
 from torch import Tensor
@@ -30,7 +32,9 @@ from stylesplat.io.splats.splat_ply import (
     write_splat_ply,
 )
 from stylesplat.io.splats.spz import read_spz, write_spz
+from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.world_offset import ORIGIN, announced, choose_offset, offset_text
 
 COMPRESSED = ".compressed.ply"  # what SuperSplat calls its own
 WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but plain PLY
@@ -43,6 +47,7 @@ WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but pla
 }
 SPZ_INSIDE = {".glb": write_glb, ".gltf": write_gltf}  # if a version of SPZ is asked for
 MAX_DEGREE = 3
+WITH_OFFSET = (".ply", ".glb", ".gltf")  # formats that hold coordinates in 64 bits
 
 
 def _read_ply(path: Path) -> Splats:
@@ -51,7 +56,8 @@ def _read_ply(path: Path) -> Splats:
     return read_splat_ply(path)
 
 
-# They raise any error for damaged content; `read_splats` names the file, and checks the numbers
+# They raise any error for damaged content; `read_splats` names the file, and checks the numbers.
+# Positions are in the world, with 64 bits where the file may have more than 32.
 READERS: dict[str, Callable[[Path], Splats]] = {
     ".ply": _read_ply,
     ".spz": read_spz,
@@ -66,6 +72,8 @@ READERS: dict[str, Callable[[Path], Splats]] = {
 def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
+    Where its coordinates are too large for float32 they get a `world_offset`, and a line says so.
+
     PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ,
     .splat, .ksplat, glTF, and SOG, as a bundle or as the meta.json of a folder. No memory is
     allocated for a count that was not checked against the file.
@@ -75,10 +83,23 @@ def read_splats(path: Path | str) -> Splats:
     if reader is None or path.is_dir() or not is_there(path):
         raise wrong_kind(path, "splat")
     with reading(path, "Export it again.", what=" as splats"):
-        splats = check_splats(reader(path), path)
+        splats = check_splats(_in_32_bits(reader(path), path), path)
     if not len(splats):
         raise StyleSplatError(f"There are no Gaussians in {path}. Choose another file.")
     return splats
+
+
+def _in_32_bits(splats: Splats, path: Path) -> Splats:
+    """Splats as read, relative to an offset of the world if they need one."""
+    offset = choose_offset(splats.means)
+    if offset != ORIGIN:
+        coarse = ""
+        if splats.means.dtype == torch.float32:
+            step = np.spacing(np.float32(max(map(abs, offset))))
+            coarse = f" The file's own float32 has rounded its coordinates to {step:.2g}."
+        say(announced(path, offset) + coarse)
+    splats = splats.relative_to(offset)
+    return replace(splats, means=splats.means.float())
 
 
 def row_order(splats: Splats, path: Path | str) -> Int[Tensor, " N"]:
@@ -99,6 +120,9 @@ def write_splats(
     besides: Mapping[str, Tensor] | None = None,
 ) -> None:
     """Write splats in the format that the file's suffix names; `export` describes the formats.
+
+    Where there is a `world_offset`, `.ply`, as doubles, and glTF have the world's coordinates; the
+    other formats have those relative to it, and a line says so.
 
     By default no band of colour is lost: `.ply` has the columns of degree 3, the others as many as
     are not all zero. `besides` holds more columns of a `.ply`, of float32, int32 or uint8.
@@ -139,9 +163,21 @@ def write_splats(
     elif spz_version is not None:
         SPZ_INSIDE[suffix](splats, path, spz=True)
     elif suffix == ".ply":
-        write_splat_ply(splats, path, bands=splats.shN.shape[1], besides=besides)
+        bands = splats.shN.shape[1]
+        write_splat_ply(splats, path, bands=bands, besides=besides, in_world=True)
     else:
         WRITERS[suffix](splats, path)
+    if suffix not in WITH_OFFSET:
+        say_left_out(splats, path)
+
+
+def say_left_out(splats: Splats, path: Path) -> None:
+    """Say the offset of the world, if there is one, that a file without it has to be moved by."""
+    if splats.world_offset != ORIGIN:
+        say(
+            f"{path} has float32 coordinates, too coarse for this world: add "
+            f"{offset_text(splats.world_offset)} to them. A .ply or .glb has them in it."
+        )
 
 
 def _suffix(path: Path) -> str:

@@ -14,6 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.ply import read_ply_table, write_ply_rows
 from stylesplat.io.tensors import GAUSSIANS, check_range
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.world_offset import ORIGIN, to_world
 
 FULL_BANDS = 15  # higher bands of spherical harmonics at degree 3
 BANDS = (0, 3, 8, FULL_BANDS)  # at each degree
@@ -26,11 +27,16 @@ SMALLEST_QUAT = 1e-10  # of a component: squares of less vanish in float32
 
 
 def read_splat_ply(path: Path | str) -> Splats:
-    """Read splats of degree 0 to 3, their columns in any order; other columns are ignored."""
+    """Read splats of degree 0 to 3, their columns in any order; other columns are ignored.
+
+    Positions have 64 bits if those of the file have more than 32.
+    """
     table = read_ply_table(path)
     rest = _find_rest(table.dtype, path)
     shapes = ((3,), (4,), (3,), (), (1, 3), (len(rest) // 3, 3))
     means, quats, scales, opacities, sh0, shN = (torch.empty(len(table), *s) for s in shapes)
+    if not all(np.can_cast(table.dtype[name], np.float32) for name in MEANS):
+        means = means.double()
     splats = Splats(means, quats, scales, opacities, sh0, shN)
     columns = _columns(splats, rest)
     for start in range(0, len(table), AT_ONCE):
@@ -72,17 +78,21 @@ def write_splat_ply(
     *,
     bands: int = FULL_BANDS,
     besides: Mapping[str, Tensor] | None = None,
+    in_world: bool = False,
 ) -> None:
     """Write the values bit by bit, with `shN` padded by zeros to `bands` bands.
 
     INRIA's code demands those of degree 3. `besides` holds more columns by name, of float32, int32
-    or uint8.
+    or uint8. Positions are relative to the world's offset; with `in_world` they are in the world,
+    as doubles if there is an offset.
     """
     rest = _rest(3 * bands)
     names = (*MEANS, *NORMALS, *SH0, *rest, *OPACITY, *SCALES, *QUATS)
     more = {name: values.cpu().numpy() for name, values in (besides or {}).items()}
     kinds = [(name, array.dtype.newbyteorder("<")) for name, array in more.items()]
-    dtype = np.dtype([*((name, "<f4") for name in names), *kinds])
+    doubles = MEANS if in_world and splats.world_offset != ORIGIN else ()
+    numbers = [(name, "<f8" if name in doubles else "<f4") for name in names]
+    dtype = np.dtype([*numbers, *kinds])
 
     def blocks() -> Iterator[Shaped[np.ndarray, " B"]]:
         for start in range(0, len(splats), AT_ONCE):
@@ -91,6 +101,8 @@ def write_splat_ply(
             table = np.zeros(len(some), dtype)
             for name, values in _columns(some, rest).items():
                 table[name] = values
+            for axis, name in enumerate(doubles):
+                table[name] = to_world(some.means, splats.world_offset)[:, axis].numpy()
             for name, array in more.items():
                 table[name] = array[part]
             yield table
