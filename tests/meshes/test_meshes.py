@@ -238,3 +238,14 @@ def test_repainting_brings_the_style(
     found = repaint(mesh, BALL, views, replace(LAYER, styles=(source,)), "ball").texture
     before, after = (np.abs(np.diff(each, axis=1)).mean() for each in (mesh.texture, found))
     assert after > 1.2 * before, "strokes are sharper than what was there"
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".glb"])
+def test_files_have_the_coordinates_of_the_world(suffix: str, mesh: TexturedMesh, tmp_path: Path):
+    """At four million metres float32 has steps of a quarter; both formats have more digits."""
+    near, far = tmp_path / f"near{suffix}", tmp_path / f"far{suffix}"
+    write_mesh(mesh, near)
+    write_mesh(mesh, far, (4e6, -3e6, 5e6))
+    places = [trimesh.load_scene(path).to_mesh().vertices for path in (near, far)]
+    moved = places[0] + [-4e6, 3e6, 5e6]  # turned by half, as all of it
+    np.testing.assert_allclose(places[1], moved, atol=1e-5)

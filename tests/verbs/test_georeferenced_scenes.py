@@ -25,7 +25,7 @@ from stylesplat.studio_app.history import StudioState
 from stylesplat.studio_app.picking import pick_ball, pick_box
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.export import export
-from stylesplat.verbs.import_ import import_
+from stylesplat.verbs.import_ import FrameName, import_
 from stylesplat.verbs.load import load
 from stylesplat.verbs.objects import extents
 from stylesplat.verbs.select import select
@@ -128,7 +128,7 @@ def test_a_splat_of_another_place_is_refused(far: Capture):
 
 
 @pytest.mark.parametrize("frame", ["nerfstudio", "nerfstudio-axes"])
-def test_frames_of_other_programs(frame: str, far: Capture, tmp_path: Path):
+def test_frames_of_other_programs(frame: FrameName, far: Capture, tmp_path: Path):
     splats = move_splats(NEAR, known_frames(CAMERAS)[frame])
     if frame == "nerfstudio-axes":
         x, y, z = (NERFSTUDIO_AXES @ torch.tensor(WORLD)).tolist()

@@ -172,11 +172,11 @@ def write_splats(
 
 
 def say_left_out(splats: Splats, path: Path) -> None:
-    """Say the offset of the world, if there is one, that a file without it has to be moved by."""
+    """Say the offset of the world, if there is one, that a file cannot hold."""
     if splats.world_offset != ORIGIN:
         say(
-            f"{path} has float32 coordinates, too coarse for this world: add "
-            f"{offset_text(splats.world_offset)} to them. A .ply or .glb has them in it."
+            f"{path} has float32 coordinates, too coarse for this world: they are relative to "
+            f"{offset_text(splats.world_offset)}. A .ply or .glb has the world's."
         )
 
 
