@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from stylesplat.io.captures.transforms import OPENGL_AXES, RGB, XYZ
+from stylesplat.io.captures.point_file import RGB, XYZ
+from stylesplat.io.captures.transforms import OPENGL_AXES
 from stylesplat.io.json_files import write_json
 from stylesplat.io.kinds import TRANSFORMS
 from stylesplat.io.ply import write_ply_rows

@@ -78,11 +78,11 @@ def render() -> torch.Tensor:
 def test_another_exposure_is_seen_through_and_no_half_sees_itself():
     photo = 0.7 * render() * torch.tensor([1.05, 1.0, 0.9])
     assert psnr(render(), photo) < 25
-    before = fitted_render(SPLATS, CAMERA, photo, COLORS)
+    before = fitted_render(SPLATS, CAMERA, photo, COLORS)[0]
     assert psnr(before, photo) > 34  # the prior keeps a little
     middle = CAMERA.size[0] // 2
     photo[:, :middle] = torch.rand(photo[:, :middle].shape, generator=torch.Generator())
-    after = fitted_render(SPLATS, CAMERA, photo, COLORS)
+    after = fitted_render(SPLATS, CAMERA, photo, COLORS)[0]
     assert torch.equal(after[:, :middle], before[:, :middle])
     assert not torch.equal(after[:, middle:], before[:, middle:])
 
@@ -90,7 +90,7 @@ def test_another_exposure_is_seen_through_and_no_half_sees_itself():
 def test_a_shaken_camera_is_found():
     shift = torch.tensor([[0.01, -0.01, 0.01, 0.01, 0.005, -0.005]])
     photo = rasterize(SPLATS, shift_cameras(CAMERA, shift, POSE.unit))[0][0]
-    fitted = fitted_render(SPLATS, CAMERA, photo, POSE)
+    fitted = fitted_render(SPLATS, CAMERA, photo, POSE)[0]
     assert psnr(fitted, photo) > psnr(render(), photo) + 6
 
 
@@ -102,3 +102,37 @@ def test_scores_say_what_is_without_the_fit():
     assert both["psnr_unfitted"] == plain["psnr"] and both["ssim_unfitted"] == plain["ssim"]
     assert both["psnr"] > plain["psnr"] + 10
     assert "psnr_unfitted" not in plain
+
+
+@pytest.mark.parametrize("fits", [Fits(), COLORS])
+def test_pixels_that_are_masked_out_are_not_compared(capture, fits: Fits):
+    valid = torch.ones(CAMERA.size[::-1], dtype=torch.bool)
+    valid[10:30, 5:40] = False
+    magenta = torch.tensor([255, 0, 255], dtype=torch.uint8)
+    painted = [photo.where(valid[..., None], magenta) for photo in capture.photos]
+    maps = [labels.where(valid, 3) for labels in capture.label_maps]
+    masked = replace(capture, photos=painted, label_maps=maps, valid_masks=[valid] * 8)
+    metrics = evaluate_views(SPLATS, masked, [0], fits=fits)
+    assert metrics["psnr"] > 40 and metrics["ssim"] > 0.99 and metrics["miou"] == 1
+
+
+def test_masks_that_leave_nothing(capture, said: list[str]):
+    nothing = torch.zeros(CAMERA.size[::-1], dtype=torch.bool)
+    masked = replace(capture, label_maps=None, valid_masks=[nothing, *[None] * 7])
+    assert evaluate_views(SPLATS, masked, [0]) == {}
+    assert "no pixel" in said[0]
+    assert evaluate_views(SPLATS, masked, [0, 1]) == evaluate_views(SPLATS, masked, [1])
+
+
+def test_transparent_photos_are_compared_over_white(capture):
+    _, coverage, _ = rasterize(SPLATS, CAMERAS)
+    alphas = [(255 * a[..., 0]).round().to(torch.uint8) for a in coverage]
+    cut_out = replace(capture, alphas=alphas)
+    black = replace(cut_out, photos=[torch.zeros_like(photo) for photo in capture.photos])
+    scores = [
+        evaluate_views(SPLATS, each, [0], background=background)["psnr"]
+        for each in (cut_out, black)
+        for background in ("black", "white")
+    ]
+    assert min(scores[:2]) > 45
+    assert scores[2] == pytest.approx(scores[3], abs=0.5)  # the colours differ as before

@@ -22,6 +22,8 @@ CAPTURE = Capture(
     point_colors=torch.zeros(len(SPLATS), 3, dtype=torch.uint8),
     object_names={3: "vase"},
     alphas=[*(torch.full((36, 48), 255, dtype=torch.uint8) for _ in range(8))],
+    valid_masks=[*(torch.eye(36, 48) > 0 for _ in range(7)), None],
+    held_out=frozenset(CAMERAS.names[:2]),
 )
 
 
@@ -30,6 +32,7 @@ def test_some_of_the_photos():
     assert some.cameras.names == (CAMERAS.names[5], CAMERAS.names[2])
     assert some.photos[1] is PHOTOS[2] and some.labels(0) is MAPS[5]
     assert some.alpha(0) is CAPTURE.alpha(5) is not None
+    assert some.valid(0) is CAPTURE.valid(5) is not None
     with pytest.raises(StyleSplatError, match="Expected 8 label maps, one per camera, got 7"):
         replace(CAPTURE, label_maps=MAPS[:7])
 
@@ -52,6 +55,8 @@ def changed(tensor: torch.Tensor) -> torch.Tensor:
         {"object_names": {3: "pot"}},
         {"photos": [*map(changed, PHOTOS)]},
         {"alphas": None},
+        {"valid_masks": [None] * 8},
+        {"held_out": None},
     ],
     ids=lambda changes: next(iter(changes)),
 )
@@ -80,7 +85,9 @@ def two_photos() -> Capture:
     cameras = Cameras(
         torch.eye(4).expand(2, 4, 4), K.expand(2, 3, 3), torch.tensor(SIZES), ("a.jpg", "b.jpg")
     )
-    return Capture(cameras, [photo(0), photo(1)], label_maps=[labels(0), None])
+    mask = torch.arange(40).expand(20, 40) > 6
+    photos, maps = [photo(0), photo(1)], [labels(0), None]
+    return Capture(cameras, photos, label_maps=maps, valid_masks=[mask, None])
 
 
 def test_all_that_belongs_to_photos_becomes_smaller():
@@ -93,6 +100,9 @@ def test_all_that_belongs_to_photos_becomes_smaller():
     assert small.label_maps is not None and small.label_maps[1] is None
     assert small.label_maps[0] is not None
     assert torch.equal(small.label_maps[0], labels(0)[::4, ::4])
+    mask = small.valid(0)
+    assert mask is not None and torch.equal(mask, (torch.arange(10) > 1).expand(5, 10))
+    assert small.valid(1) is None
 
 
 def test_photos_are_read_once(monkeypatch: pytest.MonkeyPatch):

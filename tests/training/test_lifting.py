@@ -107,3 +107,14 @@ def test_known_labels_leave_no_doubt():
         labelled(PLAIN, labels[1:])
     with pytest.raises(StyleSplatError, match="objects in labels from"):
         labelled(PLAIN, 0 * labels)
+
+
+def test_pixels_that_are_masked_out_have_no_label():
+    right = torch.arange(48).expand(36, 48) >= 24
+    wrong = [labels.where(~right, 99) for labels in TRUTH]
+    masked = replace(capture(wrong), valid_masks=[~right] * len(TRUTH))
+    lifted = lift(PLAIN, masked)
+    assert lifted.classifier is not None and 99 not in lifted.classifier.ids
+    nothing = replace(capture(TRUTH), valid_masks=[torch.zeros(36, 48, dtype=torch.bool)] * 8)
+    with pytest.raises(StyleSplatError, match="None of the Gaussians"):
+        lift(PLAIN, nothing)

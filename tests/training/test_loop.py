@@ -197,3 +197,32 @@ def test_other_threads_handle_no_signals():
 
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(work).result() is False
+
+
+def test_what_masks_leave_out_is_not_learned(capture: Capture, config: TrainConfig):
+    magenta = torch.tensor([255, 0, 255], dtype=torch.uint8)
+    valid = torch.ones(64, 72, dtype=torch.bool)
+    valid[:, :36] = False
+    photos = [photo.where(valid[..., None], magenta) for photo in capture.photos]
+    painted = replace(capture, photos=photos, label_maps=None)
+    masked = trained(replace(painted, valid_masks=[valid] * len(photos)), config)
+    black = [photo * valid[..., None] for photo in photos]
+    other = replace(painted, photos=black, valid_masks=[valid] * len(photos))
+    for name, values in trained(other, config).tensors().items():
+        assert torch.equal(values, masked.tensors()[name])
+
+
+@pytest.mark.parametrize("background", ["black", "white"])
+def test_cut_outs_before_a_colour_may_take_it(tmp_path: Path, background: str):
+    cameras = enlarged(CAMERAS, 2)
+    capture = load(write_cut_outs(tmp_path, cameras), masks=False)
+    config = TrainConfig(steps=30, max_gaussians=300)
+    splats = trained(capture, config, background=background)
+    level = {"black": 0.0, "white": 1.0}[background]
+    image, alpha, _ = rasterize(splats, cameras[1])
+    assert (image[0] + (1 - alpha[0]) * level)[0, 0].tolist() == pytest.approx([level] * 3, abs=0.2)
+
+
+def test_a_background_needs_transparent_photos(capture: Capture, config: TrainConfig):
+    with pytest.raises(StyleSplatError, match=r"white.*transparent"):
+        trained(capture, config, background="white")

@@ -7,6 +7,7 @@ from scenes import rand, randn
 from stylesplat.scene.splats import Classifier
 from stylesplat.training.losses import (
     NEIGHBOR_WEIGHT,
+    NO_CLASS,
     identity_loss,
     nearest_neighbors,
     neighbor_loss,
@@ -87,3 +88,29 @@ def test_of_many_points_some_are_compared():
     assert len(some) == 50 and some.max() > 2000, "from anywhere"
     among = nearest_neighbors(means[some], torch.searchsorted(some, rows), 5)
     assert torch.equal(some[among], neighbors)
+
+
+def test_pixels_that_are_not_valid_have_no_influence(images):
+    image, target = images
+    valid = torch.ones(37, 53, dtype=torch.bool)
+    valid[5:20, 10:40] = False
+    results = []
+    for rest in (0.0, 1.0):  # of both images
+        fast = image.where(valid[..., None], 1 - rest).requires_grad_()
+        loss, error = photometric_loss(fast, target.where(valid[..., None], rest), valid)
+        loss.backward()
+        assert fast.grad is not None and (fast.grad[~valid] == 0).all()
+        results.append((loss.item(), error.item(), fast.grad))
+    assert results[0][:2] == results[1][:2] and torch.equal(results[0][2], results[1][2])
+    expected = (image - target)[valid].square().mean()
+    assert results[0][1] == pytest.approx(float(expected), rel=1e-4)
+    nothing, _ = photometric_loss(image, target, torch.zeros_like(valid))
+    assert nothing == pytest.approx(0, abs=1e-6)
+
+
+def test_pixels_without_a_class_cost_nothing():
+    classes = torch.tensor([0, 1, 2, NO_CLASS])
+    features = torch.eye(3, 16)[[0, 1, 2, 2]]
+    expected = identity_loss(features[:3], classes[:3], CLASSIFIER)
+    assert identity_loss(features, classes, CLASSIFIER) == pytest.approx(float(expected))
+    assert identity_loss(features, torch.full((4,), NO_CLASS), CLASSIFIER) == 0

@@ -19,13 +19,14 @@ from stylesplat.training.training_views import (
 
 LARGE = enlarged(CAMERAS, 2)  # 96x72
 IDS = (0, 3, 7)
-BYTES = 96 * 72 * 5  # of a photo, its alpha and its classes
+BYTES = 96 * 72 * 6  # of a photo, its alpha, its classes and its mask
 CPU = torch.device("cpu")
 NOISE = torch.Generator().manual_seed(0)
 PHOTOS = [torch.randint(256, (72, 96, 3), generator=NOISE).to(torch.uint8) for _ in range(8)]
 ALPHAS = [torch.randint(256, (72, 96), generator=NOISE).to(torch.uint8) for _ in range(8)]
 MAPS = [torch.tensor(IDS)[torch.randint(3, (72, 96), generator=NOISE)] for _ in range(8)]
-WHOLE = Capture(LARGE, PHOTOS, MAPS, alphas=ALPHAS)
+VALID = [torch.rand(72, 96, generator=NOISE) > 0.1 for _ in range(8)]
+WHOLE = Capture(LARGE, PHOTOS, MAPS, alphas=ALPHAS, valid_masks=VALID)
 
 
 def counted_reads(rows: list[int]) -> Capture:
@@ -47,17 +48,34 @@ def views(capture: Capture, memory: float = 1.0) -> TrainingViews:
 
 def test_every_nth_photo_is_held_out_and_whole_photos_are_what_the_capture_holds():
     assert split_views(WHOLE, 3) == ([1, 2, 4, 5, 7], [0, 3, 6])
-    camera, photo, alpha, classes = views(WHOLE)(3, 1)
+    camera, photo, alpha, classes, _ = views(WHOLE)(3, 1)
     assert camera.names == LARGE[3].names and camera.size == (96, 72)
     assert torch.equal(photo, PHOTOS[3] / 255)
     assert alpha is not None and torch.equal(alpha[..., 0], ALPHAS[3] / 255)
     assert classes is not None and torch.equal(torch.tensor(IDS)[classes.long()], MAPS[3])
 
 
+def test_photos_that_the_files_hold_out():
+    declared = replace(WHOLE, held_out=frozenset(LARGE.names[2:4]))
+    assert split_views(declared, 8) == ([0, 1, 4, 5, 6, 7], [2, 3])
+    assert split_views(declared, 4) == ([1, 2, 3, 5, 6, 7], [0, 4])
+    assert split_views(declared, 0) == ([*range(8)], [])
+
+
+def test_a_small_pixel_is_valid_where_all_of_it_is():
+    mask = torch.ones(72, 96, dtype=torch.bool)
+    mask[10, 21] = False
+    masked = replace(WHOLE, valid_masks=[mask, *[None] * 7])
+    whole, small = (views(masked)(0, factor).valid for factor in (1, 2))
+    assert whole is not None and torch.equal(whole, mask)
+    assert small is not None and (~small).nonzero().tolist() == [[5, 10]]
+    assert views(masked)(1, 2).valid is None
+
+
 @pytest.mark.parametrize("memory", [1.0, 0.0])
 @pytest.mark.parametrize("factor", [2, 4])
 def test_smaller_photos_average_and_smaller_maps_pick(factor: int, memory: float):
-    camera, photo, alpha, classes = views(WHOLE, memory)(3, factor)
+    camera, photo, alpha, classes, _ = views(WHOLE, memory)(3, factor)
     size = (96 // factor, 72 // factor)
     assert camera.size == size
     expected = cv2.resize(PHOTOS[3].numpy(), size, interpolation=cv2.INTER_AREA)
@@ -70,10 +88,10 @@ def test_smaller_photos_average_and_smaller_maps_pick(factor: int, memory: float
 
 def test_photos_without_alpha_and_label_map():
     plain = replace(WHOLE, label_maps=None, alphas=None)
-    _, _, alpha, classes = views(plain)(0, 2)
+    _, _, alpha, classes, _ = views(plain)(0, 2)
     assert alpha is None and classes is None
     some = replace(WHOLE, label_maps=[None, *MAPS[1:]], alphas=[None, *ALPHAS[1:]])
-    assert views(some)(0, 2)[2:] == (None, None)
+    assert views(some)(0, 2)[2:4] == (None, None)
     assert views(some)(1, 2).classes is not None
 
 

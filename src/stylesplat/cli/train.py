@@ -30,6 +30,7 @@ SETTINGS = from_config(
     "max_seconds",
     "max_gaussians",
     "test_every",
+    "background",
     "color_correction",
     "refine_poses",
     "seed",
@@ -50,8 +51,9 @@ class Train(MakingCommand):
     """
 
     capture: Positional[Path]
-    """Folder with photos and COLMAP or transforms.json poses, and label maps in object_mask/. Of
-    photos without poses, or a video, `sfm` makes a capture first, beside the scene."""
+    """Folder with photos and poses of COLMAP, transforms.json (or transforms_train.json) or LLFF,
+    and label maps in object_mask/. Of photos without poses, or a video, `sfm` makes a capture
+    first, beside the scene."""
     output: Output
     """Folder of the scene to make. An interrupted run is kept beside it, and continues."""
     downscale: float = 1.0

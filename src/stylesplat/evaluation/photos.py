@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.metrics.images import psnr, ssim
 from stylesplat.metrics.iou import object_iou
-from stylesplat.progress import track
+from stylesplat.progress import say, track
 from stylesplat.rendering.render import rasterize, render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -29,6 +29,7 @@ from stylesplat.training.per_photo import (
     fit_color_map,
     shift_cameras,
 )
+from stylesplat.training.train_config import LEVELS, Background
 
 IMPORT_VIEWS = 8  # views of an imported scene that are compared
 STEPS = 40  # of fitting a camera
@@ -64,19 +65,25 @@ def measured_rows(capture: Capture) -> list[int]:
 
 @torch.no_grad()
 def evaluate_views(
-    splats: Splats, capture: Capture, rows: Sequence[int], *, fits: Fits = NO_FITS
+    splats: Splats,
+    capture: Capture,
+    rows: Sequence[int],
+    *,
+    fits: Fits = NO_FITS,
+    background: Background = "random",
 ) -> dict[str, Any]:
     """Compare renders with photos, and rendered label maps with the given ones.
 
-    Transparent photos are compared over black. What is fitted to each photo is fitted to its left
-    half on the right one, and the other way round.
+    Transparent photos are compared over black, or white if they were trained on over white; pixels
+    that the capture's masks leave out are not compared. What is fitted to each photo is fitted to
+    its left half on the right one, and the other way round.
 
     Returns:
         `psnr` and `ssim`, averaged over the views; with fits, also `psnr_unfitted` and
-        `ssim_unfitted`. If the splats have identities and these views have label maps, also `iou`
-        and `boundary_iou` by label id, and their means over the objects, `miou` and
-        `boundary_miou`. Pixels of ids that the splats do not know are left out, and these ids are
-        listed in `unknown_ids`.
+        `ssim_unfitted`; none of them if the masks leave nothing. If the splats have identities and
+        these views have label maps, also `iou` and `boundary_iou` by label id, and their means over
+        the objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know are left
+        out, and these ids are listed in `unknown_ids`.
 
     Raises:
         StyleSplatError: If `rows` is empty.
@@ -87,17 +94,38 @@ def evaluate_views(
         )
     scores = []
     for row in track(rows, "comparing with photos"):
-        photo = capture.photos[row].to(splats.means) / 255
-        images = [render(splats, capture.cameras[row])[0]]
-        if fits.names:
-            images.append(fitted_render(splats, capture.cameras[row], photo, fits))
-        images = [image.clamp(0, 1) for image in images]
-        scores.append([[float(measure(i, photo)) for measure in (psnr, ssim)] for i in images])
+        valid = capture.valid(row)
+        if valid is None or valid.any():
+            scores.append(_photo_scores(splats, capture, row, fits, LEVELS.get(background, 0.0)))
+    if not scores:
+        say("The masks of the held-out photos leave no pixel to measure.")
+        return _label_metrics(splats, capture, rows)
     means = torch.tensor(scores, dtype=torch.float64).mean(dim=0).tolist()
     metrics: dict[str, Any] = dict(zip(("psnr", "ssim"), means[-1], strict=True))
     if fits.names:
         metrics |= zip(("psnr_unfitted", "ssim_unfitted"), means[0], strict=True)
     return metrics | _label_metrics(splats, capture, rows)
+
+
+def _photo_scores(
+    splats: Splats, capture: Capture, row: int, fits: Fits, level: float
+) -> list[list[float]]:
+    """PSNR and SSIM of a view, without and perhaps with fits; `level` is behind a cut-out."""
+    photo, camera = capture.photos[row].to(splats.means) / 255, capture.cameras[row]
+    opacity, valid = capture.alpha(row), capture.valid(row)
+    valid = None if valid is None else valid.to(splats.device)
+    views = [render(splats, camera)]
+    if fits.names:
+        views.append(fitted_render(splats, camera, photo, fits, valid))
+    if opacity is not None:
+        views = [(image + (1 - alpha) * level, alpha) for image, alpha in views]
+        photo = photo + (1 - opacity[..., None].to(photo) / 255) * level
+    images = [image.clamp(0, 1) for image, _ in views]
+    kept = slice(None) if valid is None else valid
+    return [
+        [float(psnr(image[kept], photo[kept])), float(ssim(image, photo, valid))]
+        for image in images
+    ]
 
 
 def _label_metrics(splats: Splats, capture: Capture, rows: Sequence[int]) -> dict[str, Any]:
@@ -113,6 +141,8 @@ def _label_metrics(splats: Splats, capture: Capture, rows: Sequence[int]) -> dic
             rendered = render_labels(splats, capture.cameras[row]).cpu()
             is_known = torch.isin(given, known.to(given))
             unknown.update(given[~is_known].unique().tolist())
+            valid = capture.valid(row)
+            is_known = is_known if valid is None else is_known & valid
             # What is background on either side counts for no object
             pairs.append((rendered.where(is_known, BACKGROUND), given.where(is_known, BACKGROUND)))
     if not pairs:
@@ -127,24 +157,40 @@ def _label_metrics(splats: Splats, capture: Capture, rows: Sequence[int]) -> dic
 
 @torch.no_grad()
 def fitted_render(
-    splats: Splats, camera: Cameras, photo: Float[Tensor, "H W 3"], fits: Fits
-) -> Float[Tensor, "H W 3"]:
-    """Render the view of a photo over black, each half fitted on the other half of the photo."""
+    splats: Splats,
+    camera: Cameras,
+    photo: Float[Tensor, "H W 3"],
+    fits: Fits,
+    valid: Bool[Tensor, "H W"] | None = None,
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W 1"]]:
+    """Render the view of a photo over black, each half fitted on the other half of the photo.
+
+    Of the photo all pixels count, or the valid ones. Returns the image and its coverage.
+    """
     middle = camera.size[0] // 2
     left, right = slice(None, middle), slice(middle, None)
-    halves = []
+    images, alphas = [], []
     for drawn, fitted in ((left, right), (right, left)):
-        view = _fit_camera(splats, camera, photo, fitted, fits) if fits.pose else camera
+        counted = None if valid is None else valid[:, fitted]
+        view = camera
+        if fits.pose:
+            view = _fit_camera(splats, camera, photo, fitted, fits, counted)
         image, alpha = render(splats, view)
         if fits.colors:
-            change = fit_color_map(image[:, fitted], alpha[:, fitted], photo[:, fitted])
+            change = fit_color_map(image[:, fitted], alpha[:, fitted], photo[:, fitted], counted)
             image = apply_color_map(image, alpha, change)
-        halves.append(image[:, drawn])
-    return torch.cat(halves, dim=1)
+        images.append(image[:, drawn])
+        alphas.append(alpha[:, drawn])
+    return torch.cat(images, dim=1), torch.cat(alphas, dim=1)
 
 
 def _fit_camera(
-    splats: Splats, camera: Cameras, photo: Tensor, columns: slice, fits: Fits
+    splats: Splats,
+    camera: Cameras,
+    photo: Tensor,
+    columns: slice,
+    fits: Fits,
+    valid: Tensor | None,
 ) -> Cameras:
     """Shift a camera so that the render of some columns matches its photo."""
     target = photo[:, columns]
@@ -158,9 +204,9 @@ def _fit_camera(
             images, alphas, _ = rasterize(splats, shift_cameras(part, shift, fits.unit))
             image, alpha = images[0], alphas[0]
             if fits.colors:
-                change = fit_color_map(image.detach(), alpha.detach(), target)
+                change = fit_color_map(image.detach(), alpha.detach(), target, valid)
                 image = apply_color_map(image, alpha, change)
-            photometric_loss(image, blown_out_target(image, target))[0].backward()
+            photometric_loss(image, blown_out_target(image, target), valid)[0].backward()
         rate = FIRST_RATE * (LAST_RATE / FIRST_RATE) ** (step / (STEPS - 1))
         adam_step(params, moments, {"pose_shifts": rate}, step + 1)
     return shift_cameras(camera, shift.detach(), fits.unit)

@@ -222,7 +222,9 @@ def beside_photo(
         whole = open_capture(capture.path, masks=False).at(1.0)
     splats = scene.splats.to(pick_device(device))
     photo, image = _photo_and_render(scene, splats, capture, name)
-    decibels = float(psnr(image / 255, photo / 255))
+    valid = capture.valid(capture.cameras.index(name))
+    counted = slice(None) if valid is None else valid
+    decibels = float(psnr(image[counted] / 255, photo[counted] / 255))
     pair = _photo_and_render(scene, splats, at_most(whole, LONGEST), name)
     held_out = "held-out " if name in scene.held_out else ""
     captions = f"{held_out}photo {name}", f"render, PSNR {decibels:.1f} dB"
@@ -279,7 +281,12 @@ def _render(splats: Splats, camera: Cameras) -> UInt8[Tensor, "H W 3"]:
 def _photo_and_render(
     scene: Scene, splats: Splats, capture: Capture, name: str
 ) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W 3"]]:
-    """A photo, and the render at the pose that the scene has of it, both of one size."""
+    """A photo, and the render at the pose that the scene has of it, both of one size.
+
+    What a mask leaves out of the photo is black.
+    """
     row, own = capture.cameras.index(name), scene.cameras[scene.cameras.index(name)]
     camera = replace(capture.cameras[row], viewmats=own.viewmats)
-    return capture.photos[row], _render(splats, camera)
+    photo, valid = capture.photos[row], capture.valid(row)
+    photo = photo if valid is None else photo * valid[..., None]
+    return photo, _render(splats, camera)

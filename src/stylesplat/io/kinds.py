@@ -21,6 +21,9 @@ SOG_META = "meta.json"  # of a SOG that is a folder
 SCENE = "scene.json"  # makes a folder a scene
 CAMERAS = "cameras.json"  # of a scene
 TRANSFORMS = "transforms.json"  # makes a folder a capture, as COLMAP's files do
+SPLITS = ("train", "test", "val")  # of NeRF-synthetic, BlenderNeRF and nerfstudio
+SPLIT_TRANSFORMS = tuple(f"transforms_{split}.json" for split in SPLITS)
+POSES_BOUNDS = "poses_bounds.npy"  # of LLFF
 
 Kind = Literal[
     "nothing",
@@ -55,7 +58,15 @@ def kind_of(path: Path) -> Kind:
 
 
 def is_posed(folder: Path) -> bool:
-    return find_sparse(folder) is not None or is_file(folder / TRANSFORMS)
+    return bool(find_poses(folder))
+
+
+def find_poses(folder: Path) -> list[Path]:
+    """What a folder has its poses in, the best first; split ones are named by one of them."""
+    sparse = find_sparse(folder)
+    splits = [name for name in SPLIT_TRANSFORMS if is_file(folder / name)][:1]
+    files = [folder / name for name in (TRANSFORMS, *splits, POSES_BOUNDS)]
+    return [*([sparse] if sparse else []), *filter(is_file, files)]
 
 
 def find_sparse(folder: Path) -> Path | None:
@@ -81,7 +92,8 @@ Noun = Literal["scene", "capture", "splat"]
 NOUNS: dict[Noun, tuple[str, str]] = {  # what it is called, and the remedy where it is not
     "scene": ("scene: it has no scene.json", "Give the folder that `train` or `import` made"),
     "capture": (
-        "capture: it has neither sparse/0/cameras.bin (or .txt) nor transforms.json, nor photos",
+        "capture: it has neither sparse/0/cameras.bin (or .txt) nor transforms.json (or "
+        "transforms_train.json) nor poses_bounds.npy, nor photos",
         "Check the name, or give the folder of the photos",
     ),
     "splat": ("file of splats", f"Give one that ends in {', '.join(SPLATS)}, or convert it"),

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import conv2d
 
@@ -42,9 +42,19 @@ def ssim_window(device: torch.device) -> Float[Tensor, " 11"]:
     return (window / window.sum()).to(device)
 
 
-def ssim(image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
-    """Mean structural similarity of two images in 0..1, zero-padded as in the 3DGS code."""
-    return ssim_map(image.permute(2, 0, 1), target.permute(2, 0, 1)).mean()
+def ssim(
+    image: Float[Tensor, "H W 3"],
+    target: Float[Tensor, "H W 3"],
+    valid: Bool[Tensor, "H W"] | None = None,
+) -> Float[Tensor, ""]:
+    """Mean structural similarity of two images in 0..1, zero-padded as in the 3DGS code.
+
+    Of the valid pixels, if some are not: in the windows around them the others are black.
+    """
+    x, y = (each.permute(2, 0, 1) for each in (image, target))
+    if valid is None:
+        return ssim_map(x, y).mean()
+    return ssim_map(x * valid, y * valid)[:, valid].mean()
 
 
 def ssim_map(
@@ -79,8 +89,10 @@ def frame_fits(splats: Splats, capture: Capture, frames: Mapping[str, Frame]) ->
         cameras = move_cameras(capture.cameras[rows], frame)
         gains = []
         for row, photo in enumerate(photos):
-            image = render(splats, cameras[row])[0].clamp(0, 1)
-            mean_color = photo.mean(dim=(0, 1)).expand_as(photo)
-            gains.append(psnr(image, photo) - psnr(mean_color, photo))
+            valid = capture.valid(rows[row])
+            image = render(splats, cameras[row])[0].clamp(0, 1).flatten(0, 1)
+            kept = slice(None) if valid is None else valid.flatten().to(image.device)
+            image, photo = image[kept], photo.flatten(0, 1)[kept]
+            gains.append(psnr(image, photo) - psnr(photo.mean(dim=0).expand_as(photo), photo))
         found[name] = float(torch.stack(gains).median())
     return found

@@ -66,14 +66,16 @@ def label_votes(
     Args:
         splats: The scene.
         cameras: Views of it.
-        label_maps: Rows of cameras, and the labels of their pixels.
+        label_maps: Rows of cameras, and the labels of their pixels, `NOBODY` for none.
 
     Returns:
         The ids that occur, background first, and the votes [N, K].
     """
     columns, total = {BACKGROUND: 0}, csr_array((len(splats), 1), dtype=np.float32)
     for row, labels in label_maps:
-        present = sorted(ids_of(labels))
+        present = sorted(ids_of(labels) - {NOBODY})
+        if not present:
+            continue
         for id in present:
             columns.setdefault(id, len(columns))
         total.resize((len(splats), len(columns)))

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.scene.cache import GIB, Cache, Lazy
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.labels import OwnLabels, resize_labels
+from stylesplat.scene.labels import OwnLabels, resize_labels, shrink_mask
 from stylesplat.scene.one_line import counted, one_line, pixels
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.world_offset import ORIGIN, Offset
@@ -48,9 +48,18 @@ class Capture:
     world_offset: Offset = ORIGIN
     """What was subtracted from the world's coordinates, which may be too large for float32; cameras
     and points are relative to it."""
+    valid_masks: Sequence[Bool[Tensor, "_ _"] | None] | None = None
+    """Per photo the pixels to train on and to measure; None where they are all."""
+    held_out: frozenset[str] | None = None
+    """Names of the photos that the capture's files hold out of training; None if not said."""
 
     def __post_init__(self) -> None:
-        given = {"photos": self.photos, "label maps": self.label_maps, "alphas": self.alphas}
+        given = {
+            "photos": self.photos,
+            "label maps": self.label_maps,
+            "alphas": self.alphas,
+            "masks": self.valid_masks,
+        }
         for what, items in given.items():
             if items is not None and len(items) != len(self.cameras):
                 raise StyleSplatError(
@@ -84,6 +93,7 @@ class Capture:
             label_maps=some(self.label_maps),
             full=None if self.full is None else self.full[[*rows]],
             alphas=some(self.alphas),
+            valid_masks=some(self.valid_masks),
         )
 
     @property
@@ -99,6 +109,10 @@ class Capture:
         """The opacities of a photo's pixels; None if all are opaque."""
         return None if self.alphas is None else self.alphas[row]
 
+    def valid(self, row: int) -> Bool[Tensor, "_ _"] | None:
+        """The pixels of a photo to train on and to measure; None if they are all."""
+        return None if self.valid_masks is None else self.valid_masks[row]
+
 
 PHOTOS = 5  # read for a fingerprint; users exchange all photos at once, or rename them
 
@@ -106,18 +120,21 @@ PHOTOS = 5  # read for a fingerprint; users exchange all photos at once, or rena
 def fingerprint(capture: Capture, *, photos: int = PHOTOS) -> str:
     """A digest of a capture.
 
-    All label maps are read, once and one at a time, but only so many photos: about 0.6 s for 50
-    captured at 1080x1920, and 3 s for 300 at 1600x1066.
+    All label maps and masks are read, once and one at a time, but only so many photos: about 0.6 s
+    for 50 captured at 1080x1920, and 3 s for 300 at 1600x1066.
     """
     cameras = capture.cameras
     names = [*cameras.names, *sorted(capture.object_names.items())]
+    names += [] if capture.held_out is None else [sorted(capture.held_out)]
     tensors = (cameras.sizes.long(), cameras.viewmats.float(), cameras.Ks.float())
     rows = evenly(range(len(capture)), photos)
     labels = (capture.labels(row) for row in range(len(capture)))
+    valid = () if capture.valid_masks is None else map(capture.valid, range(len(capture)))
     parts = chain(
         (*tensors, capture.points, capture.point_colors),
         (None if one is None else one.int() for one in labels),
         (one for row in rows for one in (capture.photos[row], capture.alpha(row))),
+        valid,
     )
     digest = blake2b(repr(names).encode(), digest_size=16)
     for part in parts:
@@ -160,6 +177,7 @@ def at_most(capture: Capture, length: int) -> Capture:
         photos=smaller("photos", _averaged),
         alphas=smaller("alphas", _averaged),
         label_maps=smaller("label_maps", resize_labels),
+        valid_masks=smaller("valid_masks", shrink_mask),
         full=capture.full_cameras,
         downscale=capture.downscale * capture.cameras.shrink_to(length),
     )

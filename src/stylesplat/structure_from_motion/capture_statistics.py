@@ -114,9 +114,13 @@ def measure_photos(capture: Capture) -> PhotoStatistics:
 
     def measured() -> Iterator[tuple[Float[Tensor, "H W 3"], Cameras]]:
         for row in track(range(len(small)), "measuring photos", unit="photo"):
-            photo = small.photos[row]
-            sharp.append(sharpness(cv2.cvtColor(photo.numpy(), cv2.COLOR_RGB2GRAY)))
-            means.append((photo.float().flatten(0, 1).mean(dim=0).clamp(min=1) / 255).log())
+            photo, valid = small.photos[row], small.valid(row)
+            grey = cv2.cvtColor(photo.numpy(), cv2.COLOR_RGB2GRAY)
+            sharp.append(sharpness(grey, None if valid is None else valid.numpy()))
+            colors = photo.flatten(0, 1) if valid is None else photo[valid]
+            means.append((colors.float().mean(dim=0).clamp(min=1) / 255).log())
+            if valid is not None:
+                photo = photo * valid[..., None]  # black says nothing about exposure
             yield photo.float() / 255, small.cameras[row]
 
     logs = photo_gains(torch.zeros(0, 3) if small.points is None else small.points, measured())

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from stylesplat.io.captures.photos import SmallPhoto, same_shape
 from stylesplat.progress import track
@@ -31,6 +31,7 @@ LAPLACIANS = tuple(
         [[0, 0, -1], [0, 2, 0], [-1, 0, 0]],
     )
 )
+REACH = np.ones((3, 3), np.uint8)  # of their kernels
 
 # Background
 MIN_REMOVED = 0.2  # share of a photo that a removed background covers
@@ -58,15 +59,22 @@ THUMBNAIL = (32, 32)  # pixels
 CANDIDATES = 3  # photos that each is compared with: its neighbours, or copies of it
 
 
-def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
+def sharpness(
+    grey: UInt8[np.ndarray, "h w"], valid: Bool[np.ndarray, "h w"] | None = None
+) -> float:
     """Energy of the Laplacian along the direction that has least of it, over the variance.
 
     Motion blurs one direction only, which the full Laplacian hardly shows where edges run along
-    it. The variance makes dark and bright photos comparable. The picture has `SIDE` pixels.
+    it. The variance makes dark and bright photos comparable. The picture has `SIDE` pixels, of
+    which all count or the valid ones.
     """
-    pixels = grey.astype(np.float32)
-    energies = [cv2.filter2D(pixels, cv2.CV_32F, kernel).var() for kernel in LAPLACIANS]
-    return float(min(energies) / (pixels.var() + ROUNDING))
+    pixels, counted = grey.astype(np.float32), slice(None)
+    if valid is not None:
+        counted = cv2.erode(valid.astype(np.uint8), REACH) > 0
+        if not counted.any():
+            return 0.0
+    energies = [cv2.filter2D(pixels, cv2.CV_32F, each)[counted].var() for each in LAPLACIANS]
+    return float(min(energies) / (pixels[counted].var() + ROUNDING))
 
 
 def relative_sharpness(values: Sequence[float]) -> list[float]:

@@ -17,7 +17,7 @@ from stylesplat.io.captures.photos import SmallPhoto, plain_suffix, read_small
 from stylesplat.io.captures.posed_files import check_path
 from stylesplat.io.files import reason
 from stylesplat.io.json_files import PhotoName
-from stylesplat.io.kinds import HEIC, PHOTOS, TRANSFORMS, VIDEOS, find_sparse
+from stylesplat.io.kinds import HEIC, PHOTOS, VIDEOS, find_poses
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
 from stylesplat.structure_from_motion.image_measures import (
     ALL_BLURRED,
@@ -84,13 +84,12 @@ def find_sources(folder: Path, *, skip: Path) -> SourceFiles:
 
 
 def _refuse_posed(folder: Path) -> None:
-    posed = TRANSFORMS if (folder / TRANSFORMS).is_file() else None
-    posed = posed or ("sparse" if (folder / "sparse").is_dir() and find_sparse(folder) else None)
+    posed = find_poses(folder)
     if posed:
         photos = f", or give {folder / 'images'} to find new ones" * (folder / "images").is_dir()
         raise StyleSplatError(
-            f"{folder} has its poses already ({posed}). Use it as it is, with "
-            f"`stylesplat train {folder}`{photos}."
+            f"{folder} has its poses already ({posed[0].relative_to(folder)}). Use it as it is, "
+            f"with `stylesplat train {folder}`{photos}."
         )
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
-from stylesplat.rendering.shares import PRIOR, label_votes
+from stylesplat.rendering.shares import NOBODY, PRIOR, label_votes
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, MAX_ID
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
@@ -160,5 +160,6 @@ def _label_maps(
         )
     for index in track(range(len(capture.cameras)) if rows is None else rows, "lifting labels"):
         labels = capture.label_maps[index]
+        valid = capture.valid(index)
         if labels is not None:
-            yield index, labels
+            yield index, labels if valid is None else labels.int().where(valid, NOBODY)

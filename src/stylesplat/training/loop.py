@@ -29,7 +29,7 @@ from stylesplat.training.initialize import first_splats, scene_extent
 from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.train_config import LEVELS, TrainConfig
 from stylesplat.training.training_views import TrainingViews, learned_ids, split_views
 
 MOST_AT_ONCE = 4  # photos in all processes, unless the settings say otherwise
@@ -55,7 +55,8 @@ def fit(
 
     Follows StyleSplat and Gaussian Grouping, with 3DGS-MCMC densification. Every
     `config.test_every`-th photo is held out. Where photos are transparent, they and the renders
-    are compared over random colours. Label ids that only held-out photos show are not learned.
+    are compared over random colours or `config.background`. Pixels that the capture's masks leave
+    out are not learned from. Label ids that only held-out photos show are not learned.
 
     Args:
         capture: Photos, and label maps if identities are wanted.
@@ -86,7 +87,7 @@ def fit(
 
     Example:
         >>> import stylesplat as ss
-        >>> from stylesplat.training.train_config import TrainConfig
+        >>> from stylesplat.training.train_config import LEVELS, TrainConfig
         >>> state = fit(ss.load("garden/"), TrainConfig(max_seconds=120))  # doctest: +SKIP
         >>> splats = state.splats.detach()  # doctest: +SKIP
     """
@@ -98,6 +99,11 @@ def fit(
     rows, _ = split_views(capture, config.test_every)
     if not rows:
         raise StyleSplatError("Cannot train: the capture has no photos left to train on.")
+    if config.background in LEVELS and capture.alphas is None:
+        raise StyleSplatError(
+            f"Cannot train over {config.background}: no photo of the capture is transparent. "
+            "Leave out the background."
+        )
     saved = continued = None
     if checkpoint is not None:
         mark = fingerprint(replace(capture, object_names={}))

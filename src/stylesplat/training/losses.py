@@ -6,7 +6,7 @@ from math import log
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 from torch.autograd import Function
@@ -20,20 +20,33 @@ from stylesplat.training.photometric_cpu import Photometric
 DSSIM_WEIGHT = 0.2
 NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val
 MAX_POINTS = 200_000  # Gaussian Grouping's reg3d_max_points
+NO_CLASS = -1  # of pixels that are not to be learned from
 DISTANCES_AT_ONCE = 2**26  # 256 MB of them
 
 
 def photometric_loss(
-    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]
+    image: Float[Tensor, "H W 3"],
+    target: Float[Tensor, "H W 3"],
+    valid: Bool[Tensor, "H W"] | None = None,
 ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
     """0.8 L1 + 0.2 (1 - SSIM), the loss of 3D Gaussian splatting.
+
+    Pixels that are not valid have no influence, neither alone nor in the windows of others: they
+    are black in both images, and the means are over the others.
 
     Returns:
         The loss; and the mean squared error of the image clamped to 0..1, without gradient.
     """
-    if not image.is_cuda:
-        return Photometric.apply(image, target, DSSIM_WEIGHT)
-    return photometric_reference(image, target)
+    if valid is not None:
+        image, target = (each.where(valid[..., None], 0) for each in (image, target))
+    if image.is_cuda:
+        loss, error = photometric_reference(image, target)
+    else:
+        loss, error = Photometric.apply(image, target, DSSIM_WEIGHT)
+    if valid is None:
+        return loss, error
+    share = valid.float().mean().clamp(min=1 / valid.numel())  # some photos have none
+    return loss / share, error / share
 
 
 def photometric_reference(
@@ -54,11 +67,13 @@ def identity_loss(
 
     Args:
         render_identities: Rendered identity features, one row per pixel.
-        classes: Index into `classifier.ids` of each pixel.
+        classes: Index into `classifier.ids` of each pixel, or `NO_CLASS`.
         classifier: Decodes the features.
     """
     logits = classifier.logits(render_identities)
-    return cross_entropy(logits, classes) / log(max(len(classifier.ids), 2))
+    total = cross_entropy(logits, classes, ignore_index=NO_CLASS, reduction="sum")
+    count = (classes != NO_CLASS).sum().clamp(min=1)
+    return total / count / log(max(len(classifier.ids), 2))
 
 
 def neighbor_loss(

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.progress import say, track
@@ -65,7 +65,9 @@ def _first_photos(run: Run) -> Iterator[tuple[Float[Tensor, "H W 3"], Cameras]]:
     """The photos to train on, of the size that training begins with."""
     for row in track(run.rows, "comparing exposures"):
         view = run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
-        yield view.photo.cpu(), view.camera
+        # Black says nothing about exposure
+        photo = view.photo if view.valid is None else view.photo * view.valid[..., None]
+        yield photo.cpu(), view.camera
 
 
 def per_photo_regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, ""] | float:
@@ -111,15 +113,20 @@ def apply_color_map(
 
 
 def fit_color_map(
-    image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], photo: Float[Tensor, "H W 3"]
+    image: Float[Tensor, "H W 3"],
+    alpha: Float[Tensor, "H W 1"],
+    photo: Float[Tensor, "H W 3"],
+    valid: Bool[Tensor, "H W"] | None = None,
 ) -> Float[Tensor, "3 4"]:
     """The change with which a render over black is closest to a photo, by ridge regression.
 
-    Pixels that are blown out in the photo do not count.
+    Pixels that are blown out in the photo, or not valid, do not count.
     """
     inputs = torch.cat([image, alpha], dim=-1).flatten(0, 1).double()
     missing = (photo - image).flatten(0, 1).double()
-    weights = (photo < BLOWN_OUT).all(dim=-1).flatten()[:, None].to(inputs)
+    counted = (photo < BLOWN_OUT).all(dim=-1)
+    counted = counted if valid is None else counted & valid
+    weights = counted.flatten()[:, None].to(inputs)
     matrix = (weights * inputs).T @ inputs
     prior = FIT_PRIOR * matrix.trace().clamp(min=1) * torch.eye(4).to(matrix)
     return torch.linalg.solve(matrix + prior, (weights * inputs).T @ missing).T.to(image)

@@ -15,6 +15,7 @@ from stylesplat.training import per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
 from stylesplat.training.densification import accepted
 from stylesplat.training.losses import (
+    NO_CLASS,
     identity_loss,
     neighbor_loss,
     photometric_loss,
@@ -22,7 +23,7 @@ from stylesplat.training.losses import (
     split_render,
 )
 from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
-from stylesplat.training.train_config import TrainConfig, means_decay
+from stylesplat.training.train_config import LEVELS, TrainConfig, means_decay
 from stylesplat.training.training_views import AHEAD
 
 # The official code's learning rates; those of the means, the higher colour bands and the
@@ -77,8 +78,8 @@ def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
 def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
     """Compare a render with the photo of a step.
 
-    Where a photo is transparent, it and the render are laid over the same random colour: only
-    Gaussians that are as transparent fit all colours.
+    Where a photo is transparent, it and the render are laid over the same colour, by default a
+    random one: only Gaussians that are as transparent fit all colours.
     """
     state, config, generator = state.with_own_gradients(step), run.config, run.generator(step)
     params, progress, row = state.params, run.progress(state), run.row(step)
@@ -94,7 +95,9 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
         )
     background, target = None, view.photo
     if view.alpha is not None:
+        level = LEVELS.get(config.background)
         background = torch.rand(3, generator=generator, device=run.device)
+        background = background if level is None else torch.full_like(background, level)
         target = target + (1 - view.alpha) * background
     render, alphas, info = rasterize(
         splats,
@@ -113,10 +116,12 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
         if background is not None:
             image = image + (1 - alphas[0]) * background
         target = per_photo.blown_out_target(image, target)
-    loss, error = photometric_loss(image, target)
+    loss, error = photometric_loss(image, target, view.valid)
     loss = loss + per_photo.per_photo_regularizer(params, place)
     if identities is not None and classes is not None:
-        sampled = classes[y::stride, x::stride]
+        sampled = classes[y::stride, x::stride].long()
+        if view.valid is not None:
+            sampled = sampled.where(view.valid[y::stride, x::stride], NO_CLASS)
         loss = loss + _identity_losses(run, state, (identities, sampled), generator)
     (width, height), first = camera.size, step - run.ranks.number  # alike in all processes
     info = {**info, **_run_info(run, state, first), "loss": loss, "n_cameras": 1}
@@ -148,7 +153,7 @@ def _identity_losses(
     splats = state.splats
     assert splats.identities is not None and splats.classifier is not None
     pixels, targets = (each.flatten(0, 1) for each in view)
-    loss = identity_loss(pixels, targets.long(), splats.classifier)
+    loss = identity_loss(pixels, targets, splats.classifier)
     compares = run.every(run.config.identity_every * NEIGHBOR_EVERY, state.step)
     if compares and len(splats) > NEIGHBORS:
         means, count = splats.means.detach(), min(NEIGHBOR_SAMPLES, len(splats))

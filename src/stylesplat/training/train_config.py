@@ -7,7 +7,9 @@ from stylesplat.errors import StyleSplatError, check_choice
 
 ColorCorrection = Literal["auto", "on", "off"]
 Segment = Literal["joint", "lift"]
+Background = Literal["random", "black", "white"]
 
+LEVELS = {"black": 0.0, "white": 1.0}  # of backgrounds that are not random
 SH_DEGREES = range(4)
 COARSE_UNTIL = ((0.12, 4), (0.35, 2))  # until this share of the run, photos this much smaller
 MIN_SIZE = 64  # pixels; photos are not made smaller than this
@@ -47,7 +49,10 @@ class TrainConfig:
     max_gaussians: int = 100_000
     """The number of Gaussians grows up to here."""
     test_every: int = 8
-    """Every this many photos one is held out to measure quality; 0 trains on all."""
+    """Every this many photos one is held out to measure quality; 0 trains on all.
+
+    By default the photos that the capture's files hold out, where they say which.
+    """
     sh_degree: int = 3
     """Degree of the spherical harmonics, 0 to 3."""
     sh_degree_every: int | None = None
@@ -81,6 +86,12 @@ class TrainConfig:
 
     `auto` does where points that several photos show differ in brightness, in the channel that
     differs most.
+    """
+    background: Background = "random"
+    """What photos are laid over where they are transparent, and renders with them.
+
+    Over a random colour at each step the splat stays transparent there; it is measured over black.
+    Over black or white it may get that colour, and is measured over it.
     """
     refine_poses: bool = False
     """Whether training refines the rotation and position of each training photo's camera.
@@ -138,6 +149,7 @@ class TrainConfig:
         if self.sh_degree not in SH_DEGREES:
             raise StyleSplatError(f"Cannot train with sh_degree {self.sh_degree}: use 0 to 3.")
         check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
+        check_choice(self.background, "background", get_args(Background))
 
 
 def means_decay(progress: float) -> float:

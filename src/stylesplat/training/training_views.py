@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import cv2
 import torch
-from jaxtyping import Float, Integer, UInt8
+from jaxtyping import Bool, Float, Integer, UInt8
 from torch import Tensor
 
 from stylesplat.errors import some
@@ -16,7 +16,8 @@ from stylesplat.progress import say, track
 from stylesplat.scene.cache import GIB, Cache
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels
+from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels, shrink_mask
+from stylesplat.training.train_config import TrainConfig
 
 KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
 AHEAD = 4  # photos decoded in advance for a GPU, by as many threads: each takes up to two steps
@@ -34,6 +35,8 @@ class TrainingView(NamedTuple):
     """How opaque it is; None if it is everywhere."""
     classes: Integer[Tensor, "H W"] | None
     """The class of each pixel, in the smallest type; None without a label map."""
+    valid: Bool[Tensor, "H W"] | None
+    """The pixels to learn from; None if they are all."""
 
 
 class Pixels(NamedTuple):
@@ -42,12 +45,19 @@ class Pixels(NamedTuple):
     photo: UInt8[Tensor, "H W 3"]
     alpha: UInt8[Tensor, "H W"] | None
     classes: Integer[Tensor, "H W"] | None
+    valid: Bool[Tensor, "H W"] | None
 
 
 def split_views(capture: Capture, test_every: int) -> tuple[list[int], list[int]]:
-    """Rows to train on and rows held out: every `test_every`-th, none if that is 0."""
-    rows = range(len(capture))
-    held_out = list(rows[::test_every]) if test_every > 0 and len(rows) > 1 else []
+    """Rows to train on and rows held out: every `test_every`-th, none if that is 0.
+
+    By default the photos that the capture's files hold out, if they say so.
+    """
+    rows, declared = range(len(capture)), capture.held_out
+    if declared is not None and test_every == TrainConfig.test_every:
+        held_out = [row for row in rows if capture.cameras.names[row] in declared]
+    else:
+        held_out = list(rows[::test_every]) if test_every > 0 and len(rows) > 1 else []
     return [row for row in rows if row not in held_out], held_out
 
 
@@ -121,8 +131,8 @@ class TrainingViews:
 def _bytes(capture: Capture, row: int, ids: tuple[int, ...]) -> int:
     """Of a photo with its label map; nothing is read."""
     width, height = capture.cameras[row].size
-    alpha = 0 if capture.alphas is None else 1
-    return width * height * (3 + alpha + (class_type(len(ids)).itemsize if ids else 0))
+    others = sum(each is not None for each in (capture.alphas, capture.valid_masks))
+    return width * height * (3 + others + (class_type(len(ids)).itemsize if ids else 0))
 
 
 def _read(capture: Capture, row: int, ids: tuple[int, ...]) -> Pixels:
@@ -131,7 +141,7 @@ def _read(capture: Capture, row: int, ids: tuple[int, ...]) -> Pixels:
     if labels is not None:  # all of them are among the ids, which ascend
         known = torch.tensor(ids, dtype=torch.int32)
         classes = torch.searchsorted(known, labels.int(), out_int32=True).to(class_type(len(ids)))
-    return Pixels(capture.photos[row], capture.alpha(row), classes)
+    return Pixels(capture.photos[row], capture.alpha(row), classes, capture.valid(row))
 
 
 def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
@@ -141,14 +151,17 @@ def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
         for t in pixels[:2]
     )
     classes = None if pixels.classes is None else resize_labels(pixels.classes, size[::-1])
+    valid = None if pixels.valid is None else shrink_mask(pixels.valid, size[::-1])
     return Pixels(
-        torch.from_numpy(photo), None if alpha is None else torch.from_numpy(alpha), classes
+        torch.from_numpy(photo), None if alpha is None else torch.from_numpy(alpha), classes, valid
     )
 
 
 def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> TrainingView:
     """The pixels on the device, where they become floats; nothing waits for it."""
-    photo, alpha, classes = (None if t is None else t.to(device, non_blocking=True) for t in pixels)
+    photo, alpha, classes, valid = (
+        None if t is None else t.to(device, non_blocking=True) for t in pixels
+    )
     assert photo is not None
     alpha = None if alpha is None else alpha[..., None].float().div_(255)
     if device.type == "cuda":
@@ -156,7 +169,7 @@ def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> TrainingView:
             t.pin_memory().to(device, non_blocking=True) for t in (camera.viewmats, camera.Ks)
         )
         camera = replace(camera, viewmats=viewmats, Ks=Ks)
-    return TrainingView(camera, photo.float().div_(255), alpha, classes)
+    return TrainingView(camera, photo.float().div_(255), alpha, classes, valid)
 
 
 def learned_ids(capture: Capture, rows: Sequence[int]) -> tuple[int, ...]:

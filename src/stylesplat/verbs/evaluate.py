@@ -26,6 +26,7 @@ from stylesplat.stylization.config import Precision, StyleConfig, with_settings,
 from stylesplat.stylization.style import Style, digest
 from stylesplat.stylization.target import PaintTarget, load_network, paint_context
 from stylesplat.stylization.views import Box, find_boxes
+from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.stylize import flat_metrics
 
 SCHEMA = "stylesplat-evaluation-1"  # of what is measured; `compare` has it for each scene
@@ -87,7 +88,8 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
                 f"{scene.held_out[0]}. Put them back."
             )
     fits = fits_of(scene.info.get("fits", ()), capture.cameras)
-    return evaluate_views(splats, capture, rows, fits=fits) if rows else {}
+    background = scene.info.get("settings", {}).get("background", TrainConfig.background)
+    return evaluate_views(splats, capture, rows, fits=fits, background=background) if rows else {}
 
 
 def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:

@@ -9,11 +9,13 @@ from stylesplat.scene.capture import Capture
 
 @check_arguments
 def load(path: Path | str, *, downscale: float = 1.0, masks: Masks = None) -> Capture:
-    """Read a capture: a COLMAP reconstruction with its photos, or a `transforms.json`.
+    """Read a capture: photos with a COLMAP reconstruction, `transforms.json`, or LLFF's poses.
 
     Only the headers of the photos are read now; photos are decoded and undistorted on each access.
-    The world frame is that of the files. If photos are cut out (a few with an alpha channel are
-    decoded to find out), the opaque part is an object called `object`, unless there are label maps.
+    The world frame is that of the files. Photos that the files hold out (`transforms_test.json`,
+    `test_filenames`) become `held_out`, and their masks (`mask_path`) `valid_masks`. If photos are
+    cut out (a few with an alpha channel are decoded to find out), the opaque part is an object
+    called `object`, unless there are label maps.
 
     Args:
         path: The capture's folder.

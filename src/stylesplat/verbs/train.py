@@ -104,7 +104,10 @@ def train(
         "color_maps" in state.params, "pose_shifts" in state.params, scene_extent(capture.cameras)
     )
     measures = held_out and Ranks.here().number == 0  # of processes that train together, one
-    metrics = evaluate_views(splats, capture, held_out, fits=fits) if measures else {}
+    metrics = {}
+    if measures:
+        background = config.background
+        metrics = evaluate_views(splats, capture, held_out, fits=fits, background=background)
     scene = Scene(
         splats=splats.to("cpu"),
         cameras=capture.full_cameras,

@@ -114,9 +114,155 @@ def test_missing_intrinsics(tmp_path: Path, key: str):
         (None, {"fl_x": "wide"}, "malformed"),
         (None, {"camera_model": "EQUIRECTANGULAR"}, "model EQUIRECTANGULAR"),
         (None, {"fl_x": -1.0}, "no focal length"),
-        (None, {"ply_file_path": "none.ply"}, r"none\.ply: No such file"),
     ],
 )
 def test_malformed_content(tmp_path: Path, frames: Any, shared: dict[str, Any], match: str):
     with pytest.raises(StyleSplatError, match=match):
         read_transforms(write(tmp_path, frames, **{**LENS, **shared}))
+
+
+def frame(name: str, x: float = 1.0, **rest: Any) -> dict[str, Any]:
+    pose = [[*row] for row in POSE]
+    pose[0][3] = x
+    return {"file_path": name, "transform_matrix": pose, **rest}
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    """A folder with eight photos."""
+    for number in range(8):
+        save_noise(tmp_path / f"images/{number}.png", (64, 48))
+    return tmp_path
+
+
+NAMES = [f"images/{number}.png" for number in range(8)]
+
+
+def write_splits(folder: Path, **splits: range) -> Path:
+    for split, rows in splits.items():
+        frames = [frame(f"./images/{row}", x=row) for row in rows]
+        content = {"camera_angle_x": 0.5, "frames": frames}
+        (folder / f"transforms_{split}.json").write_text(json.dumps(content))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("splits", "names", "held_out"),
+    [
+        ({"train": range(8)}, range(8), None),
+        ({"train": range(6), "test": range(6, 8)}, range(8), {6, 7}),
+        ({"train": range(6), "val": range(6, 8)}, range(8), {6, 7}),
+        ({"train": range(5), "test": range(5, 7), "val": range(7, 8)}, range(7), {5, 6}),
+        ({"train": range(8), "test": range(6, 8)}, range(8), None),
+        ({"test": range(6)}, range(6), None),
+    ],
+)
+def test_splits_in_files(
+    photos: Path, splits: dict[str, range], names: range, held_out: set[int] | None, said: list[str]
+):
+    posed = read_transforms(write_splits(photos, **splits))
+    assert posed.names == tuple(f"{row}.png" for row in names)
+    expected = None if held_out is None else {f"{row}.png" for row in held_out}
+    assert posed.held_out == expected
+    assert (f"The {len(expected or ())} photos of" in "".join(said)) == (expected is not None)
+    assert posed.viewmats[1, 2, 3] == pytest.approx(-1)  # each photo has its own pose
+
+
+def test_every_split_has_its_own_field_of_view(photos: Path):
+    write_splits(photos, train=range(4))
+    content = {"camera_angle_x": math.pi / 2, "frames": [frame("images/7")]}
+    (photos / "transforms_test.json").write_text(json.dumps(content))
+    focals = [lens.params[0] for lens in lenses_of(read_transforms(photos))]
+    assert focals == pytest.approx([32 / math.tan(0.25)] * 4 + [32])
+
+
+def test_splits_in_lists(photos: Path, said: list[str]):
+    lists = {
+        "train_filenames": ["images/0.png", "./images/1.png", "images\\2.png"],
+        "test_filenames": NAMES[3:5],
+        "val_filenames": NAMES[4:6],
+    }
+    posed = read_transforms(write(photos, [frame(name) for name in NAMES], **lists, **LENS))
+    assert posed.names == tuple(f"{row}.png" for row in range(5))
+    assert posed.held_out == {"3.png", "4.png"}
+    assert "2 photos of test_filenames of transforms.json" in said[0]
+    assert "3 photos are neither" in said[1]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "images\\{}.png",
+        ".\\images\\{}.png",
+        "C:\\Users\\me\\fox\\images\\{}.png",
+        "C:/Users/me/fox/images/{}.png",
+        "/home/me/fox/images/{}.png",
+        "../elsewhere/images/{}.png",
+        "data/fox/images/{}",
+        "Images/{}.PNG",
+        "./IMAGES/{}",
+    ],
+)
+def test_names_of_other_machines(photos: Path, name: str, said: list[str]):
+    frames = [frame(name.format(number)) for number in range(8)]
+    posed = read_transforms(write(photos, frames, **LENS))
+    assert posed.paths == tuple(photos / each for each in NAMES)
+    moved = any(word in name for word in ("me", "elsewhere", "fox"))
+    assert ["8 of 8 photos of transforms.json lead elsewhere" in line for line in said] == (
+        [True] if moved else []
+    )
+
+
+def test_missing_photos_of_another_machine_are_named(photos: Path):
+    frames = [frame(f"/home/me/fox/images/{number}.png") for number in range(10)]
+    posed = read_transforms(write(photos, frames, **LENS))
+    assert posed.names == tuple(f"{number}.png" for number in range(10))
+
+
+def test_two_names_are_not_taken_for_one_photo(tmp_path: Path):
+    save_noise(tmp_path / "0.png", (64, 48))
+    frames = [frame("/home/me/left/0.png"), frame("/home/me/right/0.png")]
+    posed = read_transforms(write(tmp_path, frames, **LENS))
+    assert not any(path.exists() for path in posed.paths)
+
+
+@pytest.mark.parametrize(
+    ("keys", "signs"),
+    [({"from_na": True}, (1, 1, 1)), ({"normal_mts_args": [0]}, (-1, -1, 1)), ({}, (1, -1, -1))],
+)
+def test_declared_axes_of_cameras(tmp_path: Path, keys: dict[str, Any], signs: tuple[int, ...]):
+    viewmat = read_transforms(write(tmp_path, None, **keys, **LENS)).viewmats[0]
+    axes = torch.tensor(POSE, dtype=torch.float64)[:3, :3] * torch.tensor(signs)
+    torch.testing.assert_close(viewmat[:3, :3], axes.T)
+
+
+def test_keys_that_are_not_used_are_named(tmp_path: Path, said: list[str]):
+    frames = [frame("images/a.png", depth_file_path="depth/a.png", time=0.5)]
+    read_transforms(write(tmp_path, frames, aabb_scale=16, applied_scale=0.5, **LENS))
+    (line,) = said
+    assert "depth_file_path, time" in line and "aabb" not in line
+
+
+@pytest.mark.parametrize("key", ["latlong", "orthographic", "ftheta_p0"])
+def test_lenses_that_no_photo_has(tmp_path: Path, key: str):
+    with pytest.raises(StyleSplatError, match=f"{key} cameras"):
+        read_transforms(write(tmp_path, None, **LENS, **{key: True}))
+
+
+def test_contradicting_lenses(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match="is_fisheye, but the camera model PINHOLE"):
+        read_transforms(write(tmp_path, **LENS, camera_model="PINHOLE", is_fisheye=True))
+
+
+def test_a_missing_file_of_points_costs_a_line(tmp_path: Path, said: list[str]):
+    posed = read_transforms(write(tmp_path, ply_file_path="none.ply", **LENS))
+    assert posed.points is None and "none.ply" in said[0]
+
+
+def test_points_beside_split_files(photos: Path):
+    write_splits(photos, train=range(8))
+    write_transforms(random_cameras(), photos, points=torch.randn(5, 3))
+    (photos / "points.ply").rename(photos / "points3d.ply")
+    (photos / "transforms.json").unlink()
+    points = read_transforms(photos).points
+    assert points is not None and len(points) == 5

@@ -14,11 +14,13 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.captures.colmap import find_photos, read_colmap
 from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.llff import read_llff
 from stylesplat.io.captures.photos import OPAQUE, Photo, fit_photo
 from stylesplat.io.captures.posed_files import PosedFiles, drop_missing, split_offset
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.captures.transforms import read_transforms
-from stylesplat.io.kinds import PHOTOS, TRANSFORMS, find_sparse, wrong_kind
+from stylesplat.io.captures.valid_pixels import check_masks, match_masks
+from stylesplat.io.kinds import PHOTOS, POSES_BOUNDS, find_poses, wrong_kind
 from stylesplat.io.label_maps import DrawnLabels, fit_labels, match_label_maps, read_names
 from stylesplat.progress import say, track
 from stylesplat.scene.cache import Cache, Lazy
@@ -53,6 +55,10 @@ class CaptureFiles:
     """Whether the photos are transparent around the object."""
     world_offset: Offset
     """What cameras and points are relative to."""
+    valid_masks: tuple[Path | None, ...] | None = None
+    """The files of the photos' masks, 0 where pixels are not to be used."""
+    held_out: frozenset[str] | None = None
+    """Names of the photos that the files hold out of training; None if they do not say."""
 
     def at(self, downscale: float | int) -> Capture:
         """The capture with photos, label maps and cameras that are `downscale` times smaller."""
@@ -79,6 +85,8 @@ class CaptureFiles:
             path=self.path,
             object_names=names,
             alphas=alphas,
+            valid_masks=None if self.valid_masks is None else match_masks(self.valid_masks, files),
+            held_out=self.held_out,
             full=self.cameras,
             downscale=float(downscale),
             world_offset=self.world_offset,
@@ -92,13 +100,7 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     does not fit the others.
     """
     folder = Path(path)
-    sparse = find_sparse(folder)
-    if sparse:
-        posed = read_colmap(folder, sparse)
-    elif (folder / TRANSFORMS).is_file():
-        posed = read_transforms(folder)
-    else:
-        raise wrong_kind(folder, "capture")
+    posed = _read_poses(folder)
     posed, offset = split_offset(posed)
     if offset != ORIGIN:
         say(announced(folder, offset))
@@ -113,6 +115,8 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     lenses = [lens for lens in posed.lenses if lens is not None]  # every existing photo has one
     pairs = [*zip(posed.paths, lenses, strict=True)]
     photos = [fit_photo(*pair) for pair in track(pairs, "reading photos", unit="photo")]
+    if posed.masks is not None:
+        check_masks(posed.masks, photos)
     pinholes = [photo.lens.pinhole() for photo in photos]
     cameras = Cameras(
         viewmats=posed.viewmats.float(),
@@ -132,7 +136,22 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
         point_colors=posed.point_colors,
         cut_out=any(photo.is_cut_out() for photo in with_alpha),
         world_offset=offset,
+        valid_masks=posed.masks,
+        held_out=posed.held_out,
     )
+
+
+def _read_poses(folder: Path) -> PosedFiles:
+    found = find_poses(folder)
+    if not found:
+        raise wrong_kind(folder, "capture")
+    used, *others = found
+    if others:
+        rest = some([path.relative_to(folder) for path in others])
+        say(f"Poses are read from {used.relative_to(folder)}, and not from {rest}.")
+    if used.name == POSES_BOUNDS:
+        return read_llff(folder)
+    return read_transforms(folder) if used.suffix == ".json" else read_colmap(folder, used)
 
 
 def exact_masks(folder: Path) -> Path | None:

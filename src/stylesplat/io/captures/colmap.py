@@ -25,12 +25,17 @@ if TYPE_CHECKING:  # else each command would load it
 
 def find_photos(folder: Path) -> Path:
     """The folder of a capture's photos: `images`, or the least reduced of `images_2` and so on."""
-    if (folder / "images").is_dir():
-        return folder / "images"
-    copies = [p for p in folder.glob("images_*") if p.is_dir() and p.name[7:].isdecimal()]
-    if not copies:
+    folders = find_photo_folders(folder)
+    if not folders:
         raise StyleSplatError(f"{folder} has a reconstruction but no images/. Add the photos.")
-    return min(copies, key=lambda p: int(p.name[7:]))
+    return folders[0]
+
+
+def find_photo_folders(folder: Path) -> list[Path]:
+    """`images`, `images_2` and so on, as far as they are there, the least reduced first."""
+    copies = [p for p in folder.glob("images_*") if p.is_dir() and p.name[7:].isdecimal()]
+    whole = [folder / "images"] if (folder / "images").is_dir() else []
+    return [*whole, *sorted(copies, key=lambda p: int(p.name[7:]))]
 
 
 def read_colmap(folder: Path, sparse: Path) -> PosedFiles:

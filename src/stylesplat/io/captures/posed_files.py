@@ -3,6 +3,7 @@
 import os
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -40,6 +41,10 @@ class PosedFiles:
     points: Float[Tensor, "M 3"] | None
     """In the world, 64 bits."""
     point_colors: UInt8[Tensor, "M 3"] | None
+    masks: tuple[Path | None, ...] | None = None
+    """Pictures that are 0 where a photo's pixels are not to be used; None for a photo without."""
+    held_out: frozenset[str] | None = None
+    """Names of the photos that the files hold out of training; None if they say nothing."""
 
     def __post_init__(self) -> None:
         for name in self.names:
@@ -73,22 +78,50 @@ def split_offset(posed: PosedFiles) -> tuple[PosedFiles, Offset]:
 
 
 def drop_missing(posed: PosedFiles, folder: Path) -> PosedFiles:
-    """Leave out photos whose files do not exist, with a message; more than half are an error."""
-    there = [os.path.lexists(path) for path in posed.paths]  # unlike Path's, it takes any name
-    missing = [name for name, found in zip(posed.names, there, strict=True) if not found]
+    """Leave out photos whose files do not exist, with a message.
+
+    So are photos whose masks do not exist: what these mask is not to be used. It is an error if
+    more than half of the photos to train on are left out.
+    """
+    posed = _keep_existing(posed, folder, posed.paths, posed.names, "photos that have poses")
+    masks = posed.masks or ()
+    names = [str(path and Path(os.path.relpath(path, folder)).as_posix()) for path in masks]
+    return _keep_existing(posed, folder, masks, names, "photos that have masks") if masks else posed
+
+
+def _keep_existing(
+    posed: PosedFiles,
+    folder: Path,
+    paths: Sequence[Path | None],
+    names: Sequence[str],
+    photos: str,
+) -> PosedFiles:
+    # Unlike Path's, lexists takes any name
+    there = [path is None or os.path.lexists(path) for path in paths]
+    missing = [name for name, found in zip(names, there, strict=True) if not found]
     if not missing:
         return posed
-    count, posing = len(there), f"photos that have poses in {folder}"
-    if 2 * len(missing) > count:
+    held_out, count = posed.held_out or frozenset(), sum(path is not None for path in paths)
+    pairs = zip(posed.names, there, strict=True)
+    to_train = [found for name, found in pairs if name not in held_out]
+    if 2 * sum(to_train) < len(to_train):
         raise StyleSplatError(
-            f"Only {count - len(missing)} of the {count} {posing} are there. "
+            f"Only {count - len(missing)} of the {count} {photos} in {folder} are there. "
             f"Missing: {some(missing)}. Put them back, or pose the photos again."
         )
-    say(f"Missing, so left out: {some(missing)} ({len(missing)} of the {count} {posing}).")
+    of = f"{len(missing)} of the {count} {photos} in {folder}"
+    say(f"Missing, so left out: {some(missing)} ({of}).")
     columns = zip(posed.names, posed.paths, posed.lenses, strict=True)
-    names, paths, lenses = zip(*compress(columns, there), strict=True)
-    viewmats = posed.viewmats[torch.tensor(there)]
-    return replace(posed, names=names, paths=paths, lenses=lenses, viewmats=viewmats)
+    left, files, lenses = zip(*compress(columns, there), strict=True)
+    return replace(
+        posed,
+        names=left,
+        paths=files,
+        lenses=lenses,
+        viewmats=posed.viewmats[torch.tensor(there)],
+        masks=None if posed.masks is None else (*compress(posed.masks, there),),
+        held_out=held_out & {*left} or None,
+    )
 
 
 def check_path(text: str) -> None:

@@ -1,32 +1,49 @@
-"""`transforms.json`, the captures of instant-ngp and nerfstudio."""
+"""`transforms.json` of instant-ngp and nerfstudio, and NeRF-synthetic's files, one per split."""
 
 import math
 import os
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
-import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.io.captures.foreign_paths import find_files
 from stylesplat.io.captures.lens import MAX_SIDE, Lens
+from stylesplat.io.captures.point_file import SparsePoints, read_points
 from stylesplat.io.captures.posed_files import PosedFiles, check_path
-from stylesplat.io.files import reason
+from stylesplat.io.files import is_file, reason
 from stylesplat.io.images import image_sizes
 from stylesplat.io.json_files import fitting, read_json
-from stylesplat.io.kinds import TRANSFORMS
-from stylesplat.io.ply import read_ply_table
+from stylesplat.io.kinds import SPLIT_TRANSFORMS, SPLITS, TRANSFORMS
+from stylesplat.progress import say
 
-XYZ = ("x", "y", "z")
-RGB = ("red", "green", "blue")
-EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")  # tried where a name has none
+EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp")  # tried where a name has none
+POINTS = "points3d.ply"  # of INRIA's code and BlenderNeRF, beside split files
 FISHEYE = "OPENCV_FISHEYE"
 FRAME_MODELS = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+LENS_KEYS = ("latlong", "equirectangular", "orthographic", "ftheta_p0")  # instant-ngp's others
 AGAIN = "Pose the photos again."
-OPENGL_AXES = torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)  # x right, y up, z back
+# Camera axes in x right, y down, z ahead. OpenGL's are x right, y up, z back; keys of instant-ngp
+# and NeuS2 declare Mitsuba's (x left, y up, z ahead) and OpenCV's
+OPENGL_AXES, MITSUBA_AXES, OPENCV_AXES = (
+    torch.tensor(signs, dtype=torch.float64)
+    for signs in ((1.0, -1.0, -1.0, 1.0), (-1.0, -1.0, 1.0, 1.0), (1.0, 1.0, 1.0, 1.0))
+)
+MITSUBA_KEYS = ("normal_mts_args", "from_mitsuba")
+OPENCV_KEY = "from_na"
+# Keys that change neither photos nor cameras: frames and bounds of other programs' viewers and
+# networks, transforms that are in the poses already, and notes
+NEUTRAL = {
+    *("aabb", "aabb_scale", "aabb_range", "render_aabb", "scale", "offset", "up"),
+    *("applied_transform", "applied_scale", "orientation_override", "near", "far"),
+    *("rotation", "sharpness", "colmap_im_id", "n_frames", "n_extra_learnable_dims"),
+    *("enable_depth_loading", "enable_ray_loading", "envmap_resolution"),
+}
 
 Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 Side = Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)]  # some programs write 1920.0
@@ -55,6 +72,7 @@ class _Frame(msgspec.Struct):
     p2: Number = 0.0
     camera_model: str | None = None
     is_fisheye: bool = False
+    mask_path: str | None = None
 
 
 class _Transforms(msgspec.Struct):
@@ -62,55 +80,199 @@ class _Transforms(msgspec.Struct):
 
     frames: list[dict[str, Any]] = []
     ply_file_path: str | None = None
+    train_filenames: list[str] = []
+    val_filenames: list[str] = []
+    test_filenames: list[str] = []
+
+
+class _Posed(NamedTuple):
+    """A frame, and its photo and mask."""
+
+    photo: Path
+    place: Path
+    """The photo's path, absolute and without dots, by which it is known."""
+    frame: _Frame
+    axes: Float[Tensor, "4"]
+    mask: Path | None
+    file: Path
+
+
+class _Split(NamedTuple):
+    """Photos that a file lists for one purpose."""
+
+    listed: set[Path]
+    source: str
+    """What lists them, in messages."""
 
 
 def read_transforms(folder: Path) -> PosedFiles:
-    """Read poses and cameras, and the points where `ply_file_path` names some.
+    """Read poses and cameras, the points where a file has some, and which photos are held out.
 
+    Without `transforms.json` the frames are those of `transforms_train.json` and the like.
     Intrinsics may be given in each frame or once for all. Photos may lie anywhere; they are sorted
     by path, and named relative to their common folder.
     """
-    path = folder / TRANSFORMS
-    content = read_json(path)
+    posed, splits, points = list[_Posed](), dict[str, _Split](), None
+    files = _files(folder)
+    for path in files:
+        frames, listed, named_points = _read_file(path)
+        posed += frames
+        splits |= listed
+        points = points or named_points
+    if not posed:
+        raise StyleSplatError(f"{files[0]} has no frames, so no cameras. Pose the photos again.")
+    posed, held_out = _hold_out([*_without_repeats(posed)], splits)
+    posed.sort(key=lambda each: each.place)
+    common = Path(os.path.commonpath([each.place.parent for each in posed]))
+    names = tuple(each.place.relative_to(common).as_posix() for each in posed)
+    pairs = [*zip(names, posed, strict=True)]
+    reserved = None if held_out is None else {n for n, each in pairs if each.place in held_out}
+    viewmats = [_viewmat(each) for each in posed]
+    masks = tuple(each.mask for each in posed)
+    sparse = _read_points(folder, points)
+    return PosedFiles(
+        names=names,
+        paths=tuple(each.photo for each in posed),
+        lenses=tuple(_read_lens(each) for each in posed),
+        viewmats=torch.stack(viewmats),
+        points=sparse and sparse.means,
+        point_colors=sparse and sparse.colors,
+        masks=masks if any(masks) else None,
+        held_out=None if reserved is None else frozenset(reserved),
+    )
+
+
+def _files(folder: Path) -> list[Path]:
+    if is_file(folder / TRANSFORMS):
+        return [folder / TRANSFORMS]
+    return [folder / name for name in SPLIT_TRANSFORMS if is_file(folder / name)]
+
+
+def _read_file(path: Path) -> tuple[list[_Posed], dict[str, _Split], str | None]:
+    """The frames of a file, the photos by what they are for, and the name of the points."""
+    folder, content = path.parent, read_json(path)
     whole = fitting(content, _Transforms, f"{path} is malformed", AGAIN)
-    if not whole.frames:
-        raise StyleSplatError(f"{path} has no frames, so no cameras. Pose the photos again.")
-    try:
-        posed = [_read_frame(path, content | frame) for frame in whole.frames]
-        points, point_colors = _read_points(folder, whole.ply_file_path)
-    except (ValueError, RuntimeError, ArithmeticError) as error:
-        raise StyleSplatError(f"{path} is malformed: {reason(error)}. {AGAIN}") from error
-    posed.sort(key=lambda frame: _without_dots(frame[0]))
-    paths, lenses, viewmats = zip(*posed, strict=True)
-    plain = [_without_dots(path) for path in paths]
-    common = Path(os.path.commonpath([photo.parent for photo in plain]))
-    names = tuple(photo.relative_to(common).as_posix() for photo in plain)
-    return PosedFiles(names, paths, lenses, torch.stack(viewmats), points, point_colors)
+    merged = [content | frame for frame in whole.frames]
+    frames = [fitting(each, _Frame, f"A frame of {path} is malformed", AGAIN) for each in merged]
+    for frame in frames:
+        check_path(frame.file_path)
+        check_path(frame.mask_path or "")
+    _say_unused(path, content, merged)
+    names = [frame.file_path for frame in frames]
+    photos = find_files(folder, names, f"photos of {path.name}", suffixes=EXTENSIONS)
+    masks = [frame.mask_path for frame in frames if frame.mask_path]
+    found = dict(zip(masks, find_files(folder, masks, f"masks of {path.name}"), strict=True))
+    posed = [
+        _Posed(photo, _place(photo), frame, _axes(each), found.get(frame.mask_path or ""), path)
+        for photo, frame, each in zip(photos, frames, merged, strict=True)
+    ]
+    splits = dict[str, _Split]()
+    for split, file in zip(SPLITS, SPLIT_TRANSFORMS, strict=True):
+        names = getattr(whole, f"{split}_filenames")
+        listed = find_files(folder, names, f"{split}_filenames", suffixes=EXTENSIONS)
+        if path.name == file:
+            splits[split] = _Split({*map(_place, photos)}, file)
+        elif names:
+            splits[split] = _Split({*map(_place, listed)}, f"{split}_filenames of {path.name}")
+    return posed, splits, whole.ply_file_path
 
 
-def _without_dots(path: Path) -> Path:
+def _say_unused(
+    path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]]
+) -> None:
+    """Say which keys are not used, and refuse those of lenses that no photo of a scene has."""
+    keys = dict.fromkeys(key for each in (content, *frames) for key in each)
+    lens = next((k for k in LENS_KEYS if any(each.get(k) for each in (content, *frames))), None)
+    if lens is not None:
+        raise StyleSplatError(
+            f"{path} has {lens} cameras, which cannot be undistorted. Use photos of a lens."
+        )
+    used = {field for kind in (_Frame, _Transforms) for field in kind.__struct_fields__}
+    known = {*used, *NEUTRAL, *MITSUBA_KEYS, OPENCV_KEY, *LENS_KEYS}
+    others = [key for key in keys if key not in known]
+    if others:
+        say(f"{path.name} has keys that are not used: {some(others, most=len(others))}.")
+
+
+def _axes(content: Mapping[str, Any]) -> Float[Tensor, "4"]:
+    if any(content.get(key) for key in MITSUBA_KEYS):
+        return MITSUBA_AXES
+    return OPENCV_AXES if content.get(OPENCV_KEY) else OPENGL_AXES
+
+
+def _without_repeats(posed: Sequence[_Posed]) -> Iterator[_Posed]:
+    """The frames without those that another file has with the same pose."""
+    first = dict[Path, _Posed]()
+    for each in posed:
+        before = first.setdefault(each.place, each)
+        same = before.frame.transform_matrix == each.frame.transform_matrix
+        if before is each or before.file == each.file or not same:
+            yield each
+
+
+def _hold_out(
+    posed: list[_Posed], splits: Mapping[str, _Split]
+) -> tuple[list[_Posed], set[Path] | None]:
+    """The frames to use, and the photos of them that are held out if the files say so.
+
+    The test split is held out, or without one that for validation. Photos to train on count as
+    that whatever else lists them; photos that are neither are left out, with a line.
+    """
+    if not splits:
+        return posed, None
+    photos, nothing = {each.place for each in posed}, _Split(set(), "")
+    train, test, val = (splits.get(split, nothing) for split in SPLITS)
+    to_train = train.listed & photos or photos - test.listed - val.listed
+    unlisted = _Split(photos - to_train, "no list")
+    choices = [each for each in (test, val, unlisted) if (each.listed & photos) - to_train]
+    again = (test.listed | val.listed) & train.listed
+    if again:
+        say(f"{len(again)} photos of {test.source or val.source} are of {train.source} too.")
+    if not to_train or not choices:
+        return posed, None
+    held_out = (choices[0].listed & photos) - to_train
+    say(
+        f"The {len(held_out)} photos of {choices[0].source} are held out. `--test-every 0` trains "
+        f"on them, too."
+    )
+    others = photos - to_train - held_out
+    if others:
+        of = f" of {val.source}" if others <= val.listed else ""
+        say(f"{len(others)} photos{of} are neither trained on nor held out.")
+    return [each for each in posed if each.place not in others], held_out
+
+
+def _place(path: Path) -> Path:
     return Path(os.path.normpath(path.absolute()))
 
 
-def _read_frame(
-    path: Path, content: dict[str, Any]
-) -> tuple[Path, Lens | None, Float[Tensor, "4 4"]]:
-    frame = fitting(content, _Frame, f"A frame of {path} is malformed", AGAIN)
-    check_path(frame.file_path)
-    photo = path.parent / frame.file_path
-    candidates = [photo, *(photo.with_name(photo.name + extension) for extension in EXTENSIONS)]
-    photo = next((candidate for candidate in candidates if candidate.is_file()), photo)
+def _viewmat(posed: _Posed) -> Float[Tensor, "4 4"]:
     pose = torch.eye(4, dtype=torch.float64)
-    pose[:3] = torch.tensor(frame.transform_matrix[:3], dtype=torch.float64)
+    pose[:3] = torch.tensor(posed.frame.transform_matrix[:3], dtype=torch.float64)
     # No error for a singular matrix: `load` names all bad poses at once
-    return photo, _read_lens(frame, photo), torch.linalg.inv_ex(pose * OPENGL_AXES).inverse
+    return torch.linalg.inv_ex(pose * posed.axes).inverse
 
 
-def _read_lens(frame: _Frame, photo: Path) -> Lens | None:
-    from stylesplat.io.captures.colmap_library import pycolmap
-
+def _read_lens(posed: _Posed) -> Lens | None:
+    """The lens of a frame; None if that depends on a photo that is not there."""
+    frame, photo, path = posed.frame, posed.photo, posed.file
     if frame.w is None and not os.path.lexists(photo):
         return None
+    named = frame.camera_model or (FISHEYE if frame.is_fisheye else "OPENCV")
+    if named not in (FISHEYE, *FRAME_MODELS):
+        raise StyleSplatError(
+            f"{path} has cameras of the model {brief(named)}, which is unknown. Use one of "
+            f"{', '.join((*FRAME_MODELS, FISHEYE))}."
+        )
+    try:
+        return _lens(frame, photo, named)
+    except (ValueError, RuntimeError, ArithmeticError) as error:
+        raise StyleSplatError(f"{path} is malformed: {reason(error)}. {AGAIN}") from error
+
+
+def _lens(frame: _Frame, photo: Path, model: str) -> Lens:
+    from stylesplat.io.captures.colmap_library import pycolmap
+
     if frame.w is None:
         width, height = image_sizes(photo)[1]
     elif frame.h is None:
@@ -124,14 +286,15 @@ def _read_lens(frame: _Frame, photo: Path) -> Lens | None:
     cx = width / 2 if frame.cx is None else frame.cx
     cy = height / 2 if frame.cy is None else frame.cy
     pinhole, k = [fx, fy, cx, cy], (frame.k1, frame.k2, frame.k3, frame.k4)
-    named = frame.camera_model or (FISHEYE if frame.is_fisheye else "OPENCV")
-    if named == FISHEYE:
-        model, params = FISHEYE, [*pinhole, *k]
-    elif named in FRAME_MODELS and frame.k4 == 0:
+    if model == FISHEYE:
+        params = [*pinhole, *k]
+    elif frame.is_fisheye:
+        raise ValueError(f"it has is_fisheye, but the camera model {model}")
+    elif frame.k4 != 0:
+        raise ValueError(f"the camera model {model} has no k4, but it is {frame.k4}")
+    else:
         further = [frame.p1, frame.p2, frame.k3, 0.0, 0.0, 0.0]
         model, params = "FULL_OPENCV", [*pinhole, frame.k1, frame.k2, *further]
-    else:
-        raise ValueError(f"the camera model {brief(named)} with k4 = {frame.k4} is unknown")
     return Lens.from_colmap(pycolmap.Camera(model=model, width=width, height=height, params=params))
 
 
@@ -145,16 +308,10 @@ def _focal(focal: float | None, angle: float | None, side: int, axis: str) -> fl
     return side / (2 * math.tan(angle / 2))
 
 
-def _read_points(
-    folder: Path, name: str | None
-) -> tuple[Float[Tensor, "M 3"], UInt8[Tensor, "M 3"]] | tuple[None, None]:
-    if name is None:
-        return None, None
-    table = read_ply_table(folder / name)
-    missing = {*XYZ, *RGB} - {*(table.dtype.names or ())}
-    if missing:
-        raise ValueError(f"the points {name} have no column {min(missing)}")
-    with np.errstate(over="ignore", invalid="ignore"):  # PLY colours may be of any type
-        xyz = np.stack([table[c].astype(np.float64) for c in XYZ], axis=1)
-        colors = np.stack([table[c].astype(np.uint8) for c in RGB], axis=1)
-    return torch.from_numpy(xyz), torch.from_numpy(colors)
+def _read_points(folder: Path, name: str | None) -> SparsePoints | None:
+    if name is not None:
+        return read_points(find_files(folder, [name], "ply_file_paths")[0])
+    if is_file(folder / POINTS):
+        say(f"The points are those of {POINTS}.")
+        return read_points(folder / POINTS)
+    return None
