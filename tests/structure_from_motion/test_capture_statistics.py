@@ -132,3 +132,15 @@ def test_without_points_whole_photos_are_compared(capture: Capture):
     bare = replace(capture, points=None, point_colors=None)
     dark = measure_photos(changed(bare, 4, bare.photos[4].numpy() * 0.5))
     assert not dark.by_points and dark.stops[4] < -1.5
+
+
+def test_pixels_that_are_masked_out_do_not_count(capture: Capture):
+    height, width = capture.photos[0].shape[:2]
+    valid = torch.arange(width).expand(height, width) < 0.6 * width
+    masked = replace(capture, valid_masks=[valid] * len(capture))
+    noise = np.random.default_rng(0).integers(0, 256, (height, width, 3))
+    other = np.where(valid[..., None].numpy(), capture.photos[4].numpy(), noise)
+    for start in (masked, replace(masked, points=None, point_colors=None)):
+        before, after = measure_photos(start), measure_photos(changed(start, 4, other))
+        for name in ("sharpness", "stops", "warmth"):
+            assert torch.equal(getattr(before, name), getattr(after, name))

@@ -50,6 +50,21 @@ def test_the_identity_loss_moves_no_geometry_unless_asked(capture: Capture, conf
             assert (moving[name] - plain[name]).norm() > 1e-2 * plain[name].norm(), name
 
 
+def test_masked_pixels_have_no_gradients_of_colours_and_labels(
+    capture: Capture, config: TrainConfig
+):
+    valid = torch.ones(64, 72, dtype=torch.bool)
+    valid[:, :40] = False
+    masks = [valid] * len(capture)
+    photos = [photo.where(valid[..., None], 255) for photo in capture.photos]
+    maps = [capture.labels(row) for row in range(len(capture))]
+    others = [None if each is None else each.where(valid, 3) for each in maps]
+    plain = gradients(replace(capture, valid_masks=masks), config)
+    changed = replace(capture, photos=photos, label_maps=others, valid_masks=masks)
+    for name, gradient in gradients(changed, config).items():
+        assert torch.equal(gradient, plain[name]), name
+
+
 def test_a_step_leaves_what_nobody_sees(capture: Capture, config: TrainConfig):
     run, state = begun(replace(capture, label_maps=None), config)
     with torch.no_grad():

@@ -52,6 +52,7 @@ PAPER = {
     "classifier_rate": (5e-4, f"{GROUPING}: cls_optimizer"),
     "identity_geometry": (True, f"{GROUPING}: loss_obj reaches all tensors"),
     "color_correction": ("off", OURS),
+    "background": ("random", f"{GAUSSIANS}: random_background, which only cut-outs show"),
     "refine_poses": (False, OURS),
     "photos_at_once": (1, f"{GROUPING}: one viewpoint_cam in every iteration"),
     "max_memory": (None, OURS),

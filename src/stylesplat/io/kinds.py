@@ -92,8 +92,7 @@ Noun = Literal["scene", "capture", "splat"]
 NOUNS: dict[Noun, tuple[str, str]] = {  # what it is called, and the remedy where it is not
     "scene": ("scene: it has no scene.json", "Give the folder that `train` or `import` made"),
     "capture": (
-        "capture: it has neither sparse/0/cameras.bin (or .txt) nor transforms.json (or "
-        "transforms_train.json) nor poses_bounds.npy, nor photos",
+        "capture: it has neither sparse/0/cameras.bin (or .txt) nor transforms.json, nor photos",
         "Check the name, or give the folder of the photos",
     ),
     "splat": ("file of splats", f"Give one that ends in {', '.join(SPLATS)}, or convert it"),
