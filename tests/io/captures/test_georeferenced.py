@@ -10,7 +10,7 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture, write_capture
-from stylesplat.io.captures.transforms import RGB, XYZ
+from stylesplat.io.captures.point_file import RGB, XYZ
 from stylesplat.io.ply import read_ply_table, write_ply_rows
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture

@@ -43,7 +43,8 @@ def test_colors_in_many_forms(tmp_path: Path, names: tuple[str, ...], kind: str,
 
 
 def test_colors_of_a_splat(tmp_path: Path):
-    columns = dict.fromkeys(("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2"), "float")
+    names: tuple[str, ...] = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2")
+    columns = dict.fromkeys(names, "float")
     points = read_points(write(tmp_path / "p.ply", columns, [(0, 0, 0, 0, 1, -99)]))
     assert points is not None and points.colors.tolist() == [[128, 199, 0]]
 
