@@ -50,26 +50,45 @@ def test_what_is_drawn_comes_as_a_picture_and_what_is_wrong_is_told(scene: Path)
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("verb", "words"),
     [
-        ["/etc"],
-        ["scene", "-o", "../out"],
-        ["--style", "vase=/etc/passwd"],
-        ["--style", "vase=a.jpg,../b.jpg"],
-        ["~/scene"],
-        ["link/scene"],
-        ["--output=/tmp/x"],
-        ["--recipe", "recipe.yaml"],
+        ("objects", ["/etc"]),
+        ("objects", ["~/scene"]),
+        ("objects", ["link/scene"]),
+        ("objects", ["scene/../../scene"]),
+        ("export", ["scene", "../out.ply"]),
+        ("objects", ["scene", "-o", "../out.png"]),
+        ("objects", ["scene", "-o../out.png"]),
+        ("objects", ["scene", "-o/tmp/out.png"]),
+        ("objects", ["scene", "-o=../out.png"]),
+        ("objects", ["scene", "--output=/tmp/out.png"]),
+        ("objects", ["scene", "--output", "link/out.png"]),
+        ("stylize", ["scene", "-oout", "--style", "vase=/etc/passwd"]),
+        ("stylize", ["scene", "-oout", "--style=vase=a.jpg,../b.jpg"]),
+        ("stylize", ["scene", "-oout", "--style", "vase=a,link/b.jpg"]),
+        ("stylize", ["scene", "-oout", "--recipe=recipe.yaml"]),
+        ("select", ["scene", "--name", "vase", "--rows", "in.npz", "--rows", "link/rows.npz"]),
+        ("evaluate", ["scene", "other", "../scene", "--compare", "-o", "page.html"]),
+        ("mask", ["capture", "--from=../masks"]),
+        ("objects", ["--tyro-write-completion", "bash", "out"]),
     ],
     ids=str,
 )
-def test_paths_stay_within_the_root(words: list[str], tmp_path: Path):
-    (tmp_path / "link").symlink_to("/")
-    check_confined(
-        ["scene", "--style", "vase=a.jpg,sub/b.jpg", "--box", "v=1.jpg:0,0,9,9"], tmp_path
-    )
+def test_paths_stay_within_the_root(verb: str, words: list[str], tmp_path: Path):
+    root = tmp_path / "root"
+    root.mkdir()
+    (root / "link").symlink_to(tmp_path)
+    (root / "a,link").symlink_to(tmp_path)
     with pytest.raises(StyleSplatError):
-        check_confined(words, tmp_path)
+        check_confined(VERBS[verb], words, root)
+
+
+def test_usual_arguments_are_within_the_root(tmp_path: Path):
+    style = ["scene", "-opainted", "--style", "vase=a.jpg,sub/b.jpg", "--style", "2=material:jade"]
+    check_confined(VERBS["stylize"], style, tmp_path)
+    check_confined(VERBS["select"], ["scene", "--name=a", "--box", "v/1.jpg:0,0,9,9"], tmp_path)
+    check_confined(VERBS["objects"], [str(tmp_path / "scene"), "--json"], tmp_path)
+    check_confined(VERBS["objects"], ["--help"], tmp_path)
 
 
 def test_a_root_that_is_not_there(tmp_path: Path):

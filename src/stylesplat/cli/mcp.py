@@ -3,7 +3,7 @@
 import json
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from inspect import getdoc
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from stylesplat.cli.arguments import read_command
 from stylesplat.cli.options import PICTURES, Command
 from stylesplat.cli.results import Answer
 from stylesplat.errors import StyleSplatError, brief
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 LEFT_OUT = ("demo", "batch", "view", "studio", "mcp")  # they serve, or run files of commands
 LONGER_SIDE = 1024  # pixels of a picture in an answer
 MOST_PICTURES = 4  # in one answer
-SEPARATORS = re.compile(r"[=,:]")  # between a name and a path in an argument
+SEPARATORS = re.compile(r"[=,:]")  # between a name and a path in the value of an option
 
 
 @dataclass(frozen=True)
@@ -61,12 +62,12 @@ def mcp_server(root: Path, verbs: Mapping[str, type]) -> "MCPServer":
         if verb not in LEFT_OUT:
             about = f"{getdoc(command)}\n\nArguments are words of the command line after "
             about += f"`stylesplat {verb}`; ['--help'] explains them all."
-            tool = _tool(verb, root.resolve())
+            tool = _tool(verb, command, root.resolve())
             server.add_tool(tool, verb, description=about, structured_output=False)
     return server
 
 
-def _tool(verb: str, root: Path) -> Callable[..., Any]:
+def _tool(verb: str, kind: type, root: Path) -> Callable[..., Any]:
     from anyio import run_process
     from mcp.server.mcpserver import Image
     from mcp.server.mcpserver.exceptions import ToolError
@@ -74,11 +75,12 @@ def _tool(verb: str, root: Path) -> Callable[..., Any]:
     from stylesplat.io.images import jpeg_thumbnail
 
     async def tool(arguments: list[str]) -> list[Any]:
+        words = [*arguments, "--json"]
         try:
-            check_confined(arguments, root)
+            check_confined(kind, words, root)
         except StyleSplatError as error:
             raise ToolError(str(error)) from error
-        command = [sys.executable, "-m", "stylesplat", verb, *arguments, "--json"]
+        command = [sys.executable, "-m", "stylesplat", verb, *words]
         done = await run_process(command, cwd=root, stdin=DEVNULL, check=False)
         answer = done.stdout.decode(errors="replace").strip()
         if done.returncode:
@@ -90,14 +92,41 @@ def _tool(verb: str, root: Path) -> Callable[..., Any]:
     return tool
 
 
-def check_confined(arguments: list[str], root: Path) -> None:
-    """Refuse arguments that name something outside of a folder, whatever option they belong to."""
-    for word in arguments:
-        if re.fullmatch("--recipe(=.*)?|--tyro.*", word):
-            raise StyleSplatError(f"{brief(word)} is not for tools. Pass its content as options.")
-        for part in SEPARATORS.split(word):
+def check_confined(kind: type, words: list[str], root: Path) -> None:
+    """Refuse words that make a command with a path outside of a folder, in whatever option."""
+    if any(word.startswith("--tyro") for word in words):  # they write files while words are read
+        raise StyleSplatError("--tyro options are not for tools. Leave them out.")
+    try:
+        command = read_command(kind, words, "", console_outputs=False)
+    except SystemExit:  # help or wrong usage: the process that reads these words says so
+        return
+    if getattr(command, "recipe", None) is not None:  # it names paths of its own
+        raise StyleSplatError("--recipe is not for tools. Pass its content as options.")
+    for value in _values(vars(command)):
+        for part in _possible_paths(value):
             if part.startswith("~") or not (root / part).resolve().is_relative_to(root):
-                raise StyleSplatError(f"{brief(word)!r} leads out of {root}. Use paths within it.")
+                raise StyleSplatError(f"{brief(value)!r} leads out of {root}. Use paths within it.")
+
+
+def _values(value: Any) -> Iterator[str]:
+    """All texts and paths in the options of a command."""
+    if isinstance(value, str | Path):
+        yield str(value)
+    elif isinstance(value, Mapping):
+        yield from _values(value.values())
+    elif isinstance(value, Iterable):
+        for each in value:
+            yield from _values(each)
+
+
+def _possible_paths(value: str) -> Iterator[str]:
+    """What verbs may take for a path in a value such as OBJECT=IMAGE,IMAGE.
+
+    A separator may also belong to a path, of which it is the rest of the value then.
+    """
+    yield from SEPARATORS.split(value)
+    yield value
+    yield from (value[found.end() :] for found in SEPARATORS.finditer(value))
 
 
 def _pictures(answer: str, root: Path) -> Iterator[Path]:
