@@ -9,6 +9,7 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from browser import QUICK, quick_style, session_in, stripes, until
+from stylesplat.cli import main
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.progress import track
@@ -291,6 +292,26 @@ def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Sess
         store.save_as("balls")
     store.save_as("elsewhere")
     assert open(session.folder.parent / "elsewhere").splats is not None
+
+
+def test_save_goes_on_where_others_wrote_no_part_of_the_scene(session: Session):
+    store, folder = SceneStore(session), session.folder
+    session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
+    assert session.worker.settle()
+    assert main(["objects", str(folder)]) == 0 and (folder / "objects.png").is_file()
+    (folder / "metrics.json").write_text('{"evaluate": {}}')
+    store.save()
+    assert [*open(folder).objects] == ["red"] and open(folder).metrics == {"evaluate": {}}
+
+
+def test_save_refuses_layers_that_others_changed(session: Session):
+    painted(session, "3")
+    store = SceneStore(session)
+    store.save()
+    (layer,) = (session.folder / "layers").iterdir()
+    layer.write_bytes(layer.read_bytes() + b" ")
+    with pytest.raises(StyleSplatError, match="Another program has changed"):
+        store.save()
 
 
 BEGIN = {".spz": b"ngsp", ".glb": b"gltf", ".sog": b"pk", ".html": b"<!doctype", ".splat": b""}

@@ -1,7 +1,7 @@
 """Scenes on disk: a folder with all that the verbs after `train` need."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +18,7 @@ from stylesplat.io.atomic import atomic_folder, revise_folder
 from stylesplat.io.cameras_file import read_cameras, write_cameras
 from stylesplat.io.json_files import MAX_JSON, FilePath, PhotoName, fitting, read_json, write_json
 from stylesplat.io.kinds import CAMERAS, SCENE, find_capture, wrong_kind
-from stylesplat.io.layers import STACK, read_layers, write_layers
+from stylesplat.io.layers import LAYERS, STACK, read_layers, write_layers
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, splat_fault, write_splat_ply
 from stylesplat.io.tensors import (
     CLASSIFIER,
@@ -54,6 +54,7 @@ IDENTITY_TENSORS = {
     "ids": IDS,
     "confidence": Declared(("N",), low=0, high=1.001, optional=True),  # a share, and rounding
 }
+CONTENT = (SCENE, SPLATS, BASE, STACK, IDENTITY_FILE, CAMERAS, OBJECTS, PICKS)
 ATTEMPTS = 5  # at reading a folder that others change; each takes seconds, and so does a change
 
 
@@ -131,6 +132,16 @@ def open(path: Path | str) -> Scene:
     raise StyleSplatError(
         f"Cannot read {folder}: it was changed all {ATTEMPTS} times. Try again when that is done."
     )
+
+
+def content_files(folder: Path) -> Iterator[Path]:
+    """The files that say what a scene is, as far as they are there.
+
+    Figures and pictures of it are left out: `objects` and `evaluate` write them beside these.
+    """
+    yield from (folder / name for name in CONTENT if (folder / name).is_file())
+    if (folder / LAYERS).is_dir():
+        yield from sorted((folder / LAYERS).iterdir())
 
 
 def _state(folder: Path) -> tuple[int, ...] | None:

@@ -1,6 +1,5 @@
 """Saves a scene, and autosaves it against crashes."""
 
-import os
 import shutil
 from contextlib import suppress
 from dataclasses import replace
@@ -16,7 +15,7 @@ from stylesplat.studio_app.session import Session
 
 AUTOSAVE = "autosave"  # the folder inside a scene's
 
-Stamp = dict[str, tuple[int, int]]
+Stamp = dict[Path, tuple[int, int]]
 
 
 class SceneStore:
@@ -95,9 +94,9 @@ class SceneStore:
 
 
 def _stamp(folder: Path) -> Stamp:
-    """Times and sizes of the files in a folder, which tell whether they have changed."""
+    """Times and sizes of a scene's files, which tell whether the scene has changed."""
     try:
-        files = [entry for entry in os.scandir(folder) if entry.is_file()]
-        return {file.name: (file.stat().st_mtime_ns, file.stat().st_size) for file in files}
+        found = {file: file.stat() for file in scene_folder.content_files(folder)}
     except OSError:
         return {}
+    return {file: (each.st_mtime_ns, each.st_size) for file, each in found.items()}
