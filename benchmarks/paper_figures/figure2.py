@@ -188,7 +188,8 @@ def trained_colours(subject: Subject, splats: Splats, task: Task) -> Splats:
         if inside.any():
             optimizer.zero_grad()
             own = feats[inside]
-            (sign * cosine_distance(own, target[index.nearest(own.detach())])).backward()
+            matches, _ = index.nearest(own.detach(), index.no_favour())
+            (sign * cosine_distance(own, target[matches])).backward()
             assert sh0.grad is not None
             sh0.grad[~task.trainable] = 0  # Adam leaves what never had a gradient as it is
             optimizer.step()

@@ -49,7 +49,7 @@ def test_the_loss_is_that_of_the_exhaustive_search(
 ):
     feats, style = features(count, width, seed=0), features(styles, width, seed=1)
     index = build_index(style, dtype)
-    found = index.nearest(feats.to(dtype))
+    found, _ = index.nearest(feats.to(dtype), index.no_favour())
     assert found.min() >= 0 and found.max() < styles
     best = cosine_distance(feats, style[most_similar(feats, normalize(style))])
     loss = cosine_distance(feats, style[found])
@@ -63,16 +63,18 @@ def test_features_find_themselves(styles: int):
     style = features(styles, 128, seed=2)
     order = torch.randperm(styles, generator=torch.Generator().manual_seed(0))
     index = build_index(style, torch.float32)
-    assert torch.equal(index.nearest(5 * style[order]), order), "lengths do not matter"
-    assert index.nearest(style[:0]).shape == (0,)
+    found, potentials = index.nearest(5 * style[order], index.no_favour())
+    assert torch.equal(found, order), "lengths do not matter"
+    assert index.nearest(style[:0], potentials)[0].shape == (0,)
 
 
 def test_chunks_do_not_matter(monkeypatch: pytest.MonkeyPatch):
     feats, style = features(50, seed=3), normalize(features(70, seed=4))
     index = build_index(style, torch.float32)
-    whole = index.nearest(feats), most_similar(feats, style)
+    begin = index.no_favour()
+    whole = index.nearest(feats, begin)[0], most_similar(feats, style)
     monkeypatch.setitem(matching.SIMILARITIES_AT_ONCE, "cpu", 7 * 80)
-    assert torch.equal(index.nearest(feats), whole[0])
+    assert torch.equal(index.nearest(feats, begin)[0], whole[0])
     assert torch.equal(most_similar(feats, style), whole[1])
 
 
@@ -83,10 +85,24 @@ def test_balanced_searches_use_a_style_as_often_as_it_has_each_kind():
     style = torch.cat([flat, lines])
 
     def shares(*, balanced: bool) -> list[float]:
-        index = build_index(style, torch.float32, balanced=balanced)
-        return [float((index.nearest(feats) < len(flat)).float().mean()) for _ in range(60)]
+        index, found = build_index(style, torch.float32, balanced=balanced), list[float]()
+        potentials = index.no_favour()
+        for _ in range(60):
+            rows, potentials = index.nearest(feats, potentials)
+            found.append(float((rows < len(flat)).float().mean()))
+        return found
 
     nearest = shares(balanced=False)
     assert min(nearest) == max(nearest) > 0.8, "most are nearer to what is flat"
     last = sum(shares(balanced=True)[-20:]) / 20
     assert last == pytest.approx(0.1, abs=0.1)
+
+
+def test_the_same_query_has_the_same_matches():
+    index = build_index(features(200, seed=5), torch.float32, balanced=True)
+    feats, begin = features(300, seed=6), index.no_favour()
+    first, after = index.nearest(feats, begin)
+    for _ in range(2):
+        again, _ = index.nearest(feats, begin)
+        assert torch.equal(again, first)
+    assert not torch.equal(after.favour, begin.favour)

@@ -60,7 +60,7 @@ def extra(
 ) -> float:
     """What is added to the style's part."""
     (target,) = objective.targets([view], SCENE, begun)
-    style, total = objective(target, splats)
+    style, total, _ = objective(target, splats)
     return float(total - style)
 
 
@@ -100,8 +100,8 @@ def test_content_and_form_compare_with_the_highlights_that_were_there(
     content = with_settings(objective, content=1.0, form=1.0)
     matte = replace(SCENE, shN=torch.zeros_like(SCENE.shN))
     for target in content.targets(views, SCENE, None):
-        style, free = content(target, matte)
-        _, quick = content(replace(target, view=matte_views([target.view])[0]), matte)
+        style, free, _ = content(target, matte)
+        _, quick, _ = content(replace(target, view=matte_views([target.view])[0]), matte)
         assert float(quick) == pytest.approx(float(free), rel=1e-3)
         assert free > style + 1e-4
 
@@ -120,7 +120,7 @@ def test_large_shapes_stay_and_detail_is_free(objective: Objective, views: list[
     def change(shown: torch.Tensor) -> float:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(ObjectView, "render", lambda *_: shown)
-            style, total = objective(target, SCENE)
+            style, total, _ = objective(target, SCENE)
         return float(total - style)
 
     everywhere = change(image + 0.1)

@@ -4,7 +4,7 @@ The search takes candidates in a compressed space and ranks these exactly.
 """
 
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
@@ -45,7 +45,16 @@ def cosine_distance(feats: Float[Tensor, "P D"], others: Float[Tensor, "P D"]) -
     return (1 - F.cosine_similarity(feats.to(dtype), others.to(dtype), dim=1)).mean()
 
 
-@dataclass(frozen=True)
+class Potentials(NamedTuple):
+    """What balanced searches have learned of a style's kinds of features."""
+
+    usage: Float[Tensor, " K"]
+    """How many of the last matches each kind had, of 1."""
+    favour: Float[Tensor, " K"]
+    """What is added to its cosines."""
+
+
+@dataclass(frozen=True, eq=False)
 class StyleIndex:
     """Style features, prepared for the search of nearest neighbours by cosine.
 
@@ -65,29 +74,44 @@ class StyleIndex:
     """The kind of each feature."""
     shares: Float[Tensor, " K"]
     """How many of the style's features each kind has, of 1."""
-    usage: Float[Tensor, " K"]
-    """How many of the last matches it had: each search changes it."""
-    favour: Float[Tensor, " K"]
-    """What is added to its cosines: each search changes it."""
+
+    @property
+    def is_balanced(self) -> bool:
+        return len(self.shares) > 1
+
+    def no_favour(self) -> Potentials:
+        """The potentials before the first search."""
+        return Potentials(self.shares, torch.zeros_like(self.shares))
 
     @torch.no_grad()
-    def nearest(self, feats: Float[Tensor, "P D"]) -> Int[Tensor, " P"]:
-        """The row of the (almost always) most similar style feature of each feature."""
-        is_balanced = len(self.shares) > 1
-        if self.directions.device.type == "cpu":
-            found = self._search(feats)
-        else:
-            favour = self.favour[self.kinds] if is_balanced else None
-            found = most_similar(feats, self.directions, favour)
-        if is_balanced and len(found) > 0:
-            each = self.usage.new_full((len(found),), 1 / len(found))
-            used = torch.zeros_like(self.usage).index_add_(0, self.kinds[found], each)
-            self.usage.lerp_(used, 1 - REMEMBERED)
-            self.favour.add_(self.shares - self.usage, alpha=BALANCE).clamp_(-MOST, MOST)
-        return found
+    def nearest(
+        self, feats: Float[Tensor, "P D"], potentials: Potentials
+    ) -> tuple[Int[Tensor, " P"], Potentials]:
+        """The row of the (almost always) most similar style feature of each feature.
 
-    def _search(self, feats: Float[Tensor, "P D"]) -> Int[Tensor, " P"]:
-        favour, lengths = self.favour[self.kinds], feats.float().norm(dim=1, keepdim=True)
+        Returns:
+            The rows, and the potentials for the next search.
+        """
+        favour = potentials.favour[self.kinds]
+        if self.directions.device.type == "cpu":
+            found = self._search(feats, favour)
+        else:
+            found = most_similar(feats, self.directions, favour if self.is_balanced else None)
+        return found, self._next(potentials, found)
+
+    def _next(self, potentials: Potentials, found: Int[Tensor, " P"]) -> Potentials:
+        if not self.is_balanced or len(found) == 0:
+            return potentials
+        each = self.shares.new_full((len(found),), 1 / len(found))
+        used = torch.zeros_like(self.shares).index_add_(0, self.kinds[found], each)
+        usage = potentials.usage.lerp(used, 1 - REMEMBERED)
+        favour = potentials.favour.add(self.shares - usage, alpha=BALANCE).clamp(-MOST, MOST)
+        return Potentials(usage, favour)
+
+    def _search(
+        self, feats: Float[Tensor, "P D"], favour: Float[Tensor, " Q"]
+    ) -> Int[Tensor, " P"]:
+        lengths = feats.float().norm(dim=1, keepdim=True)
         columns = self.compressed.shape[1]
         table = torch.cat([self.compressed, F.pad(favour, (0, columns - len(favour)))[None]])
         queries = torch.cat([feats.float() @ self.basis, lengths], dim=1)
@@ -116,15 +140,7 @@ def build_index(
     compressed = F.pad((directions @ basis).T, (0, padding)).contiguous()
     kinds = _kinds(directions @ basis, KINDS if balanced else 1)
     shares = torch.bincount(kinds) / len(kinds)
-    return StyleIndex(
-        directions.to(dtype),
-        basis,
-        compressed,
-        kinds,
-        shares,
-        usage=shares.clone(),
-        favour=torch.zeros_like(shares),
-    )
+    return StyleIndex(directions.to(dtype), basis, compressed, kinds, shares)
 
 
 def _kinds(points: Float[Tensor, "Q B"], count: int) -> Int[Tensor, " Q"]:

@@ -20,7 +20,7 @@ from stylesplat.stylization.form import (
     form_distance,
     measure_form,
 )
-from stylesplat.stylization.matching import StyleIndex, cosine_distance
+from stylesplat.stylization.matching import Potentials, StyleIndex, cosine_distance
 from stylesplat.stylization.views import ObjectView, per_view
 
 PULL = 10.0  # weight of the squared distance from the palette; more costs style
@@ -88,17 +88,25 @@ class Objective:
         return [*per_view(look, views, "measuring the form", original.device)]
 
     def __call__(
-        self, target: ViewTarget, splats: Splats
-    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-        """NNFM of splats in one view, and all losses together.
+        self, target: ViewTarget, splats: Splats, potentials: Potentials | None = None
+    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""], Potentials]:
+        """The losses of splats in one view.
 
-        NNFM is that of the object's own features. Form, content, large shapes and the distance from
-        the palette are added to it.
+        Args:
+            target: The view.
+            splats: The scene as it is painted.
+            potentials: Those of the step before, if there was one.
+
+        Returns:
+            NNFM of the object's own features; its sum with form, content, large shapes and the
+            distance from the palette; and the potentials for the next step.
         """
         view = target.view
         image = view.render(splats)
         feats = self._features(image, target.cells)
-        matches = self.style.nearest(feats.detach())
+        if potentials is None:
+            potentials = self.style.no_favour()
+        matches, potentials = self.style.nearest(feats.detach(), potentials)
         nnfm = total = cosine_distance(feats, self.style.directions.index_select(0, matches))
         if target.form is not None:
             own, bands = target.form
@@ -114,7 +122,7 @@ class Objective:
             # both hold 0 outside the object
             change = (_large_shapes(view, image) - target.shapes).square().sum()
             total = total + HOLD * change * SIDE**2 / view.pixels.sum()
-        return nnfm, total
+        return nnfm, total, potentials
 
     def _features(self, image: Tensor, cells: tuple[Tensor, ...]) -> Float[Tensor, "P D"]:
         return self.network(image, [self.config.block])[0][cells]

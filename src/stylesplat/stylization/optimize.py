@@ -378,10 +378,11 @@ def optimize_colors(
     else:
         weights = total_weights([target.view for target in targets], paint, mask)
         trust = (weights / (weights + TRUSTED * weights[weights > 0].median()))[:, None, None]
-    moments = Moments.zeros(leaves)
+    moments, potentials = Moments.zeros(leaves), None
     for number, target in enumerate(drawn(targets, steps, generator), start=1):
         with torch.enable_grad():  # the caller may have disabled it
-            nnfm, total = objective(target, paint.with_rows(rows, leaves))
+            painted = paint.with_rows(rows, leaves)
+            nnfm, total, potentials = objective(target, painted, potentials)
             total.backward()
         before = leaves["sh0"].detach().clone()
         decay = 1.0 if config.published else FINAL_RATE ** ((number - 1) / steps)
