@@ -19,7 +19,6 @@ from stylesplat.cli.results import (
     selection_file,
     stylize_command,
 )
-from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing, refuse_file
 from stylesplat.progress import say
 
@@ -152,8 +151,6 @@ class Select(EditingCommand):
     """Draw no picture of it into the scene."""
 
     def run(self) -> Answer:
-        if self.model is not None and not self.text:
-            raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
         selection_file(self.folder, self.name)  # raises before the work
         after = self.rewrite(self._select)
         picture = self._draw() if self.picture and self.json else None

@@ -73,6 +73,7 @@ class Sheet(MakingCommand):
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.sheet import sheet
 
+        preset = {} if self.preset == "default" else {"preset": self.preset}
         with changing(self.output):
             self.refuse_picture(self.output)
             made = sheet(
@@ -84,7 +85,7 @@ class Sheet(MakingCommand):
                 features=self.features,
                 weights=self.weights,
                 device=self.device,
-                preset=self.preset,
+                **preset,
                 **self.settings,
             )
             write_image(made.picture, self.output)

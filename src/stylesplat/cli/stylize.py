@@ -49,6 +49,7 @@ SETTINGS = from_config(
     "seed",
     scale=("stroke-size", "scale"),
 )
+SHOWN = ("intensity", "form")  # settings that a recipe may give another value after painting
 RECOLOR_SETTINGS = from_config(RecolorConfig, *vars(RecolorConfig()))
 
 
@@ -131,11 +132,15 @@ class Stylize(MakingCommand):
                 f"Got --style and --recipe. Write {name} into {self.recipe}, or pass only --style."
             )
         recipe, objects = ss.read_recipe(self.recipe, preset=self.preset), []
+        if self.settings and not recipe.objects:
+            option = next(iter(self.settings)).replace("_", "-")
+            fact = f"{self.recipe} recolors only, for which --{option} means nothing."
+            raise StyleSplatError(f"{fact} Leave it out.")
         for each in recipe.objects:
             before = {"config": each.style.config, "preset": each.style.preset}
             style = ss.Style(*each.style.pictures, **before, **self.settings)
-            intensity = self.settings.get("intensity", each.intensity)
-            objects.append(replace(each, style=style, intensity=intensity))
+            shown = {name: self.settings.get(name, getattr(each, name)) for name in SHOWN}
+            objects.append(replace(each, style=style, **shown))
         return replace(recipe, objects=tuple(objects))
 
 

@@ -97,6 +97,9 @@ def choose(
     """
     whole = None if choice.of is None else whole_of(scene, choice.of, name)
     clicks = whole is not None or choice.size is not None or scene.splats.classifier is None
+    by_label = choice.ids or choice.boxes or choice.text or choice.background
+    if not (by_label or (not clicks and (choice.points or choice.not_points))):
+        _refuse_rules(threshold, remove_outliers=remove_outliers)
     excluded = [] if clicks else _ids_at(scene, choice.not_points)
     masks = [*_shapes(scene, choice), *(find_object(scene, each) for each in choice.plus)]
     if choice.background:
@@ -144,6 +147,16 @@ def choose(
     given = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
     how |= {key: _recorded(key, value) for key, value in given.items()}
     return SceneObject(mask, how | ({"scores": scores} if scores else {}))
+
+
+def _refuse_rules(threshold: float, *, remove_outliers: bool) -> None:
+    """Refuse what is said of Gaussians of a label where no label selects any."""
+    given = {"--threshold": threshold != THRESHOLD, "--keep-outliers": not remove_outliers}
+    for option in (name for name, is_given in given.items() if is_given):
+        raise StyleSplatError(
+            f"{option} means nothing here: it is for Gaussians that a label selects (--id, --box, "
+            "--text, or --point in a scene with labels). Leave it out."
+        )
 
 
 def whole_of(scene: Scene, of: str, part: str | None) -> Bool[Tensor, " N"]:

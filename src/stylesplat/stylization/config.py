@@ -8,6 +8,7 @@ from itertools import accumulate, pairwise
 from typing import Any, Literal, get_type_hints
 
 from stylesplat.argument_kinds import check_limits, convert_settings
+from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
 from stylesplat.scene.arguments import MAX_INTENSITY
 
@@ -126,6 +127,11 @@ class StyleConfig:
 
     def __post_init__(self) -> None:
         check_limits(self, "stylise", LIMITS)
+        if self.published and self.quality != StyleConfig.quality:
+            raise StyleSplatError(
+                f"Cannot stylise with quality {self.quality} as the paper does: its method has one "
+                "quality. Leave it out, or take the default preset."
+            )
 
     @property
     def all_steps(self) -> int:

@@ -74,6 +74,11 @@ def read_recipe(path: Path | str, *, preset: Preset = "default") -> Recipe:
             raise StyleSplatError("it must hold `objects:` and settings, as KEY: VALUE.")
         settings, shared = _settings_and_others(content, SHARED)
         shared = {"preset": preset, **shared}
+        if preset != "default" and shared["preset"] != preset:
+            raise StyleSplatError(
+                f"it names the preset {shared['preset']}, and {preset} was asked for. Leave one of "
+                "them out."
+            )
         config = with_settings(PRESETS[shared["preset"]], settings)
         objects, recolors = [], []
         for name, entry in _named_entries(shared.get("objects")):

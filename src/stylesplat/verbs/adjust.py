@@ -45,6 +45,10 @@ def adjust(
     """
     require_painted(scene)
     names = named_layers(scene, [objects] if isinstance(objects, str) else objects)
+    if undo and (intensity is not None or form is not None):
+        raise StyleSplatError(
+            "Undoing removes the paint, so it has no intensity or form. Leave out --undo or these."
+        )
     if undo:
         return without_layers(scene, names or None)
     if intensity is None and form is None:

@@ -130,9 +130,10 @@ def _export_mesh(
 
     refuse_mesh_file(path, overwrite=overwrite)
     name, photos, paint = " and ".join(objects) or "The scene", None, None
-    if isinstance(what, Splats):
+    if isinstance(what, Splats) and not (objects or without):
         splats = what
     else:
+        what = _scene(what)
         photos = None if has_no_photos(what) else what.working_views()[0]
         rows = rows_of_part(what, objects, without)
         splats = what.splats[rows]

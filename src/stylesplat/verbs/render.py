@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from stylesplat.argument_kinds import check_arguments
-from stylesplat.errors import some
+from stylesplat.errors import StyleSplatError, some
 from stylesplat.figures.orbits import orbit_around, orbit_cameras, zoom_to_content
 from stylesplat.figures.pictures import render_pictures
 from stylesplat.io.images import ViewPicture
@@ -94,6 +94,11 @@ def cameras_of_views(
     scene: Scene, views: Which | Names | Cameras, frames: int | None = None
 ) -> Cameras:
     """The cameras of `render`'s argument `views`."""
+    if frames is not None and not (isinstance(views, str) and views == "orbit"):
+        raise StyleSplatError(
+            f"Cannot render {frames} frames of these views: a round trip has frames. Pass "
+            "views='orbit', or leave `frames` out."
+        )
     if isinstance(views, Cameras):
         return views
     if views == "orbit":

@@ -116,6 +116,8 @@ def select(
         scene.cameras.index(view)
     for view, edges in choice.boxes:
         check_box(edges, scene.cameras[scene.cameras.index(view)].size, view)
+    if model is not None and not texts:
+        raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
     detector = None
     if texts:  # places are checked before a model is downloaded
         object_ids(scene.splats)  # refuses splats without objects before a model is downloaded

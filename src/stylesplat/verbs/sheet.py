@@ -144,6 +144,10 @@ def sheet_rows(
             f"Got {len(styles)} styles and --vary {', '.join(vary)}. A sheet has rows and columns: "
             "one style and up to two --vary, or several styles and one."
         )
+    varied = [FIELDS.get(key, key) for key in vary]
+    for key in varied:
+        if key in settings or varied.count(key) > 1:
+            raise StyleSplatError(f"{key} is varied and given as well. Leave one of them out.")
     columns, lines = (_choices([*vary.items()][part]) for part in (slice(1), slice(1, 2)))
     rows = []
     for style in styles:

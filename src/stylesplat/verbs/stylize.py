@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from stylesplat.argument_kinds import check_arguments
+from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.style import measure_painted
 from stylesplat.io.style_pictures import Picture
 from stylesplat.progress import say
@@ -117,6 +118,11 @@ def stylize(
         ... # doctest: +SKIP
     """
     start, before, recipe = time.perf_counter(), scene, as_recipe(styles)
+    if recipe.recolors and not recipe.objects and (features or weights or protect):
+        raise StyleSplatError(
+            "Nothing is painted: the recipe recolors only, for which --features, --weights and "
+            "--protect mean nothing. Leave them out."
+        )
     recipe = recipe.protecting((protect,) if isinstance(protect, str) else tuple(protect))
     tasks = paint_tasks(recipe, scene, features, weights)
     torch_device = pick_device(device)
