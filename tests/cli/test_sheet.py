@@ -48,7 +48,7 @@ def test_columns_and_rows_are_settings(scene: Path, style: Path, tmp_path: Path,
 
 def test_settings_start_from_the_preset():
     varied = dict([parse_variation("preset=paper,default")])
-    ((_, cells),) = sheet_rows(["a.png"], varied, {"preset": "default"})
+    ((_, cells),) = sheet_rows(["a.png"], varied, {})
     assert [style.config for _, style in cells] == [PRESETS["paper"], PRESETS["default"]]
     assert [style.network for _, style in cells] == ["vgg16", "compact"]
     ((_, cells),) = sheet_rows(["a.png"], {"seed": (1, 2)}, {"preset": "paper", "steps": 9})

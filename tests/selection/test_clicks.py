@@ -1,4 +1,7 @@
+import gc
+from contextlib import AbstractContextManager
 from dataclasses import replace
+from weakref import ref
 
 import pytest
 import torch
@@ -9,6 +12,7 @@ from balls import CAMERAS, enlarged
 from scenes import cloud, randn
 from stylesplat.errors import StyleSplatError
 from stylesplat.masks.box_picks import pick_in_boxes
+from stylesplat.progress import Observer, Task, observed
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.arguments import PickSize
 from stylesplat.scene.projection import project
@@ -108,6 +112,32 @@ def test_a_box_decides_where_its_cut_misses_half_of_the_object():
     (top, left), (bottom, right) = (edge.tolist() for edge in both.nonzero().aminmax(dim=0))
     found = pick_in_boxes(BARE.splats, VIEWS, [(0, (left, top, right + 1, bottom + 1))], {0: half})
     assert found is not None and agreement(found, 0, 1) > 0.7
+
+
+def test_what_fails_in_one_pick_is_no_worse_pick():
+    """Picks of nothing are left out, but other errors are told."""
+
+    class Stopping(Observer):
+        def task(self, what: str, *_: object) -> AbstractContextManager[Task]:
+            raise StyleSplatError(f"stopped while {what}")
+
+    splats = replace(BARE.splats, sh0=BARE.splats.sh0 + 0.1)  # of which nothing is cached
+    _, x, y = at(CENTRES[0])
+    cut = torch.zeros(*VIEWS[0].size[::-1], dtype=torch.bool)
+    cut[int(y) - 8 : int(y) + 8, int(x) - 8 : int(x) + 8] = True
+    box = int(x) - 10.0, int(y) - 10.0, int(x) + 10.0, int(y) + 10.0
+    with observed(Stopping()), pytest.raises(StyleSplatError, match="stopped while"):
+        pick_in_boxes(splats, VIEWS, [(0, box)], {0: cut})
+
+
+def test_picking_keeps_no_splat_alive():
+    splats = BARE.splats.map(torch.clone)
+    known = ref(splats), ref(splats.means)
+    scene = select(Scene(splats, VIEWS), "it", point=at(CENTRES[0]))
+    masked(scene, OF == 0)
+    del splats, scene
+    gc.collect()
+    assert known[0]() is None and known[1]() is None
 
 
 def test_a_masked_object_reaches_down_to_what_it_stands_on():

@@ -13,7 +13,7 @@ NEAR = 6.0  # of Lab: a colour this near to the palette may stay
 LEVELS = 24  # of red, green and blue in the table of nearest colours
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Palette:
     """The colours of a style, and the nearest of them to any colour."""
 

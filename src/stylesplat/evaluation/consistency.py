@@ -22,7 +22,7 @@ LONGER_SIDE = 320  # pixels; of the renders that are compared
 OCCLUDED = 0.02  # relative difference of depth: a larger one means another surface
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObjectRender:
     """The render of an object in one view, before and after it is painted."""
 

@@ -35,7 +35,7 @@ SEARCHED_VIEWS = 12  # that are rendered to find them
 MOST = 0.5  # of the largest share of an object in an image: views with less are not rendered
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObjectMask:
     """The row of a camera, and an object's pixels in the view that `survey_view` makes of it."""
 

@@ -35,7 +35,7 @@ Color = tuple[int, ...]
 Line = Float[Tensor, "_ 3"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Panel:
     """A view along an axis; `scale` is pixels of `image` per unit of the working frame."""
 

@@ -88,7 +88,7 @@ def data_url(content: bytes, suffix: str) -> str:
     return f"data:{MIME[suffix]};base64,{b64encode(content).decode()}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SceneColumn:
     """One scene among others, with its pictures and numbers."""
 

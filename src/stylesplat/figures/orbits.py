@@ -134,7 +134,7 @@ def _azimuths(photos: Float[Tensor, " C"], phase: Float[Tensor, " M"]) -> Float[
     return start + arc * (0.5 - 0.5 * phase.cos())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FirstView:
     """The upright camera that a viewer starts with."""
 

@@ -62,7 +62,7 @@ class _Keys(msgspec.Struct, forbid_unknown_fields=True):
     closed: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CameraPath:
     cameras: Cameras
     fps: float

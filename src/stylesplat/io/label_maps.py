@@ -57,7 +57,7 @@ def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
         Image.fromarray(pixels).save(draft, format="PNG")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DrawnLabels:
     """A label map as somebody drew it on a photo, read on demand."""
 

@@ -13,7 +13,6 @@ from jaxtyping import Bool
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
 from stylesplat.masks.grabcut import Box, pixels_inside, window_around
 from stylesplat.metrics.iou import mask_iou
 from stylesplat.rendering.shares import COVERED, coverage
@@ -23,6 +22,7 @@ from stylesplat.scene.labels import Mask
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.clicks import pick_clicked
 from stylesplat.selection.masked import pick_masked
+from stylesplat.selection.surface_graph import NothingToPick
 
 BOX_FIT = 0.08  # by how much the box of a pick in 3D may fit worse than that of GrabCut's cut
 BOX_WEIGHT = 2.0  # of agreement with a box, which a person drew, beside a cut's
@@ -78,7 +78,7 @@ def _candidates(
         yield pick_masked(
             splats, cameras, [(row, cuts[row], ~box) for row, box in box_masks.items()]
         )
-    except StyleSplatError:  # hardly any Gaussian shows
+    except NothingToPick:  # hardly any Gaussian shows
         pass
     places = [
         [(cameras.names[row], place) for place in _places_to_click(cuts[row])] for row in box_masks
@@ -88,7 +88,7 @@ def _candidates(
         for size in SIZES if clicks else ():
             try:
                 yield pick_clicked(splats, cameras, clicks, size=size)
-            except StyleSplatError:  # background, or nothing solid
+            except NothingToPick:
                 break
 
 

@@ -72,7 +72,7 @@ def view_images(splats: Splats, capture: Capture) -> Images:
     return Images(colors, with_depth)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MaskVotes:
     """What the masks of some views say about each Gaussian."""
 

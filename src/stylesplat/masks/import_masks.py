@@ -18,7 +18,7 @@ from stylesplat.scene.labels import BACKGROUND, MAX_ID, Labels, Mask, OwnLabels,
 SAMPLED = 3  # masks of an object that tell whether they are binary
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImportedMasks:
     """Label maps of photos from another program's output."""
 

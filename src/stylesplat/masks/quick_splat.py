@@ -27,7 +27,7 @@ QUICK_SIZE = 480  # pixels of the longer side of its photos
 CACHED_RENDERS = 256  # of 2 MB each
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class WorkingSplat:
     """Photos at working size, and a splat of what they show."""
 

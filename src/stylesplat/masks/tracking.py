@@ -28,7 +28,7 @@ LARGEST = 0.5  # of a photo: a larger mask is background
 SMALLEST = 5e-4  # of a photo: a smaller mask is a fragment
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Segmenter:
     """Finds objects in photos, which it knows by their rows."""
 
@@ -40,7 +40,7 @@ class Segmenter:
     """From masks by id in the first photo to those in all of some photos, which are neighbours."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrackingState:
     """What is known between two clips."""
 

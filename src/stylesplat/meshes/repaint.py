@@ -55,7 +55,7 @@ STEPS = 120
 LONGEST = 1600.0  # pixels of the object's longer side: finer strokes nobody sees
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TexelView(ObjectView):
     """A view of a mesh as a function of its texels, which stand for Gaussians."""
 

@@ -58,7 +58,7 @@ SAME = 1e-5  # of the extent: closer vertices coincide, and programs that read f
 SPECK = 0.05  # of the largest part's area: smaller parts are strays
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """Triangles, outside counterclockwise."""
 
@@ -68,7 +68,7 @@ class Surface:
     """How well the trusted views show each vertex."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MeshViews:
     """Cameras all around an object, which is alone in them."""
 

@@ -35,7 +35,7 @@ SHARP = 2  # power of the cosine between normal and ray by which a view counts
 LEAST_COSINE = 0.2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TexturedMesh:
     """A mesh with a texture; vertices lie twice where the texture has a seam."""
 
@@ -90,7 +90,7 @@ def unwrap(surface: Surface, size: int) -> TexturedMesh:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Texels:
     """The texels that lie on a face."""
 

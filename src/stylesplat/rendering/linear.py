@@ -30,7 +30,7 @@ from stylesplat.scene.layer import without_identities
 from stylesplat.scene.splats import SH_C0, Splats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Contributions:
     """One camera's image as a function of the colours of some Gaussians."""
 
@@ -96,7 +96,7 @@ class Contributions:
         return partial.sum(dim=0)[:, :3]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RasterizedContributions:
     """The same on a GPU, where it is rasterised again for every question."""
 

@@ -3,8 +3,10 @@
 import mmap
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
+from functools import wraps
 from threading import RLock
 from typing import Generic, TypeVar, overload
+from weakref import WeakKeyDictionary, ref
 
 import torch
 from torch import Tensor
@@ -75,6 +77,27 @@ def _copy(tensor: Tensor) -> Tensor:
 
 def _size_of(item: tuple[Tensor | None, ...]) -> int:
     return sum(t.nbytes for t in item if t is not None)
+
+
+A, B, R = TypeVar("A"), TypeVar("B"), TypeVar("R")
+
+
+def cached_while_alive(function: Callable[[A, B], R]) -> Callable[[A, B], R]:
+    """Cache the last result for as long as its arguments live, which are told by identity.
+
+    The cache keeps neither argument alive; the result must not either.
+    """
+    kept = WeakKeyDictionary[A, tuple[ref[B], R]]()
+
+    @wraps(function)
+    def cached(one: A, other: B) -> R:
+        known = kept.get(one)
+        if known is None or known[0]() is not other:
+            kept.clear()
+            known = kept[one] = ref(other), function(one, other)
+        return known[1]
+
+    return cached
 
 
 T = TypeVar("T", bound=Tensor | None)

@@ -17,7 +17,7 @@ ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digi
 REMEDY = "To render, choose --views all; to train, give sparse points."
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cameras:
     """C pinhole cameras in OpenCV axes; pixel centres lie at +0.5."""
 

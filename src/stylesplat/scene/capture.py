@@ -21,7 +21,7 @@ from stylesplat.scene.sampling import evenly
 from stylesplat.scene.world_offset import ORIGIN, Offset
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Capture:
     """Posed photos, which may differ in size. All sequences may load on access."""
 

@@ -32,7 +32,7 @@ FARTHEST = 10.0
 EDGE = 0.005
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Extent:
     """A box along the world's axes, by two opposite corners."""
 
@@ -51,7 +51,7 @@ class Extent:
         return ((points >= self.low) & (points <= self.high)).all(dim=1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Content:
     """Samples of a splat's content and of everything else, in 64 bits."""
 

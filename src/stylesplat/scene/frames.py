@@ -17,7 +17,7 @@ from stylesplat.scene.world_offset import ORIGIN, Offset, from_world, to_world
 NERFSTUDIO_AXES = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """A similarity from the capture's world: `scale * rotation @ x + shift`."""
 

@@ -27,7 +27,7 @@ BEFORE = 0.95  # share of the distance to what would hide the content, where the
 TINY = 1e-9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sight:
     """A camera without its distance: the point that it looks at, its direction, its size."""
 

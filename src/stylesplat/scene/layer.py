@@ -27,7 +27,7 @@ class Source:
     """The digest of its content; None if it was not recorded."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Layer:
     """The paint of one object at full strength, and how much of it shows.
 

@@ -25,7 +25,7 @@ RESERVED = "__metadata__"  # of safetensors files
 UNFIT = re.compile(r"[/\\=\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SceneObject:
     """A named object."""
 
@@ -44,7 +44,7 @@ class SceneObject:
         return one_line(self, share, f"label ids {named}" if named else None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Gaussians, the cameras that they were photographed by, named objects, layers of paint.
 
@@ -160,7 +160,7 @@ def name_fault(name: str) -> str | None:
     return f"names have at most {MAX_NAME} characters" if len(name) > MAX_NAME else None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ListedObject:
     """The Gaussians of an object by row."""
 
@@ -171,7 +171,7 @@ class ListedObject:
     """Its label ids."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ListedObjects:
     """All objects of a splat of `count` Gaussians."""
 

@@ -19,7 +19,7 @@ IDENTITY_SIZE = 16  # numbers per Gaussian that encode its object (Gaussian Grou
 AT_ONCE = 1 << 22  # scores: 16 MB, while those of all Gaussians by all labels may be 40 GB
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Classifier:
     """Linear decoder from identities to the label ids of a capture."""
 
@@ -58,7 +58,7 @@ class Classifier:
         return replace(self, weight=self.weight.to(device), bias=self.bias.to(device))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Splats:
     """N Gaussians as they are stored: scales are log, opacities logit, quats any norm.
 
@@ -140,7 +140,9 @@ class Splats:
         return replace(self, **changed)
 
     def to(self, device: torch.device | str) -> "Splats":
-        """The same splats on another device."""
+        """The same splats on another device; themselves if they are there."""
+        if self.device == torch.device(device):
+            return self
         classifier = self.classifier.to(device) if self.classifier else None
         return replace(self.map(lambda tensor: tensor.to(device)), classifier=classifier)
 

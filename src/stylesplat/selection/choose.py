@@ -35,7 +35,7 @@ SHAPING = frozenset(
 ALONE = frozenset({"text", "box3d", "sphere"})  # no list in objects.json where there is one
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Choice:
     """The union of all that is named, without what is excluded."""
 

@@ -26,7 +26,12 @@ from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.figure_ground import occluding_share
 from stylesplat.selection.random_walks import nearer_to_seeds, sweep, two_sided
-from stylesplat.selection.surface_graph import SurfaceGraph, surface_of, symmetric
+from stylesplat.selection.surface_graph import (
+    NothingToPick,
+    SurfaceGraph,
+    surface_of,
+    symmetric,
+)
 
 FOLD = 8.0  # how fast connections weaken across folds
 NEAREST = 40_000  # patches around the clicks; farther ones are background
@@ -149,7 +154,7 @@ def _patch_at(
     pixel = crop(camera, (int(point[0]), int(point[1])), (1, 1))
     shown = contributed(without_looks(splats), pixel, torch.ones(1, 1, AT_ONCE))[:, 0].numpy()
     if shown.sum() < COVERED:
-        raise StyleSplatError(
+        raise NothingToPick(
             f"Nothing solid shows at {point[0]:g},{point[1]:g} in {view}. Choose another pixel."
         )
     best = int(np.bincount(surface.owners, shown).argmax())
@@ -158,8 +163,8 @@ def _patch_at(
     return best
 
 
-def _background_error(view: str, point: tuple[float, float]) -> StyleSplatError:
-    return StyleSplatError(
+def _background_error(view: str, point: tuple[float, float]) -> NothingToPick:
+    return NothingToPick(
         f"Background shows at {point[0]:g},{point[1]:g} in {view}: a large plane, or what has "
         "nothing behind it. Point at an object, take what is flat on a plane with --size part, or "
         "pick by shape with --sphere or --box3d."

@@ -7,7 +7,6 @@ patches one box gave a teapot of the demo an IoU of .78, with clusters .97.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import torch
@@ -17,15 +16,20 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, KDTree
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
 from stylesplat.rendering.shares import AT_ONCE, contributed, without_looks
+from stylesplat.scene.cache import cached_while_alive
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import Mask
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.selection.random_walks import nearer_to_seeds, two_sided
 from stylesplat.selection.soft_picks import sampled_views
-from stylesplat.selection.surface_graph import Plane, connection_strengths, find_planes
+from stylesplat.selection.surface_graph import (
+    NothingToPick,
+    Plane,
+    connection_strengths,
+    find_planes,
+)
 
 SEEN = 1.0  # pixels in all sampled views, from which a Gaussian belongs to the surface
 CLUSTERS = 5000
@@ -45,7 +49,7 @@ STRAY = 0.2  # of the seeds in the part that has most: a part with fewer is no p
 FOOT, FOOTING = 4.0, 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ClusterGraph:
     """The surface of a splat as a graph of K clusters."""
 
@@ -70,14 +74,14 @@ class ClusterGraph:
         return coo_array((pairs.data * strengths, pairs.coords), pairs.shape).tocsr()
 
 
-@lru_cache(maxsize=1)  # more boxes on the same splat
+@cached_while_alive  # more boxes on the same splat
 def cluster_graph(splats: Splats, cameras: Cameras) -> ClusterGraph:
     """The graph over the surface of a splat on the CPU."""
     rng = np.random.default_rng(0)
     seen, towards = _seen(without_looks(splats), sampled_views(cameras))
     rows = np.flatnonzero(seen > SEEN)
     if len(rows) <= NEIGHBOURS:
-        raise StyleSplatError("Hardly any Gaussian shows in the views. Select by --box3d.")
+        raise NothingToPick("Hardly any Gaussian shows in the views. Select by --box3d.")
     means = splats.means.double().numpy()
     points, weights = means[rows], seen[rows]
     colors = rgb_from_sh0(splats.sh0[:, 0]).double().numpy()[rows].clip(0, 1)

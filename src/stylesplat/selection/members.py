@@ -22,7 +22,7 @@ CONFIRMED = 0.9  # probability above which label maps confirm a Gaussian's label
 AT_ONCE = 1 << 20  # Gaussians whose identities are gathered: 64 MB
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Members:
     """The Gaussians of some label ids by their identities alone."""
 

@@ -108,7 +108,7 @@ def _own_ids(labels: Int[Tensor, " N"], picked: Bool[Tensor, " N"]) -> Tensor:
 MARGIN = 2  # pixels around what an object may reach
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Survey:
     """The visible Gaussians of a large scene in some views, found once for all objects."""
 

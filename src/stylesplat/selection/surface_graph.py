@@ -7,7 +7,6 @@ of colour. Large planes (a table, a wall) are background.
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 import torch
@@ -29,6 +28,7 @@ from stylesplat.rendering.shares import (
     contributed,
     without_looks,
 )
+from stylesplat.scene.cache import cached_while_alive
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, pixel_centres, unproject
 from stylesplat.scene.splats import Splats
@@ -52,7 +52,11 @@ SHADE, BEND, SHIFTS, EDGES = 5.0, 0.7, 10, 6.0
 UNSEEN = 0.02  # pixels in all views; a Gaussian that contributes less is placed by its centre
 
 
-@dataclass(frozen=True)
+class NothingToPick(StyleSplatError):
+    """What was pointed at is no object: it is background, or nothing solid."""
+
+
+@dataclass(frozen=True, eq=False)
 class Plane:
     """A large plane."""
 
@@ -65,7 +69,7 @@ class Plane:
         return (points - self.centre) @ self.normal
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SurfaceGraph:
     """The surface of a splat as a graph of K patches."""
 
@@ -133,7 +137,7 @@ def symmetric(
     return csr_array(upper + upper.T)
 
 
-@lru_cache(maxsize=1)  # more clicks on the same splat
+@cached_while_alive  # more clicks on the same splat
 def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     """The graph over the surface of a splat on the CPU."""
     bare = without_looks(splats)
@@ -147,7 +151,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
         torch.cat(each).double().numpy() for each in zip(*found, strict=True)
     )
     if len(points) < MIN_POINTS * MIN_PATCHES:
-        raise StyleSplatError("Hardly any Gaussian shows in the views. Select by --box3d.")
+        raise NothingToPick("Hardly any Gaussian shows in the views. Select by --box3d.")
     edge = PATCH * float(np.median(spacing))
     weights, points, colors, normals = _patches(edge, points, colors, normals)
     tree = KDTree(points)

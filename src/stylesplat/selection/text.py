@@ -28,7 +28,7 @@ CONCEPTS = ("sam3", "sam3_video")  # take one phrase
 MIN_SCORE = 0.3  # below it detectors guess; both kinds have about this default
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Detections:
     """Boxes in a picture: left, top, right, bottom in pixels, and scores from 0 to 1."""
 

@@ -25,7 +25,7 @@ MIN_PHOTOS_BY_POINTS = 0.5  # share of photos with enough points; else whole pho
 GAMMA = 2.2  # of sRGB, roughly
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Coverage:
     """Directions around the up axis, in degrees."""
 
@@ -96,7 +96,7 @@ def _count_heights(elevations: Float[Tensor, " C"]) -> int:
     return count
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PhotoStatistics:
     sharpness: Float[Tensor, " C"]
     """Relative to the median of the neighbours: 1 is typical, less is blurred."""

@@ -37,7 +37,7 @@ class Finding:
         return f"{self.says}. {self.advice}".strip() if self.advice else f"{self.says}."
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CaptureReport:
     findings: tuple[Finding, ...]
     blurred: tuple[str, ...]

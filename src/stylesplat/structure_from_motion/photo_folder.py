@@ -150,7 +150,7 @@ def is_series(names: Sequence[str]) -> bool:
     return numbers[-1] - numbers[0] < MAX_NUMBERS * len(numbers)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Candidate:
     name: str
     small: SmallPhoto = field(repr=False)

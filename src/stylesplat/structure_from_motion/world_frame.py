@@ -87,7 +87,7 @@ def _axes(cameras: Cameras, up: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
     return torch.stack([torch.linalg.cross(-up, ahead), -up, ahead])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Centre:
     position: Float[Tensor, "3"]
     outward: bool

@@ -16,7 +16,7 @@ from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.identities import object_ids
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StudioState:
     scene: Scene
     picked: tuple[str, ...] = ()

@@ -56,7 +56,7 @@ RAISED = 0.4  # colours at most: more is noise, with none what lies behind shine
 LAST = 0.1  # rate of the last step, as a share of the first's
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Canvas:
     """The Gaussians that carry an object's paint: its own, and discs under which these fade."""
 

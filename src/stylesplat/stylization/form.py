@@ -106,7 +106,7 @@ def object_detail(
     return details
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PooledMask:
     """An object's pixels in a view as small as shows its form as well, which takes less time."""
 

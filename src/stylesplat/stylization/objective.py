@@ -31,7 +31,7 @@ MOST_CONTENT = 0.98  # a larger weight of content keeps no more of it
 SIDE = 4  # pixels of a view that make one in which large shapes are compared
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ViewTarget:
     """A view to paint in, and what the paint is compared with there; None leaves it free."""
 
@@ -46,7 +46,7 @@ class ViewTarget:
     """The large shapes of the paint so far."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Objective:
     """The losses of one object and style."""
 

@@ -70,7 +70,7 @@ FINAL_RATE = 0.1  # of the last step, as a share of the first's
 TRUSTED = 0.25  # of the median weight: Gaussians that show less take smaller steps
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PaintState:
     """An object that is being painted."""
 
@@ -92,7 +92,7 @@ class PaintState:
     """Where the object is seen, in the views to optimise on."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Object:
     """An object with the canvas that it is painted on."""
 

@@ -67,7 +67,7 @@ def paint(
     return paint_objects(paint_context(splats, cameras, network), [target]).splats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Painted:
     """A splat and the layers that were painted on it."""
 

@@ -25,7 +25,7 @@ MIN_GAUSSIANS = 50  # fewer cannot show a texture
 MAX_MEMORY = 1.5  # GiB of linear views; with all else it stays below 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PaintTarget:
     """One object and the style that it is to have."""
 
@@ -44,7 +44,7 @@ class PaintTarget:
         return replace(self, mask=self.mask.to(splats.device), styles=styles, protected=protected)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PaintContext:
     """The scene and network with which objects are painted."""
 
@@ -94,7 +94,7 @@ def paint_context(
     )
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PaintTask(StyledObject):
     """An object of a recipe with its style images and its rows of the base."""
 

@@ -38,7 +38,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Box:
     """Where an object lies in one camera's image, at full size: x and y, in pixels."""
 
@@ -54,7 +54,7 @@ class Box:
         return float((self.high - self.low).max())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObjectView:
     """A view cropped to an object and to what its features depend on."""
 

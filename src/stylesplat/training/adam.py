@@ -20,7 +20,7 @@ BETA1, BETA2 = 0.9, 0.999
 EPS = 1e-15  # as in the 3D Gaussian splatting code
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Moments:
     """Running means of the gradients and their squares, by name."""
 
@@ -53,7 +53,7 @@ class Moments:
         return Moments(self.first | first, self.second | second)
 
 
-@dataclass
+@dataclass(eq=False)
 class TensorOptimizer:
     """What gsplat's strategies read and write of the `torch.optim.Adam` of one tensor."""
 

@@ -31,7 +31,7 @@ STRIDE = 1_000_003  # a prime, so that seeds and steps hardly share random numbe
 EPOCHS, NUMBERS, OFFSETS, MOVES, PURPOSES = range(5)  # what randomness is for; how many kinds
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class State:
     """Trained tensors with their optimiser state, after a number of steps."""
 
@@ -182,7 +182,7 @@ class Ranks:
 ALONE = Ranks()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """What stays the same in the course of training."""
 

@@ -29,7 +29,7 @@ LONGEST = 960  # pixels of a picture's side
 SCHEMA = "stylesplat-comparison-1"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Comparison:
     """Scenes side by side; the first is what others are compared with."""
 

@@ -33,7 +33,7 @@ CELL = 512  # pixels along a cell: strokes of a normal painting can be told apar
 FIELDS = {"stroke_size": "scale"}  # options of `stylize` that settings call otherwise
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StyleSheet:
     """An object in a grid."""
 

@@ -18,7 +18,7 @@ from stylesplat.stylization.target import MAX_MEMORY, PaintTarget, PaintTask, pa
 from stylesplat.verbs.stylize import context_maker, with_layer
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Live:
     """An object that is being painted."""
 

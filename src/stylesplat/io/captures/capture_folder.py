@@ -38,7 +38,7 @@ CACHE_BYTES = 2**27  # the photo decoded last, so that its colours and alpha are
 Masks = Path | str | Literal[False] | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CaptureFiles:
     """A capture whose headers are read, to be opened at one size or several."""
 

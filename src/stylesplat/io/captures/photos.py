@@ -95,7 +95,7 @@ def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
     return abs(size[0] * other[1] - size[1] * other[0]) <= max(other)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SmallPhoto:
     grey: UInt8[np.ndarray, "h w"]
     """Upright, over white."""

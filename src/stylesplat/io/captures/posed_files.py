@@ -23,7 +23,7 @@ MAX_PART = 240
 UNUSABLE = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")  # control characters, and no UTF-8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PosedFiles:
     """Posed photos as a capture's files describe them; no photo has been opened.
 

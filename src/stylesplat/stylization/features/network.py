@@ -30,7 +30,7 @@ COMPACT_GREY, COMPACT_CONTRAST = 0.5, 0.25  # its mean and standard deviation of
 FAST_BFLOAT16 = ("amx-bf16", "avx512bf16")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Convolution:
     """A convolution, its output as large as its input."""
 
@@ -69,7 +69,7 @@ class Cells:
 COMPACT_CELLS = (Cells(stride=1, size=7, before=3), Cells(2, 14, 6), Cells(4, 40, 18))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FeatureNetwork:
     """VGG or the compact network: turns images into features, block by block.
 
