@@ -14,6 +14,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import msgspec
 
 from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.torch_modes import own_modes, steps_in_own_modes, usable
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -29,7 +30,10 @@ REMEDIES = {
 
 
 def check_arguments(verb: Callable[P, T]) -> Callable[P, T]:
-    """Make a verb raise a StyleSplatError for arguments of other types than it declares."""
+    """Make a verb raise a StyleSplatError for arguments of other types than it declares.
+
+    The verb computes in modes of torch of its own.
+    """
     signature = inspect.signature(verb)
 
     @wraps(verb)
@@ -40,7 +44,10 @@ def check_arguments(verb: Callable[P, T]) -> Callable[P, T]:
             variable = parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
             if not (variable or any(_is_instance(value, each) for each in kinds)):
                 _refuse(verb.__name__, name, value, kinds)
-        return verb(*args, **kwargs)
+        with own_modes():
+            given = usable(args), usable(kwargs)
+            result = verb(*given[0], **given[1])
+        return steps_in_own_modes(result) if inspect.isgenerator(result) else result
 
     return checked
 

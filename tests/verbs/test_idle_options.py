@@ -23,7 +23,7 @@ from stylesplat.verbs.sheet import sheet
 from stylesplat.verbs.stylize import stylize
 
 SCENE = Scene(SPLATS, CAMERAS)
-PLACE = {"sphere": (0.0, 0.0, 0.0, 9.0)}
+PLACE: dict[str, Any] = {"sphere": (0.0, 0.0, 0.0, 9.0)}
 RECOLORED = Recipe(recolors=(RecoloredObject("red", RecolorConfig(hue=90.0)),))
 
 

@@ -30,6 +30,7 @@ def blur(values: Float[Tensor, "*B H W"], deviation: float) -> Float[Tensor, "*B
 
 
 @lru_cache(maxsize=KEPT)
+@torch.inference_mode(False)  # else training could not use them later
 def blur_matrix(size: int, deviation: float, device: torch.device) -> Float[Tensor, "S S"]:
     """The weight of each place along an axis in the blur of each other."""
     places = torch.arange(size, dtype=torch.float32, device=device)

@@ -32,6 +32,7 @@ def lab_from_rgb(colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
 
 
 @lru_cache(maxsize=8)
+@torch.inference_mode(False)  # else training could not use them later
 def luma_weights(device: torch.device, dtype: torch.dtype) -> Float[Tensor, " 3"]:
     """`LUMA` on a device, to which it is copied once: every copy makes the host wait."""
     return torch.tensor(LUMA, device=device, dtype=dtype)

@@ -36,6 +36,7 @@ def decibels(error: Float[Tensor, ""]) -> Float[Tensor, ""]:
 
 
 @lru_cache
+@torch.inference_mode(False)  # else training could not use them later
 def ssim_window(device: torch.device) -> Float[Tensor, " 11"]:
     x = torch.arange(WINDOW) - WINDOW // 2
     window = torch.exp(-(x**2) / (2 * SIGMA**2))

@@ -250,6 +250,7 @@ def relocate(
 
 
 @cache
+@torch.inference_mode(False)  # else training could not use them later
 def _spread_terms() -> Float[Tensor, "n k"]:
     """By copies n and power k of the opacity, the factor of the paper's double sum.
 

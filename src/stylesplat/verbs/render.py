@@ -17,6 +17,7 @@ from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
+from stylesplat.torch_modes import steps_in_own_modes
 
 Which = Literal["test", "train", "all", "orbit"]
 Names = list[str] | tuple[str, ...]
@@ -87,6 +88,7 @@ def render(
     if what.startswith("object:"):
         picked, what = find_object(scene, what.removeprefix("object:")), "object"
     pictures = render_pictures(splats, cameras, what, picked=picked, background=background)
+    pictures = steps_in_own_modes(pictures)
     return Views(cameras.names, track(pictures, "rendering", total=len(cameras)))
 
 
