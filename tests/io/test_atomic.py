@@ -218,3 +218,11 @@ def test_without_locks_it_goes_on_and_says_so(
         with changing(tmp_path / "scene"):
             pass
     assert len(said) == 1 and said[0].startswith(f"{tmp_path} is on a file system without locks")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no such file system")
+def test_a_folder_that_takes_no_files_is_not_taken_for_one_at_work():
+    with pytest.raises(StyleSplatError, match=r"Cannot write /proc/out\.ply") as refused:
+        with changing(Path("/proc/out.ply")), atomic_path(Path("/proc/out.ply")) as draft:
+            draft.touch()
+    assert "another stylesplat" not in str(refused.value)

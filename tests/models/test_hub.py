@@ -113,6 +113,24 @@ def test_half_a_model_in_the_cache_is_none(
     assert said == [], "no download is announced that is not tried"
 
 
+@pytest.mark.parametrize("missing", ["model-00002-of-00002.safetensors", "every tokenizer"])
+def test_a_download_that_ended_early_is_no_model(missing: str, folder: Path, cache: Path):
+    shards = [f"model-0000{n}-of-00002.safetensors" for n in (1, 2)]
+    (folder / "model.safetensors").rename(folder / shards[0])
+    (folder / shards[1]).touch()
+    index = {"weight_map": dict(zip("ab", shards, strict=True))}
+    (folder / "model.safetensors.index.json").write_text(json.dumps(index))
+    change_config(folder, detector_config={"text_config": {}})
+    for name in ("tokenizer.json", "vocab.json", "merges.txt"):
+        (folder / name).touch()
+    put_into_cache(folder, cache)
+    assert is_at_hand(NAME)
+    names = ("vocab.json", "tokenizer.json") if missing == "every tokenizer" else (missing,)
+    for name in names:
+        (cache / "models--owner--tiny/snapshots" / ("0" * 40) / name).unlink()
+    assert not is_at_hand(NAME)
+
+
 def test_a_download_is_announced_and_starts_with_the_type(
     folder: Path, cache: Path, monkeypatch, said: list[str]
 ):

@@ -29,3 +29,8 @@ def test_views_by_as_much_of_their_names_as_tells_them_apart(name: str, row: int
 def test_names_that_may_be_of_several_views_or_none(name: str):
     with pytest.raises(StyleSplatError, match="No view is called"):
         NAMED.index(name)
+
+
+def test_a_name_in_another_case_gets_a_hint():
+    with pytest.raises(StyleSplatError, match=r"Did you mean 'cam0/IMG_1\.JPG'\?"):
+        replace(NAMED[:2], names=("cam0/IMG_1.JPG", "cam0/IMG_2.JPG")).index("cam0/img_1.jpg")

@@ -140,6 +140,7 @@ def _acquire(path: Path) -> "FileLock | None":
         try:
             lock.acquire(blocking=False)
         except Timeout:
+            _refuse_without_lock(path, file)
             say(f"Waiting for another stylesplat that changes {path}.")
             lock.acquire(timeout=PATIENCE)
     except Timeout as error:
@@ -153,6 +154,15 @@ def _acquire(path: Path) -> "FileLock | None":
             _warn_unlocked(path.parent)
         return None
     return lock
+
+
+def _refuse_without_lock(path: Path, file: Path) -> None:
+    """Raise a StyleSplatError if no lock can be made: to `filelock` that looks like a held one."""
+    try:
+        with tempfile.TemporaryFile(dir=file.parent):
+            pass
+    except OSError as error:
+        raise cannot_write(path, error) from error
 
 
 @cache

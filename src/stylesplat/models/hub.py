@@ -1,7 +1,7 @@
 """Pretrained models of `transformers`: from a folder, the user's cache, or the Hugging Face Hub."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -19,8 +19,9 @@ from stylesplat.progress import say
 CONFIG = "config.json"
 # No pickled weights, which can run code, and no copies for other programs
 FILES = ["*.json", "*.txt", "model*.safetensors"]
-WEIGHTS = ("model.safetensors", "model.safetensors.index.json")  # in one file or several
-PROCESSORS = ("processor_config.json", "preprocessor_config.json")
+WEIGHTS, INDEX = "model.safetensors", "model.safetensors.index.json"  # in one file or several
+PROCESSORS = ("processor_config.json", "preprocessor_config.json")  # either suffices
+TOKENIZERS = (("tokenizer.json",), ("vocab.txt",), ("vocab.json", "merges.txt"))  # any
 HUB_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")  # OWNER/MODEL
 INSTALL = "Run `pip install 'stylesplat[segment]'`."
 
@@ -106,9 +107,30 @@ def _local_folder(name: str) -> Path | None:
         folder = Path(snapshot_download(name, allow_patterns=FILES, local_files_only=True))
     except (OSError, ValueError):  # absent, incomplete, or an impossible name
         return None
-    needed = (CONFIG,), WEIGHTS, PROCESSORS
-    whole = all(any((folder / file).is_file() for file in choice) for choice in needed)
-    return folder if whole else None
+    return folder if _is_whole(folder) else None
+
+
+def _is_whole(folder: Path) -> bool:
+    """Whether a download came to its end: the hub's cache does not say."""
+    needed = [((CONFIG,),), tuple((name,) for name in PROCESSORS)]
+    try:
+        if not (folder / WEIGHTS).is_file():
+            shards = read_json(folder / INDEX).get("weight_map", {})
+            needed += [(tuple({*shards.values()}) or (WEIGHTS,),)]
+        if _reads_text(read_json(folder / CONFIG)):
+            needed += [TOKENIZERS]
+    except StyleSplatError:  # a file is missing or damaged
+        return False
+    return all(
+        any(all((folder / file).is_file() for file in files) for files in choices)
+        for choices in needed
+    )
+
+
+def _reads_text(config: Mapping[str, Any]) -> bool:
+    """Whether a model, or a part of it, takes words, so that it needs a tokenizer."""
+    parts = (each for each in config.values() if isinstance(each, dict))
+    return "text_config" in config or any(map(_reads_text, parts))
 
 
 def _check_type(config: Path, name: str, types: Collection[str], job: str) -> str:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -133,8 +134,11 @@ def find_name(name: str, names: Sequence[str], *, shown_names: Sequence[str] | N
             if known.count(stem) == 1:
                 return known.index(stem)
     known = names if shown_names is None else shown_names
+    alike = {each.casefold(): each for each in known}
+    near = get_close_matches(name.casefold(), alike, n=1)
+    hint = f"Did you mean {alike[near[0]]!r}? " if near else ""
     raise StyleSplatError(
-        f"No view is called {name!r}. Views: {', '.join(known[:8])}"
+        f"No view is called {name!r}. {hint}Views: {', '.join(known[:8])}"
         f"{', ...' if len(known) > 8 else '.'}"
     )
 

@@ -62,7 +62,7 @@ COLOR_VIEWS = 8  # whose pixels give an object's colours; with 6 rare sides get 
 BLUR_VIEWS = 6  # that suffice between stages
 COLOR_LENGTH = 240.0  # longer side of the object in them at most, in pixels
 CANVAS_RATE = 0.5  # factor of the rate on a canvas: a pixel shows few discs, and more looks grainy
-SHARPENED = 2.0  # form that is added to the colours before fine stages, of the finer band
+SHARPENED = 2.0  # form of the finer band, added to the colours once: see `_paint`
 PREVIEW_STEPS = 25  # on the object's own Gaussians: laying the canvas takes longer
 PUBLISHED_VIEWS = 0.25  # share of the views that the paper uses
 SHN_SLOWDOWN = 20  # ratio of the rates of sh0 and shN in the official code
@@ -216,7 +216,7 @@ def _paint(
             relief = form_relief(before, splats, mask, *whole, object.form)
         if number == 0:
             pictures, palette, paint = _begin(object, *whole, relief)
-        elif number == fixed_at:  # coarse stages lose what is finer than their pixels
+        elif number == fixed_at:  # before fine stages, or a draft's last: coarser ones lose it
             weight = SHARPENED * config.form * config.pattern_removed
             paint = add_luminance(paint, weight * relief[:, 0])
         objective = stage_objective(
