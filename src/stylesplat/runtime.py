@@ -2,10 +2,14 @@
 
 import ctypes
 import os
+import sys
 from contextlib import suppress
+from threading import Event, Thread
+from types import ModuleType
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # names of glibc's mallopt
 SPINS = "3000"  # of a thread before it sleeps: some microseconds
+PARALLEL = 2**20  # numbers, of which torch computes with in parallel
 KEPT_BYTES = 2**30  # blocks up to this size are reused rather than given back
 
 
@@ -17,6 +21,9 @@ def tune_runtime() -> None:
     painting takes a fifth longer, at the same processor time. glibc returns large blocks to the
     system at every free, so that the images of each step cost tens of thousands of page faults.
     """
+    torch = sys.modules.get("torch")
+    if torch is not None and not {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT"} & os.environ.keys():
+        _shorten_spins(torch)  # it has read the environment already
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ.setdefault("GOMP_SPINCOUNT", SPINS)
     if "MALLOC_MMAP_THRESHOLD_" not in os.environ:
@@ -26,6 +33,25 @@ def tune_runtime() -> None:
             return
         mallopt(M_MMAP_THRESHOLD, KEPT_BYTES)
         mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+def _shorten_spins(torch: ModuleType) -> None:
+    """Let idle threads of torch sleep soon, also if torch was loaded before.
+
+    GNU's OpenMP takes its threads to spin 300 times shorter as soon as it has started more of them
+    than there are cores. Each thread that computes in parallel has a pool of its own, so a second
+    one that waits for ever does that. Without it painting takes ten times as long on a busy
+    machine.
+    """
+    done = Event()
+
+    def hold_pool() -> None:
+        torch.zeros(PARALLEL).add_(1)
+        done.set()
+        Event().wait()
+
+    Thread(target=hold_pool, daemon=True, name="stylesplat-openmp").start()
+    done.wait()
 
 
 def tidy_heap() -> None:
