@@ -69,8 +69,8 @@ RECIPES = {
 }
 LABEL_MAPS = {
     "missing": "There is no folder {at}/missing with label maps. Check `--masks`",
-    "photos": "There are no label maps in {at}/photos: it holds no PNG files. Check `--masks`",
-    "capture": "Name them like 0000.png, or check `--masks`",
+    "photos": "its format changes ids, and it is not black and white. Save it as PNG",
+    "capture": "capture is a capture, not a folder of masks. Check `--masks`",
 }
 FOREIGN = {
     "missing": "There is no folder or .json file {at}/missing. Check the path",

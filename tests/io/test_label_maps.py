@@ -9,6 +9,7 @@ from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.label_maps import (
     NAMES,
+    fitted_maps,
     match_label_maps,
     read_label_map,
     read_names,
@@ -59,7 +60,7 @@ def test_maps_are_matched_by_stem(tmp_path: Path):
     for name, label in (("a", 1), ("sub/b", 2), ("c.jpg", 3), ("other", 9)):
         write_label_map(torch.full((6, 8), label), tmp_path / f"{name}.png")
     names = ["sub/b.jpg", "missing.jpg", "c.jpg", "a.JPG"]
-    maps = match_label_maps(tmp_path, names, [photo(SMALL)] * 4)
+    maps = fitted_maps(match_label_maps(tmp_path, names), names, [photo(SMALL)] * 4)
     assert [None if m is None else int(m[0, 0]) for m in maps] == [2, None, 3, 1]
 
 
@@ -67,7 +68,8 @@ def test_maps_are_matched_by_stem(tmp_path: Path):
 def test_sizes_are_fitted_without_making_new_ids(tmp_path: Path, size: tuple[int, int]):
     ids = random_ids(2**24, size)
     write_label_map(ids, tmp_path / "a.png")
-    (labels,) = match_label_maps(tmp_path, ["a.jpg"], [photo(SMALL)])
+    found = match_label_maps(tmp_path, ["a.jpg"])
+    (labels,) = fitted_maps(found, ["a.jpg"], [photo(SMALL)])
     assert labels is not None and labels.shape == (6, 8)
     assert set(labels.flatten().tolist()) <= set(ids.flatten().tolist())
 
@@ -77,14 +79,14 @@ def test_sizes_are_fitted_without_making_new_ids(tmp_path: Path, size: tuple[int
     [
         (".", "b.png", r"None of the 1 label maps .* Name them like a\.png"),
         ("none", "b.png", r"no folder .*none with label maps.*--masks"),
-        (".", "a.txt", r"no label maps in .*: it holds no PNG files"),
+        (".", "a.txt", r"no label maps in .*: it holds no pictures"),
         (".", "a.png", r"a\.png is 6x8, .* its photo \(8x6\)"),
     ],
 )
 def test_maps_of_no_photo(tmp_path: Path, folder: str, name: str, match: str):
     write_label_map(random_ids(9, (6, 8)), tmp_path / name)
     with pytest.raises(StyleSplatError, match=match):
-        match_label_maps(tmp_path / folder, ["a.jpg"], [photo(SMALL)])
+        fitted_maps(match_label_maps(tmp_path / folder, ["a.jpg"]), ["a.jpg"], [photo(SMALL)])
 
 
 @pytest.mark.parametrize(

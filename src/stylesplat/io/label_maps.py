@@ -1,9 +1,9 @@
 """Label maps: pictures whose pixels are the ids of objects, 0 where there is none."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 import msgspec
@@ -11,33 +11,43 @@ import numpy as np
 import torch
 from jaxtyping import Int
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import REPLACING, atomic_folder, atomic_path, refuse_occupied
 from stylesplat.io.captures.photos import Photo, same_shape
 from stylesplat.io.files import inside, is_file, require_regular
-from stylesplat.io.images import image_sizes, open_image
+from stylesplat.io.images import image_sizes
 from stylesplat.io.json_files import fitting, read_json, write_json
-from stylesplat.progress import track
+from stylesplat.io.kinds import PHOTOS, kind_of
+from stylesplat.io.mask_names import match_masks, without_suffix
+from stylesplat.io.mask_pictures import (
+    IDS_NOTE,
+    RGB_CODE,
+    Reading,
+    find_reading,
+    read_label_map,
+    read_mask,
+)
+from stylesplat.progress import say, track
 from stylesplat.scene.cache import Lazy
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import BACKGROUND, MAX_ID, OwnLabels, ids_of, resize_labels
+from stylesplat.scene.labels import (
+    BACKGROUND,
+    MAX_ID,
+    Labels,
+    Mask,
+    OwnLabels,
+    ids_of,
+    resize_labels,
+)
 
-RGB_CODE = np.array([1, 256, 65536], dtype=np.int32)  # id = r + 256 g + 65536 b
-ID_MODES = ("1", "L", "P", "I", "I;16", "RGB", "RGBA")  # of Pillow
 NAMES = "names.json"  # beside the label maps: the objects' names by id
 
+SAMPLED = 3  # masks of an object that tell whether they are binary
+
 LabelId = Annotated[str, msgspec.Meta(pattern=r"^[0-9]{1,8}\Z")]
-
-
-def read_label_map(path: Path | str) -> Int[Tensor, "H W"]:
-    """Read ids from 8-bit, 16-bit, palette (the index counts) or RGB-coded pixels."""
-    with open_image(Path(path)) as image:
-        if image.format == "JPEG" or image.mode not in ID_MODES:
-            raise ValueError(f"{image.format} pixels of type {image.mode} cannot be label ids")
-        pixels = np.asarray(image).astype(np.int32)
-        return torch.from_numpy(pixels if pixels.ndim == 2 else pixels[:, :, :3] @ RGB_CODE)
 
 
 def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
@@ -53,8 +63,10 @@ def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
         pixels = ids.astype(np.uint16)
     else:
         pixels = (ids[:, :, None] // RGB_CODE % 256).astype(np.uint8)
+    note = PngInfo()
+    note.add_text(*IDS_NOTE)
     with atomic_path(path) as draft:
-        Image.fromarray(pixels).save(draft, format="PNG")
+        Image.fromarray(pixels).save(draft, format="PNG", pnginfo=note)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +80,129 @@ class DrawnLabels:
     """Its name in messages."""
 
     @classmethod
-    def on_disk(cls, path: Path) -> "DrawnLabels":
+    def on_disk(cls, path: Path, reading: Reading = "ids") -> "DrawnLabels":
         """The label map of a file, of which only the header is read now."""
-        return cls(image_sizes(path)[0], partial(read_label_map, path), str(path))
+        return cls(image_sizes(path)[0], partial(read_mask, path, reading), str(path))
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMasks:
+    """Label maps of photos, perhaps from another program."""
+
+    maps: dict[str, DrawnLabels]
+    """By photo its label map, read on access; photos without one are left out."""
+    names: dict[int, str] = field(default_factory=dict)
+    """Names of objects by id, where they are known."""
+
+
+def find_masks(folder: Path, names: Sequence[str]) -> FoundMasks:
+    """Find the masks of photos in a folder.
+
+    They may be pictures of ids or of one object, named like the photos, in any sub-folder; or a
+    sub-folder per object with a mask of it per photo. How they are read is told from all together.
+
+    Raises:
+        StyleSplatError: If a mask is of several photos, or they are neither ids nor masks.
+    """
+    files = mask_files(folder)
+    exact = {without_suffix(name) for name in names} | {*names}
+    found = None if exact & files.keys() else _by_object(folder, names)
+    if found is None:
+        matches = match_masks(files, names)
+        reading, why = find_reading([files[key] for key in matches])
+        if reading is None:
+            raise StyleSplatError(why)
+        if why:
+            say(f"The masks in {folder} are of one object: {why}.")
+        drawn = {photo: DrawnLabels.on_disk(files[key], reading) for key, photo in matches.items()}
+        found = FoundMasks(drawn)
+    return replace(found, names={**found.names, **read_names(folder)})
+
+
+def mask_files(folder: Path) -> dict[str, Path]:
+    """The pictures in a folder and below, by their path in it, without suffix.
+
+    Those of other formats count only where there is no PNG: JPEGs beside PNGs are to look at.
+    """
+    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PHOTOS)
+    files = [path for path in found if path.suffix.lower() == ".png"] or found
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in files}
+
+
+def _by_object(folder: Path, names: Sequence[str]) -> FoundMasks | None:
+    """A sub-folder for each object, the masks in it named like the photos."""
+    folders = sorted(path for path in folder.iterdir() if path.is_dir())
+    photo_folders = {PurePosixPath(name).parts[0] for name in names if "/" in name}
+    if any(each.name in photo_folders for each in folders):
+        return None
+    masks = {each: own for each in folders if (own := _masks_in(each, names))}
+    readings = dict[Path, Reading]()
+    reasons = dict[str, None]()
+    for each, files in masks.items():
+        reading, why = find_reading([*files.values()])
+        sample = [*files.values()][:SAMPLED]
+        if reading is None or (
+            reading == "ids" and any(len(ids_of(read_label_map(path))) > 2 for path in sample)
+        ):
+            return None
+        readings[each] = reading
+        reasons |= {why: None} if why else {}
+    if not masks:
+        return None
+    for why in reasons:
+        say(f"The folders in {folder} have the masks of an object each: {why}.")
+    ids = _object_ids([each.name for each in masks])
+    found = dict[str, list[tuple[int, Path, Reading]]]()
+    for id, (each, files) in zip(ids, masks.items(), strict=True):
+        for photo, path in files.items():
+            found.setdefault(photo, []).append((id, path, readings[each]))
+
+    def overlay(layers: Sequence[tuple[int, Path, Reading]]) -> Labels:
+        return overlay_masks((id, read_mask(path, how) != 0) for id, path, how in layers)
+
+    maps = {
+        photo: replace(DrawnLabels.on_disk(layers[0][1]), read=partial(overlay, layers))
+        for photo, layers in found.items()
+    }
+    return FoundMasks(maps, {id: name for id, name in ids.items() if not name.isdecimal()})
+
+
+def _masks_in(folder: Path, names: Sequence[str]) -> dict[str, Path]:
+    """The pictures in a folder by photo: those with a photo's path or, without folder, name."""
+    paths = {without_suffix(name) for name in names} | {*names}
+    own = {key: p for key, p in mask_files(folder).items() if key in paths or "/" not in key}
+    return {photo: own[key] for key, photo in match_masks(own, names).items()}
+
+
+def _object_ids(folders: Sequence[str]) -> dict[int, str]:
+    """Names of folders by id: by the numbers that they are named by, else counted from 1."""
+    numbers = {int(name): name for name in folders if name.isdecimal()}
+    if len(numbers) == len(folders) and all(0 < number <= MAX_ID for number in numbers):
+        return numbers
+    return dict(enumerate(folders, start=1))
+
+
+def overlay_masks(masks: Iterable[tuple[int, Mask]]) -> Labels:
+    """A label map of masks by id, taken one by one; where they overlap the smaller one shows."""
+    labels = areas = torch.zeros(0, 0, dtype=torch.int32)
+    for number, (id, mask) in enumerate(masks):
+        if number == 0:
+            labels = torch.zeros(mask.shape, dtype=torch.int32)
+            areas = torch.full_like(labels, mask.numel())  # of the mask that shows
+        if mask.shape != labels.shape:
+            raise sizes_differ("of a photo", *(each.shape[::-1] for each in (mask, labels)))
+        area = int(mask.sum())
+        on_top = mask & (areas >= area)
+        labels.masked_fill_(on_top, id)
+        areas.masked_fill_(on_top, area)
+    return labels
+
+
+def sizes_differ(what: str, *sizes: Sequence[int]) -> StyleSplatError:
+    text = " and ".join(f"{width}x{height}" for width, height in sizes)
+    return StyleSplatError(
+        f"The masks {what} differ in size: {text}. Export them at the photo's size."
+    )
 
 
 def read_names(folder: Path) -> dict[int, str]:
@@ -90,31 +222,38 @@ def write_names(names: Mapping[int, str], folder: Path) -> None:
         write_json({str(id): name for id, name in names.items()}, folder / NAMES)
 
 
-def match_label_maps(
-    folder: Path, names: Sequence[str], photos: Sequence[Photo]
-) -> Lazy[Int[Tensor, "H W"] | None]:
-    """The label map of each photo, by file name without extension; None where there is none.
-
-    The maps are read on access, at the size of `photos`. Raises a StyleSplatError if no map belongs
-    to any photo, or one is no picture or not of its photo's shape.
-    """
+def match_label_maps(folder: Path, names: Sequence[str]) -> FoundMasks:
+    """The masks of photos in the folder of `--masks`, of which one has to be there."""
+    if (kind := kind_of(folder)) in ("capture", "scene"):
+        raise StyleSplatError(f"{folder} is a {kind}, not a folder of masks. Check `--masks`.")
     if not folder.is_dir():
         raise StyleSplatError(f"There is no folder {folder} with label maps. Check `--masks`.")
-    files = {_key(path.relative_to(folder)): path for path in sorted(folder.rglob("*.png"))}
-    paths = [files.get(_key(Path(name))) or files.get(name) for name in names]
+    found = find_masks(folder, names)
+    files = mask_files(folder)
     if not files:
         raise StyleSplatError(
-            f"There are no label maps in {folder}: it holds no PNG files. Check `--masks`."
+            f"There are no label maps in {folder}: it holds no pictures. Check `--masks`."
         )
-    if not any(paths):
+    if not found.maps:
         raise StyleSplatError(
             f"None of the {len(files)} label maps in {folder} is named after a photo. "
-            f"Name them like {_key(Path(names[0]))}.png, or check `--masks`."
+            f"Name them like {without_suffix(names[0])}.png, or check `--masks`."
         )
+    return found
+
+
+def fitted_maps(
+    found: FoundMasks, names: Sequence[str], photos: Sequence[Photo]
+) -> Lazy[Int[Tensor, "H W"] | None]:
+    """The label map of each photo, read on access at the size of `photos`; None without one.
+
+    Raises a StyleSplatError if one is no picture or not of its photo's shape.
+    """
+    maps = found.maps
     return Lazy(
         [
-            fit_labels(DrawnLabels.on_disk(path), photo) if path else lambda: None
-            for path, photo in zip(paths, photos, strict=True)
+            fit_labels(maps[name], photo) if name in maps else lambda: None
+            for name, photo in zip(names, photos, strict=True)
         ]
     )
 
@@ -181,7 +320,3 @@ def write_label_maps(
 
 def _map_path(folder: Path, name: str) -> Path:
     return inside(folder, name).with_suffix(".png")
-
-
-def _key(path: Path) -> str:
-    return path.with_suffix("").as_posix()

@@ -8,9 +8,9 @@ from typing import cast
 import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.label_maps import overlay_masks
 from stylesplat.masks.box_propagation import propagate_boxes, spread_marks, view_images
 from stylesplat.masks.grabcut import Box, Stroke, pixels_inside, refuse_box
-from stylesplat.masks.import_masks import overlay_masks
 from stylesplat.masks.quick_splat import with_label_maps, working_splat
 from stylesplat.scene.arguments import BOX, Places, check_box, parse_places
 from stylesplat.scene.cameras import Cameras

@@ -6,7 +6,6 @@ from pathlib import Path
 from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, with_drawn_maps
-from stylesplat.io.label_maps import read_names
 from stylesplat.masks.import_masks import import_label_maps, refuse_plain
 from stylesplat.masks.quick_splat import rendered_capture
 from stylesplat.progress import say
@@ -95,5 +94,4 @@ def _with_masks(scene: Scene, masks: Path | str | None) -> Capture:
     cpu = pick_device("cpu")
     capture = rendered_capture(scene, cpu) if photos is None else load(photos, masks=False)
     found = import_label_maps(Path(masks), capture.cameras.names)
-    names = read_names(Path(masks)) if Path(masks).is_dir() else {}
-    return with_drawn_maps(capture, found.maps, {**found.names, **names})
+    return with_drawn_maps(capture, found.maps, found.names)

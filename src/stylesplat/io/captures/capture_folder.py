@@ -3,7 +3,7 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +21,13 @@ from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.captures.transforms import read_transforms
 from stylesplat.io.captures.valid_pixels import check_masks, match_masks
 from stylesplat.io.kinds import PHOTOS, POSES_BOUNDS, find_poses, wrong_kind
-from stylesplat.io.label_maps import DrawnLabels, fit_labels, match_label_maps, read_names
+from stylesplat.io.label_maps import (
+    DrawnLabels,
+    FoundMasks,
+    fit_labels,
+    fitted_maps,
+    match_label_maps,
+)
 from stylesplat.progress import say, track
 from stylesplat.scene.cache import Cache, Lazy
 from stylesplat.scene.cameras import Cameras, are_rigid
@@ -72,8 +78,8 @@ class CaptureFiles:
             photos, alphas = _split_alpha(files)
         label_maps, names = None, {}
         if self.masks:
-            label_maps = match_label_maps(self.masks, cameras.names, files)
-            names = read_names(self.masks)
+            label_maps = fitted_maps(self._found_masks, cameras.names, files)
+            names = self._found_masks.names
         elif alphas is not None and self.masks is None:
             label_maps, names = _opaque_maps(alphas), CUT_OUT_NAMES
         return Capture(
@@ -91,6 +97,11 @@ class CaptureFiles:
             downscale=float(downscale),
             world_offset=self.world_offset,
         )
+
+    @cached_property
+    def _found_masks(self) -> FoundMasks:
+        assert self.masks
+        return match_label_maps(self.masks, self.cameras.names)
 
 
 def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
