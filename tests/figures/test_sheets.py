@@ -28,6 +28,7 @@ from stylesplat.figures.sheets import (
     one_view,
     selection_picture,
 )
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
@@ -208,3 +209,22 @@ def test_a_photo_beside_its_render(tmp_path: Path):
     trained = beside_photo(replace(scene, held_out=()), capture, CAMERAS.names[2], device="cpu")
     changed = (trained != picture).any(dim=-1).nonzero()
     assert changed[:, 0].min() >= MARGIN + high and changed[:, 1].max() < MARGIN + wide
+
+
+def test_cut_outs_and_masks_beside_their_renders():
+    images, coverage, _ = rasterize(SPLATS, CAMERAS)
+    photos = [(255 * image.clamp(0, 1)).round().to(torch.uint8) for image in images]
+    alphas = [(255 * alpha[..., 0]).round().to(torch.uint8) for alpha in coverage]
+    capture = Capture(CAMERAS, photos, alphas=alphas)
+    scene: Scene = replace(TRAINED, info={"settings": {"background": "white"}})
+    width, height = CAMERAS[2].size
+    whole = beside_photo(scene, capture, CAMERAS.names[2], device="cpu")
+    photo, render = pair(whole, width, height)
+    assert (photo - render).abs().mean() < 12
+    assert all((each == 255).all(dim=-1).any() for each in (photo, render))
+    nothing = torch.zeros(height, width, dtype=torch.bool)
+    valid = nothing.clone()
+    valid[:20] = True
+    masked = replace(capture, valid_masks=[nothing, nothing, valid, *[nothing] * 5])
+    part, _ = pair(beside_photo(scene, masked, CAMERAS.names[2], device="cpu"), width, height)
+    assert torch.equal(part[:20], photo[:20]) and (part[20:] == 0).all()

@@ -283,10 +283,14 @@ def _photo_and_render(
 ) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W 3"]]:
     """A photo, and the render at the pose that the scene has of it, both of one size.
 
-    What a mask leaves out of the photo is black.
+    What a mask leaves out of the photo is black. Cut-outs are before what they were trained on.
     """
     row, own = capture.cameras.index(name), scene.cameras[scene.cameras.index(name)]
     camera = replace(capture.cameras[row], viewmats=own.viewmats)
-    photo, valid = capture.photos[row], capture.valid(row)
+    photo, alpha, valid = capture.photos[row], capture.alpha(row), capture.valid(row)
+    background = None
+    if alpha is not None and scene.info.get("settings", {}).get("background") == "white":
+        background = "white"
+        photo = photo + (255 - alpha[..., None]).minimum(255 - photo)
     photo = photo if valid is None else photo * valid[..., None]
-    return photo, _render(splats, camera)
+    return photo, next(iter(render_pictures(splats, camera, background=background)))

@@ -43,8 +43,7 @@ def test_colors_in_many_forms(tmp_path: Path, names: tuple[str, ...], kind: str,
 
 
 def test_colors_of_a_splat(tmp_path: Path):
-    names: tuple[str, ...] = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2")
-    columns = dict.fromkeys(names, "float")
+    columns = dict.fromkeys("xyz", "float") | {f"f_dc_{i}": "float" for i in range(3)}
     points = read_points(write(tmp_path / "p.ply", columns, [(0, 0, 0, 0, 1, -99)]))
     assert points is not None and points.colors.tolist() == [[128, 199, 0]]
 
