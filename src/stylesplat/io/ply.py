@@ -1,8 +1,8 @@
-"""PLY files that hold one table: a row per vertex, a column per property."""
+"""PLY files: a header that people's programs write in many ways, and tables of rows."""
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import BinaryIO, Literal, NamedTuple
 
@@ -12,10 +12,11 @@ from jaxtyping import Shaped
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import open_binary, reading
 
-PLY_TYPES = {  # PLY's two sets of names, and numpy's
+PLY_TYPES = {  # PLY's two sets of names, those of half floats, and numpy's
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
+    **{"half": "f2", "float16": "f2"},
 }
 PLY_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
 BYTE_ORDERS: dict[str, Literal["<", ">", "="]] = {
@@ -24,8 +25,12 @@ BYTE_ORDERS: dict[str, Literal["<", ">", "="]] = {
     "ascii": "=",
 }
 MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
+BOM = b"\xef\xbb\xbf"  # editors of Windows put it before UTF-8
+MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)", re.IGNORECASE)
+LINE_END = re.compile(r"\r\n|\r|\n")  # and nothing else: a comment in Latin-1 may hold NEL
 REMEDY = "Copy or export it again, as a PLY of vertices."
 VERTEX = "vertex"
+Table = Shaped[np.ndarray, " N"]
 
 
 class PlyElement(NamedTuple):
@@ -39,57 +44,93 @@ class PlyElement(NamedTuple):
     """Names of the properties that are lists."""
 
 
-def read_ply_table(path: Path | str) -> Shaped[np.ndarray, " N"]:
+class PlyHeader(NamedTuple):
+    encoding: str
+    elements: list[PlyElement]
+    comments: list[str]
+    size: int
+    """Bytes before the first row."""
+
+
+def read_ply_table(path: Path | str) -> Table:
     """The vertices of a PLY file as a structured array; binary files are mapped into memory.
 
-    The count of the header is checked against the file's size before memory is allocated. What
-    follows the vertices, such as faces, is skipped. Vertices with lists, or after other elements,
-    are a StyleSplatError.
+    The count of the header is checked against the file's size before memory is allocated. Other
+    elements are skipped. Vertices with lists, or after elements with lists, are a StyleSplatError.
     """
+    return read_ply(path)[1][VERTEX]
+
+
+def read_ply(
+    path: Path | str, names: Collection[str] = (VERTEX,)
+) -> tuple[PlyHeader, dict[str, Table]]:
+    """The header of a PLY file, and its tables of these names; see `read_ply_table`."""
     with open_binary(path) as file, reading(path, REMEDY):
-        return _read_table(file)
+        header = parse_header(file.read(MAX_HEADER))
+        known = [element.name for element in header.elements]
+        vertices = next((e for e in header.elements if e.name == VERTEX), None)
+        if vertices is None or not vertices.columns:
+            has = f", but {', '.join(known)}" if known else ""
+            raise ValueError(f"its header names no vertices{has:.80}")
+        wanted = [name for name in names if name in known]
+        read = _read_ascii if header.encoding == "ascii" else _read_binary
+        return header, {name: read(file, header, known.index(name)) for name in wanted}
+
+
+def read_header(path: Path | str) -> PlyHeader:
+    """What stands before the rows of a PLY file."""
+    with open_binary(path) as file, reading(path, REMEDY):
+        return parse_header(file.read(MAX_HEADER))
 
 
 def write_ply_rows(
-    path: Path | str, count: int, dtype: np.dtype, blocks: Iterable[Shaped[np.ndarray, " B"]]
+    path: Path | str,
+    count: int,
+    dtype: np.dtype,
+    blocks: Iterable[Shaped[np.ndarray, " B"]],
+    *,
+    comments: Sequence[str] = (),
 ) -> None:
     """Write rows as little-endian binary PLY, block by block."""
     assert dtype.names is not None
     columns = [f"property {PLY_NAMES[dtype[n].str[1:]]} {n}" for n in dtype.names]
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
-    header = "\n".join([*lines, *columns, "end_header\n"]).encode("ascii")
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {each}" for each in comments)]
+    lines += [f"element vertex {count}", *columns, "end_header\n"]
     with atomic_path(path) as draft, draft.open("wb") as file:
-        file.write(header)
+        file.write("\n".join(lines).encode("ascii"))
         for block in blocks:
             file.write(np.ascontiguousarray(block).data)
 
 
-def _read_table(file: BinaryIO) -> Shaped[np.ndarray, " N"]:
-    encoding, elements, start = parse_header(file.read(MAX_HEADER))
-    filled = [element for element in elements if element.rows or element.name == VERTEX]
-    if not filled or not filled[0].columns:
-        raise ValueError("its header names no vertices")
-    vertices = filled[0]
-    if vertices.name != VERTEX:
-        raise ValueError(f"expected vertices first, but its header has 'element {vertices.name}'")
-    if vertices.lists:
-        raise ValueError(f"expected plain vertices, but their {vertices.lists[0]!r} is a list")
-    file.seek(start)
-    count, dtype = vertices.rows, np.dtype(vertices.columns).newbyteorder(BYTE_ORDERS[encoding])
-    if encoding == "ascii":
-        lines = file.read().decode("ascii", errors="replace").splitlines()
-        lines = [line for line in lines if line.strip()]
-        size, needed, unit = len(lines), count, "lines"
-    else:
-        size, needed = os.fstat(file.fileno()).st_size - start, count * dtype.itemsize
-        lines, unit = [], "bytes"
-    if size < needed:
-        raise ValueError(f"it is truncated: {count} vertices take {needed} {unit}, got {size}")
-    if not count:
-        return np.empty(0, dtype)
-    if encoding == "ascii":
-        return np.loadtxt(lines[:count], _with_doubles(dtype), ndmin=1)
-    return np.memmap(file, dtype, "r", start, count)
+def _read_binary(file: BinaryIO, header: PlyHeader, index: int) -> Table:
+    dtypes = [
+        np.dtype(element.columns).newbyteorder(BYTE_ORDERS[header.encoding])
+        for element in header.elements[: index + 1]
+    ]
+    start = header.size
+    for element, dtype in zip(header.elements[:index], dtypes, strict=False):
+        if element.lists and element.rows:
+            raise ValueError(
+                f"before its {header.elements[index].name} rows are lists of {element.name}, "
+                "whose size is unknown"
+            )
+        start += element.rows * dtype.itemsize
+    rows = _check_plain(header.elements[index])
+    size = max(os.fstat(file.fileno()).st_size - start, 0)
+    _check_size(header.elements[index], rows * dtypes[-1].itemsize, size, "bytes")
+    return np.memmap(file, dtypes[-1], "r", start, rows) if rows else np.empty(0, dtypes[-1])
+
+
+def _read_ascii(file: BinaryIO, header: PlyHeader, index: int) -> Table:
+    """The rows of an element, which have a line each, as those before it have."""
+    file.seek(header.size)
+    lines = re.split(r"[\r\n]+", file.read().decode("ascii", errors="replace"))
+    lines = [line for line in lines if line.strip()]
+    lines = lines[sum(element.rows for element in header.elements[:index]) :]
+    rows, dtype = _check_plain(header.elements[index]), np.dtype(header.elements[index].columns)
+    _check_size(header.elements[index], rows, len(lines), "lines")
+    dtype = _with_doubles(dtype)
+    return np.loadtxt(lines[:rows], dtype, ndmin=1) if rows else np.empty(0, dtype)
 
 
 def _with_doubles(dtype: np.dtype) -> np.dtype:
@@ -98,15 +139,33 @@ def _with_doubles(dtype: np.dtype) -> np.dtype:
     return np.dtype([(n, "f8" if kind == np.float32 else kind) for n, kind in kinds.items()])
 
 
-def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:
-    """The encoding and the elements of a PLY file, and how many bytes its header has."""
-    end = re.search(rb"^end_header\r?\n", content[:MAX_HEADER], re.MULTILINE)
-    if not re.match(rb"ply\r?\n", content) or end is None:
-        raise ValueError("it is not a PLY file")
-    encoding, elements = "", list[PlyElement]()
-    for line in content[: end.start()].decode("ascii", errors="replace").splitlines():
+def _check_plain(element: PlyElement) -> int:
+    """How many rows of numbers an element has; a ValueError if they are lists."""
+    if element.lists:
+        raise ValueError(f"expected plain {element.name} rows, but {element.lists[0]!r} is a list")
+    return element.rows
+
+
+def _check_size(element: PlyElement, needed: int, size: int, unit: str) -> None:
+    if size < needed:
+        what = "vertices" if element.name == VERTEX else f"rows of {element.name}"
+        fault = f"{element.rows} {what} take {needed} {unit}, got {size}"
+        raise ValueError(f"it is truncated: {fault}")
+
+
+def parse_header(content: bytes) -> PlyHeader:
+    """Read a header with line ends of any system, a byte order mark, blanks and odd comments."""
+    magic = MAGIC.match(content)
+    # Where lines end in CR alone, the first byte of a row may be the LF of another system
+    mac = magic is not None and magic[1] == b"\r"
+    last = rb"[\r\n][ \t]*end_header[ \t]*" + (rb"\r" if mac else rb"\r?\n")
+    end = re.search(last, content[:MAX_HEADER])
+    if magic is None or end is None:
+        raise ValueError("its header has no end_header" if magic else "it is not a PLY file")
+    encoding, elements, comments = "", list[PlyElement](), list[str]()
+    for line in LINE_END.split(_text(content[magic.end() : end.start()])):
         match line.split():
-            case ["format", name, "1.0"] if name in BYTE_ORDERS:
+            case ["format", name, *_] if name in BYTE_ORDERS:
                 encoding = name
             case ["element", name, number]:
                 elements.append(PlyElement(name, int(number), [], []))
@@ -115,7 +174,9 @@ def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:
             case ["property", "list", kind, _, name] if elements and kind in PLY_TYPES:
                 elements[-1].columns.append((name, PLY_TYPES[kind]))
                 elements[-1].lists.append(name)
-            case ["ply"] | ["comment", *_] | ["obj_info", *_] | []:
+            case ["comment" | "obj_info" as kind, *_]:
+                comments.append(line.strip().removeprefix(kind).strip())
+            case []:
                 pass
             case _:
                 raise ValueError(f"its header has {line!r}, which is not of a PLY of vertices")
@@ -124,4 +185,11 @@ def parse_header(content: bytes) -> tuple[str, list[PlyElement], int]:
         raise ValueError(f"its header claims {negative[0].rows} rows of {negative[0].name}")
     if not encoding:
         raise ValueError("its header names no format")
-    return encoding, elements, end.end()
+    return PlyHeader(encoding, elements, comments, end.end())
+
+
+def _text(content: bytes) -> str:
+    try:
+        return content.decode()
+    except UnicodeDecodeError:
+        return content.decode("latin-1")

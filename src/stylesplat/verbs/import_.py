@@ -14,7 +14,7 @@ from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import evaluate_views, measured_rows
 from stylesplat.io.gaussian_lists import read_objects
-from stylesplat.io.splats.splat_files import read_splats
+from stylesplat.io.splats.splat_files import declared_up, read_drawable
 from stylesplat.metrics.images import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
@@ -38,6 +38,7 @@ from stylesplat.training.lifting import labelled, lift
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+DEFAULT_UP = "-y"  # as COLMAP has it
 
 WORKING_SIZE = 960  # pixels of the longer side at which labels are lifted and styles matched
 
@@ -55,7 +56,8 @@ def import_(
 ) -> Scene:
     """Make a scene of a splat, with the cameras and label maps of a capture if there is one.
 
-    The splat stays as it is: same frame, same Gaussians, same order.
+    The splat stays as it is: same frame, same Gaussians, same order; those that cannot be drawn are
+    left out, and a line says how many.
 
     Args:
         splat: A .ply, .spz, .splat, .ksplat, .sog, .glb or .gltf file, or a SOG folder's meta.json;
@@ -63,9 +65,10 @@ def import_(
         capture: The photos that it was made from. Without them the scene gets views around
             the content, most of which show all of it.
         frame: The world frame of the splat, if it differs from the capture's.
-        up: The up direction of views without photos; by default -y, as COLMAP has it.
-        labels: The label id of every Gaussian, or a file of labels or objects; they replace the
-            capture's label maps.
+        up: The up direction of views without photos; by default what a comment of a .ply calls the
+            vertical axis, as nerfstudio's does, or -y, as COLMAP has it.
+        labels: The label id of every Gaussian of the splat's file, or a file of labels or objects;
+            they replace the capture's label maps.
         like: The scene that another program made the splat of. Its views, objects and layers of
             paint are transferred (see `transfer_annotations`).
         device: Where to render.
@@ -92,11 +95,16 @@ def import_(
         raise StyleSplatError("--like has views and labels. Leave the capture, --up, --labels out.")
     start = time.perf_counter()
     file = None if isinstance(splat, Splats) else Path(splat)
-    splats = splat if isinstance(splat, Splats) else read_splats(splat)
+    if isinstance(splat, Splats):
+        splats, rows, count = splat, torch.arange(len(splat)), len(splat)
+    else:
+        splats, rows, count = read_drawable(splat)
     counts, listed = dict[str, int](), ListedObjects(len(splats))
     if labels is not None:
         by_row = isinstance(labels, Tensor)
-        listed = replace(listed, labels=labels) if by_row else read_objects(labels, len(splats))
+        listed = ListedObjects(count, labels=labels) if by_row else read_objects(labels, count)
+        if len(rows) < count and not (by_row and len(labels) != count):  # rows were left out
+            listed = listed.ordered(rows)
         capture = capture and replace(capture, label_maps=None, object_names={})
     if listed.labels is not None:
         splats = labelled(splats, listed.labels)
@@ -105,8 +113,8 @@ def import_(
     if like is not None:
         scene = transfer_annotations(splats, like, name=str(file or "The splat"))
     elif capture is None:
-        up = up or "-y"
-        direction = torch.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
+        axis = up or _declared_up(file) or DEFAULT_UP
+        direction = torch.eye(3)["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
         scene = Scene(splats.to("cpu"), ring_cameras(splats, direction))
         say(
             f"No photos: {len(scene.cameras)} views around the content. `stylesplat render` shows "
@@ -127,6 +135,14 @@ def import_(
     seconds = round(time.perf_counter() - start, 2)
     metrics = {"gaussians": len(splats), **counts, **scene.metrics, "seconds": seconds}
     return replace(scene, info=info, metrics=metrics)
+
+
+def _declared_up(file: Path | None) -> str | None:
+    """The direction that a file calls up; a line names it if it is not the default."""
+    up = None if file is None else declared_up(file)
+    if up is not None and up != DEFAULT_UP:
+        say(f"{file} says that {up} is up: its views stand so (`--up` says otherwise).")
+    return up
 
 
 def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:

@@ -127,14 +127,11 @@ def test_hostile_containers(tmp_path: Path):
         (content[:12] + huge + content[16:], "a chunk should have 4294967295 bytes"),
         (content[:4] + b"\1" + content[5:], "a GLB of version 1, not 2"),
         (content[:16] + b"BIN\0" + content[20:], "no chunk of JSON"),
-        (b"ply\n" + content, "it is no GLB. Check the name"),
+        (b"ply\n" + content, "its header has no end_header"),
     ):
         path.write_bytes(changed)
         with pytest.raises(StyleSplatError, match=expected):
             read_splats(path)
-    path.with_suffix(".gltf").write_bytes(content)
-    with pytest.raises(StyleSplatError, match=r"it is a GLB, whose name ends in \.glb"):
-        read_splats(path.with_suffix(".gltf"))
 
 
 @pytest.mark.parametrize("deep", ["[", '{"a":'])
@@ -151,20 +148,23 @@ def test_json_that_would_take_much_memory(tmp_path: Path, deep: str):
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
-        ("POSITION", math.nan, "1 values of means are not finite"),
-        (f"{NAME}:SCALE", -1e-3, "1 standard deviations are negative"),
-        (f"{NAME}:OPACITY", 1.5, "1 opacities are not from 0 to 1"),
+        ("POSITION", math.nan, "1 whose position is not finite"),
+        (f"{NAME}:SCALE", -1e-3, "1 whose size is not finite"),
+        (f"{NAME}:OPACITY", 1.5, "1 whose opacity is not finite"),
     ],
 )
-def test_numbers_that_cannot_be(tmp_path: Path, name: str, value: float, expected: str):
+def test_numbers_that_cannot_be(
+    tmp_path: Path, said: list[str], name: str, value: float, expected: str
+):
     path = written(tmp_path)
     document, binary = glb_parts(path)
     changed = bytearray(binary)
     offset = document["bufferViews"][attributes(document)[name]]["byteOffset"]
     struct.pack_into("<f", changed, offset, value)
     path.write_bytes(glb_of(document, bytes(changed)))
-    with pytest.raises(StyleSplatError, match=expected):
-        read_splats(path)
+    assert len(read_splats(path)) == COUNT - 1
+    (line,) = said
+    assert expected in line and f"1 of {COUNT} Gaussians" in line
 
 
 def test_what_cannot_be_written(tmp_path: Path):

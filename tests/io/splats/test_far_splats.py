@@ -114,7 +114,7 @@ def test_sog_and_ksplat(tmp_path: Path):
 
 def moved_chunks(content: bytes, offset: Offset) -> bytes:
     """A compressed PLY whose chunks lie elsewhere; its bounds get rounded to float32."""
-    _, (chunk, *_), start = parse_header(content)
+    _, (chunk, *_), _, start = parse_header(content)
     chunks = np.frombuffer(content, np.dtype(chunk.columns), chunk.rows, start).copy()
     for axis, shift in zip("xyz", offset, strict=True):
         for end in ("min", "max"):

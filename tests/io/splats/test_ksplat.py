@@ -47,7 +47,7 @@ def test_sections_are_read_one_after_the_other(tmp_path: Path, level: int, degre
     [
         (1, "<B", 0, "version 0.0"),
         (20, "<H", 3, "level of compression is 3"),
-        (12, "<I", 4_000_000_000, "60 Gaussians instead of 4000000000"),
+        (16, "<I", 4_000_000_000, "60 Gaussians instead of 4000000000"),
         (4, "<I", 2**31, "requires a buffer|offset"),
         (4096 + 4, "<I", 2**31, "smaller than requested"),
         (4096 + 8, "<I", 9, "buckets do not hold as many"),

@@ -141,9 +141,9 @@ def test_pictures_that_do_not_fit(files: Files, tmp_path: Path, case: str):
 def test_what_is_no_bundle(files: Files, tmp_path: Path):
     path = tmp_path / "a.sog"
     path.write_bytes(b"ply\nformat binary")
-    refused(path, "not a zip file")
-    bundled({}, path)
-    refused(path, "'meta.json' is not in the bundle")
+    refused(path, "its header has no end_header")
+    bundled({"a.ply": b"ply"}, path)
+    refused(path, r"a ZIP archive of a\.ply, and no SOG")
     bundled(files, path)
     path.write_bytes(path.read_bytes()[:-30])
     refused(path, "Cannot read")

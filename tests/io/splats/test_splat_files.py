@@ -90,7 +90,7 @@ def test_hostile_spz(tmp_path: Path):
     with pytest.raises(StyleSplatError, match="Cannot read"):
         read_splats(path)
     path.write_bytes(b"no splat at all, of no kind")
-    with pytest.raises(StyleSplatError, match="no SPZ header"):
+    with pytest.raises(StyleSplatError, match="it is text, which begins 'no splat at all"):
         read_splats(path)
 
 
@@ -146,5 +146,5 @@ def test_nothing_to_read(tmp_path: Path):
     with pytest.raises(StyleSplatError, match=r"a.obj is a file.* Give one that ends in .ply"):
         read_splats(tmp_path / "a.obj")
     (tmp_path / "a.splat").write_bytes(b"")
-    with pytest.raises(StyleSplatError, match="There are no Gaussians"):
+    with pytest.raises(StyleSplatError, match="it is empty"):
         read_splats(tmp_path / "a.splat")

@@ -101,8 +101,8 @@ def body(content: bytes) -> int:
 DAMAGES: list[tuple[Callable[[bytes], bytes], str]] = [
     (lambda c: c[:-1], "truncated: 7 vertices take 1736 bytes, got 1735"),
     (
-        replaced(b"element vertex", EDGES + b"element vertex"),
-        "expected vertices first, but its header has 'element edge'",
+        replaced(b"element vertex", FACES + b"element vertex"),
+        "before its vertex rows are lists of face",
     ),
     (replaced(b"vertex 7", b"vertex 999999999999"), "truncated: 999999999999 vertices"),
     (replaced(b"vertex 7", b"vertex -7"), "claims -7 rows of vertex"),
@@ -112,7 +112,7 @@ DAMAGES: list[tuple[Callable[[bytes], bytes], str]] = [
     (replaced(b" f_rest_44\n", b" other\n"), "44 f_rest columns fit no degree"),
     (
         replaced(b"property float x\n", b"property list uchar int x\n"),
-        "expected plain vertices, but their 'x' is a list",
+        "expected plain vertex rows, but 'x' is a list",
     ),
     (lambda c: c[:-4] + np.float32(np.nan).tobytes(), "1 values of quats are not finite"),
     (lambda c: c[:-4] + np.float32(1e6).tobytes(), "1 values of quats are out of range"),

@@ -1,69 +1,94 @@
 """SuperSplat's compressed PLY: chunks of 256 Gaussians packed between their bounds."""
 
-from collections.abc import Sequence
-from dataclasses import replace
-from itertools import takewhile
 from pathlib import Path
 
 import gsply
 import numpy as np
 import torch
+from jaxtyping import Float, Int
+from torch import Tensor
 
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.ply import PlyElement, parse_header
-from stylesplat.io.splats.packing import morton_order
-from stylesplat.io.splats.splat_ply import BANDS
-from stylesplat.scene.splats import Splats
-from stylesplat.scene.world_offset import ORIGIN, Offset, choose_offset, to_world
+from stylesplat.io.ply import VERTEX, PlyHeader, Table, read_header, read_ply
+from stylesplat.io.splats.packing import LARGEST, NEAR, from_smallest_three, morton_order
+from stylesplat.io.splats.splat_ply import BANDS, MARK, REST, is_antialiased
+from stylesplat.scene.splats import Splats, sh0_from_rgb
 
 CHUNK = 256  # Gaussians that share their bounds
+CHUNKS, HIGHER = "chunk", "sh"  # elements beside the vertices
+PACKED = tuple(f"packed_{name}" for name in ("position", "rotation", "scale", "color"))
 TYPES = ("f4", "u4", "u1")  # of the properties that the format has
+SH_REACH = 4.0  # of higher bands, to both sides of 0
 
 
-def is_compressed(content: bytes) -> bool:
-    """Whether a PLY file is of this kind, from its first bytes."""
-    header = content.partition(b"end_header")[0]
-    return b"\nelement chunk " in header and b"packed_position" in header
+def is_compressed(header: PlyHeader) -> bool:
+    """Whether a PLY file is of this kind."""
+    return any(PACKED[0] in dict(element.columns) for element in header.elements)
 
 
-def read_compressed_ply(content: bytes) -> Splats:
-    """Read the content of a compressed PLY file; what follows the Gaussians is ignored."""
-    _, elements, start = parse_header(content)
-    _check_elements({element.name: element for element in elements})
-    size = start + sum(element.rows * np.dtype(element.columns).itemsize for element in elements)
-    if size > len(content):
-        raise ValueError(f"its header announces a file of {size} bytes, it holds {len(content)}")
-    moved, offset = _without_offset(content[:size], elements, start)
-    splats = from_gsply(gsply.decompress_from_bytes(moved))
-    return splats if offset == ORIGIN else replace(splats, means=to_world(splats.means, offset))
+def read_compressed_ply(path: Path | str) -> Splats:
+    """Read a compressed PLY file; what follows the Gaussians is ignored.
+
+    Its chunks have 18 bounds, or 12 if an older SuperSplat wrote it: then colours go from 0 to 1.
+    """
+    _check_elements(read_header(path))
+    header, tables = read_ply(path, (CHUNKS, VERTEX, HIGHER))
+    vertices, chunks = tables[VERTEX], tables[CHUNKS]
+    chunk = np.arange(len(vertices)) // CHUNK
+    places, turns, sizes, colors = (np.array(vertices[name], np.int64) for name in PACKED)
+
+    def between(shares: Float[np.ndarray, "N 3"], kind: str, names: str) -> Float[Tensor, "N 3"]:
+        low, high = (_bounds(chunks, f"{end}_{kind}", names)[chunk] for end in ("min", "max"))
+        return torch.from_numpy(low + (high - low) * shares)
+
+    rgba, largest = _shares(colors, 8, 8, 8, 8), torch.from_numpy(turns >> 30)
+    others = torch.from_numpy(_shares(turns, 10, 10, 10)) * 2 - 1
+    colored = "min_r" in (chunks.dtype.names or ())
+    rgb = between(rgba[:, :3], "", "rgb") if colored else torch.from_numpy(rgba[:, :3])
+    return Splats(
+        means=between(_shares(places, 11, 10, 11), "", "xyz"),
+        quats=from_smallest_three(largest, (others * LARGEST).float()),
+        scales=between(_shares(sizes, 11, 10, 11), "scale_", "xyz").float(),
+        opacities=torch.from_numpy(rgba[:, 3]).clamp(NEAR, 1 - NEAR).logit().float(),
+        sh0=sh0_from_rgb(rgb)[:, None].float(),
+        shN=_higher_bands(tables.get(HIGHER), len(vertices)),
+        antialiased=is_antialiased(path, header.comments),
+    )
 
 
-def _without_offset(
-    content: bytes, elements: Sequence[PlyElement], start: int
-) -> tuple[bytes, Offset]:
-    """A file whose chunks are near the origin, and what was subtracted: gsply has 32 bits."""
-    before = takewhile(lambda element: element.name != "chunk", elements)
-    start += sum(element.rows * np.dtype(element.columns).itemsize for element in before)
-    chunk = next(element for element in elements if element.name == "chunk")
-    chunks = np.frombuffer(content, np.dtype(chunk.columns), chunk.rows, start).copy()
-    corners = [np.stack([chunks[f"{end}_{axis}"] for axis in "xyz"], 1) for end in ("min", "max")]
-    offset = choose_offset(torch.from_numpy(np.concatenate(corners)))
-    if offset == ORIGIN:
-        return content, offset
-    for axis, shift in zip("xyz", offset, strict=True):
-        for end in ("min", "max"):
-            chunks[f"{end}_{axis}"] = chunks[f"{end}_{axis}"].astype(np.float64) - shift
-    return content[:start] + chunks.tobytes() + content[start + chunks.nbytes :], offset
+def _shares(packed: Int[np.ndarray, " N"], *bits: int) -> Float[np.ndarray, "N D"]:
+    """Fields of some bits each, the last of them lowest, as shares of their largest number."""
+    shifts = np.cumsum([0, *bits[:0:-1]])[::-1]
+    most = [2**each - 1 for each in bits]
+    return (packed[:, None] >> shifts & most) / most
 
 
-def _check_elements(elements: dict[str, PlyElement]) -> None:
-    """Raise a ValueError for counts and columns of the header, which gsply trusts."""
+def _bounds(chunks: Table, kind: str, names: str) -> Float[np.ndarray, "C 3"]:
+    return np.stack([chunks[kind + name].astype(np.float64) for name in names], axis=1)
+
+
+def _higher_bands(table: Table | None, count: int) -> Float[Tensor, "N _ 3"]:
+    """Bytes that stand for the middle of their step, but at both ends; channel by channel."""
+    if table is None:
+        return torch.zeros(count, 0, 3)
+    names = [f"{REST}{n}" for n in range(len(table.dtype.names or ()))]
+    codes = np.stack([table[name] for name in names], axis=1)
+    shares = np.where(codes == 0, 0, np.where(codes == 255, 1, (codes + np.float32(0.5)) / 256))
+    bands = torch.from_numpy(SH_REACH * (2 * shares - 1)).float()
+    return bands.unflatten(1, (3, -1)).transpose(1, 2).contiguous()
+
+
+def _check_elements(header: PlyHeader) -> None:
+    """Raise a ValueError for counts and columns of the header that do not fit each other."""
+    elements = {element.name: element for element in header.elements}
+    if not {CHUNKS, VERTEX} <= elements.keys():
+        raise ValueError("its header names no chunks, or no vertices")
     if any(element.lists for element in elements.values()) or not all(
         kind in TYPES for element in elements.values() for _, kind in element.columns
     ):
         raise ValueError("its header has properties of other types than this format")
-    vertices, bands = elements["vertex"].rows, elements.get("sh")
-    if elements["chunk"].rows != -(-vertices // CHUNK) or (bands and bands.rows != vertices):
+    vertices, bands = elements[VERTEX].rows, elements.get(HIGHER)
+    if elements[CHUNKS].rows != -(-vertices // CHUNK) or (bands and bands.rows != vertices):
         raise ValueError("its numbers of chunks and vertices do not fit")
     columns = len(bands.columns) if bands else 0
     if columns not in [3 * each for each in BANDS]:
@@ -77,19 +102,10 @@ def write_compressed_ply(splats: Splats, path: Path | str) -> None:
     colour and an opacity 8, a rotation 32 altogether; higher bands have 8 bits between -4 and 4.
     """
     content = gsply.compress_to_bytes(to_gsply(splats[morton_order(splats.means)]))
+    if splats.antialiased:
+        content = content.replace(b"\nelement", f"\ncomment {MARK}\nelement".encode(), 1)
     with atomic_path(path) as draft:
         draft.write_bytes(content)
-
-
-def from_gsply(data: gsply.GSData) -> Splats:
-    """Splats from gsply's container, which has PLY's conventions."""
-    count = len(data.means)
-    higher = np.zeros((count, 0, 3), np.float32) if data.shN is None else data.shN
-    columns = (data.means, data.quats, data.scales, data.opacities, data.sh0, higher)
-    means, quats, scales, opacities, sh0, shN = (
-        torch.from_numpy(np.ascontiguousarray(values, np.float32)) for values in columns
-    )
-    return Splats(means, quats, scales, opacities.reshape(count), sh0.reshape(count, 1, 3), shN)
 
 
 def to_gsply(splats: Splats) -> gsply.GSData:

@@ -17,12 +17,16 @@ HALF_STEP = 0.5 / 255  # an opacity of 0 or 1 has no logit
 
 
 def read_dot_splat(path: Path | str) -> Splats:
-    rows = np.frombuffer(read_bytes(path), ROW)  # a ValueError if no whole number of rows
+    content = read_bytes(path)
+    if len(content) % ROW.itemsize:
+        fault = f"its {len(content)} bytes are no whole number of rows of {ROW.itemsize}"
+        raise ValueError(f"{fault}: it is cut off, or no .splat")
+    rows = np.frombuffer(content, ROW)
     sh0, opacities = from_rgba(rows["rgba"])
     return Splats(
         means=to_floats(rows["mean"]),
         quats=(to_floats(rows["quat"]) - 128) / 128,
-        scales=to_floats(rows["scale"]).log(),
+        scales=to_floats(rows["scale"]).abs().log(),  # viewers square them
         opacities=opacities,
         sh0=sh0,
         shN=torch.zeros(len(rows), 0, 3),

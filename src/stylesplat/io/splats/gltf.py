@@ -1,12 +1,15 @@
 """Splats in glTF 2.0 files (`.glb`, `.gltf`) with Khronos' KHR_gaussian_splatting.
 
-The extension (https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos) has standard deviations
-and opacities where PLY has logarithms and logits; its harmonics are the INRIA code's. Programs that
+The extension (https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos; the release candidate
+of April 2026) has standard deviations and opacities where PLY has logarithms and logits; its
+harmonics are the INRIA code's. Programs that
 do not know it show a cloud of coloured points.
 """
 
 import base64
 import json
+import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import accumulate
@@ -40,8 +43,8 @@ from stylesplat.io.splats.gltf_file import (
     padded_json,
 )
 from stylesplat.io.splats.packing import SMALLEST, unit_quats
-from stylesplat.io.splats.splat_ply import BANDS, check_splats, of_degree, refuse_faulty
-from stylesplat.io.splats.spz import LARGEST_RATIO, pack_spz, unpack_spz
+from stylesplat.io.splats.splat_ply import BANDS, of_degree, refuse_faulty
+from stylesplat.io.splats.spz import LARGEST_RATIO, OWN_AXES, pack_spz, unpack_spz
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats, rgb_from_sh0
@@ -49,6 +52,10 @@ from stylesplat.scene.world_offset import Offset
 
 SPZ = (f"{SPLATTING}_compression_spz_2", f"{SPLATTING}_compression_spz")  # now, and before
 SMALLEST_ROW = 12  # bytes of a Gaussian whose attributes all share three numbers
+OF_FIRST_DRAFT = re.compile(r"splat-transform v?(\d+)\.(\d+)")
+FIRST_LINEAR = (2, 7)  # version of splat-transform, June 2026
+MOST_NEGATIVE = 0.5  # share of scales, beyond which they are logarithms: a unit is large for splats
+DRAFT = "release candidate of April 2026: linear scales"  # of the extension, that we write
 LARGEST = 1 - 2.0**-25  # of an opacity: 1 has no logit, and float32 has no number between
 # glTF's x left, y up, z forward to our (COLMAP's) x right, y down, z forward, and back
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
@@ -73,7 +80,7 @@ def read_gltf(path: Path | str) -> Splats:
     gltf = open_gltf(Path(path))
     parts, count = list[Splats](), 0
     for primitive, frame in _placed_splats(gltf):
-        part = check_splats(_splats(gltf, primitive), path)
+        part = _splats(gltf, primitive)
         if frame is not None:  # in 64 bits, as the shift may be too large for 32
             part = move_splats(replace(part, means=part.means.double()), frame)
         parts.append(part)
@@ -98,7 +105,10 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
         )
     view = _spz_view(primitive)
     if view is not None:  # its numbers are in the axes of the primitive, unlike those of a `.spz`
-        return unpack_spz(bytes(gltf.view(view, "SPZ")[0]))
+        splats, axes = unpack_spz(bytes(gltf.view(view, "SPZ")[0]), gltf.path)
+        if axes != OWN_AXES:
+            say(f"{gltf.path} has SPZ that declares the axes {axes}: its mesh's are taken.")
+        return splats
     unread = [name for name in splatting.extensions if "compression" in name]
     if unread:
         fault = f"its splats are compressed ({unread[0]:.60}), which is not read here"
@@ -114,10 +124,7 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
 
     quats, scales = column(attribute("ROTATION"), 4), column(attribute("SCALE"), 3)
     opacities = column(attribute("OPACITY"), 1)[:, 0].double()
-    negative, outside = int((scales < 0).sum()), int(((opacities < 0) | (opacities > 1)).sum())
-    if negative or outside:
-        what = "standard deviations are negative" if negative else "opacities are not from 0 to 1"
-        raise ValueError(f"{negative or outside} {what}")
+    impossible = (opacities < 0) | (opacities > 1)  # `drawable` leaves them out
     first, *higher = harmonics(_degree(gltf, primitive))
     shN = torch.empty(len(means), len(higher), 3)
     for band, name in enumerate(higher):
@@ -125,11 +132,24 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
     return Splats(
         means=means,
         quats=quats[:, [3, 0, 1, 2]],
-        scales=scales.clamp_(min=SMALLEST).log_(),
-        opacities=opacities.clamp(SMALLEST, LARGEST).logit().float(),
+        scales=_log_scales(gltf, scales),
+        opacities=opacities.clamp(SMALLEST, LARGEST).logit().where(~impossible, math.nan).float(),
         sh0=column(first, 3)[:, None],
         shN=shN,
     )
+
+
+def _log_scales(gltf: Gltf, scales: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+    """Logarithms of scales, which the extension's first draft, of January 2026, stores themselves.
+
+    The release candidate, of April, has no negative scales, of which such a file has many.
+    """
+    made = OF_FIRST_DRAFT.match(str(gltf.document.asset.get("generator", "")))
+    written = made is not None and (int(made[1]), int(made[2])) < FIRST_LINEAR
+    if written or (scales < 0).float().mean() > MOST_NEGATIVE:
+        say(f"{gltf.path} has logarithms of scales, as {SPLATTING}'s first draft: read so.")
+        return scales
+    return scales.log()
 
 
 def _spz_view(primitive: Primitive) -> int | None:
@@ -307,7 +327,7 @@ def _document(
     columns = _columns(splats, path)
     if spz:
         packed = pack_spz(splats, path, version=VERSION_INSIDE)
-        columns = _columns(unpack_spz(packed), path)
+        columns = _columns(unpack_spz(packed, path)[0], path)
         columns["COLOR_0"] = (columns["COLOR_0"].float() / 257).round_().to(torch.uint8)
         del columns[attribute("OPACITY")], columns[harmonics(0)[0]]
         parts = [packed + bytes(-len(packed) % 4)]
@@ -343,7 +363,11 @@ def _document(
         splatting["extensions"] = {SPZ[0]: {"bufferView": 0}}
     names = [SPLATTING, SPZ[0]] if spz else [SPLATTING]
     document = {
-        "asset": {"version": f"{VERSION}.0", "generator": "StyleSplat"},
+        "asset": {
+            "version": f"{VERSION}.0",
+            "generator": "StyleSplat",
+            "extras": {SPLATTING: DRAFT},
+        },
         "extensionsUsed": names,
         **({"extensionsRequired": names} if spz else {}),
         "scene": 0,

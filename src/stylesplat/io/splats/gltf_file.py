@@ -21,6 +21,7 @@ from msgspec import Meta, Struct
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.files import inside, read_bytes
+from stylesplat.io.ply import BOM
 
 T = TypeVar("T")
 
@@ -240,11 +241,8 @@ def harmonics(degree: int) -> list[str]:
 def open_gltf(path: Path) -> Gltf:
     """Open a `.glb` or `.gltf` file; its header and JSON are checked, its buffers are not read."""
     content = read_bytes(path)
-    packed = content.startswith(MAGIC)
-    if packed != (path.suffix.lower() == ".glb"):
-        kind = "a GLB, whose name ends in .glb" if packed else "no GLB"
-        raise ValueError(f"it is {kind}. Check the name")
-    text, binary = _chunks(content) if packed else (content, None)
+    text, binary = _chunks(content) if content.startswith(MAGIC) else (content, None)
+    text = text.removeprefix(BOM)
     commas = text.count(b",")
     if commas > MAX_COMMAS:
         raise ValueError(f"its JSON has {commas} parts, more than {MAX_COMMAS}")

@@ -15,12 +15,12 @@ import torch
 
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.dot_splat import from_rgba, to_floats
-from stylesplat.io.splats.packing import SMALLEST
 from stylesplat.io.splats.splat_ply import BANDS, of_degree
 from stylesplat.scene.splats import Splats
 
+MAGIC = b"\0\1\0\0"  # version 0.1, and what is 0; no .splat begins at x = 4e-43
 # Version, sections, Gaussians, level of compression, bounds of higher bands in bytes
-HEADER = struct.Struct("<2B2xI4xI4xH14x2f4052x")
+HEADER = struct.Struct("<2B2xI8xIH14x2f4052x")
 # Gaussians, those of a full bucket, buckets, side of a bucket, bytes of a bucket, half the range of
 # a compressed coordinate, full buckets, others, degree of colour
 SECTION = struct.Struct("<4xIIIfH2xI4xIIH982x")
@@ -82,7 +82,7 @@ def _read_section(
         low, high = bounds[0] or -SH_RANGE, bounds[1] or SH_RANGE
         shN = low + shN / 255 * (high - low)
     sh0, opacities = from_rgba(rows["rgba"])
-    quats, scales = to_floats(rows["quat"]), to_floats(rows["scale"])
-    scales = scales.where(scales != 0, SMALLEST).log()  # half floats have no small ones
+    quats = to_floats(rows["quat"])
+    scales = to_floats(rows["scale"]).abs().log()  # 0 where half floats have none so small
     splats = Splats(torch.from_numpy(means), quats, scales, opacities, sh0, shN)
     return splats, rows_start + rows.nbytes

@@ -12,6 +12,7 @@ from torch import Tensor
 from stylesplat.progress import track
 
 SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
+NEAR = 1e-6  # of an opacity to 0 and 1, which have no logit; splat-transform's bound for SOG
 MORTON_BITS = 21  # of each coordinate: three of them fill a signed integer of 64 bits
 # Shifts and masks that spread the bits of a coordinate three apart
 SPREADS = (

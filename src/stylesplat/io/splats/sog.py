@@ -8,13 +8,14 @@ import math
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from msgspec import Meta
 from PIL import Image
 from torch import Tensor
@@ -27,6 +28,7 @@ from stylesplat.io.kinds import SOG_META
 from stylesplat.io.splats.packing import (
     CODEBOOK_SIZE,
     LARGEST,
+    NEAR,
     encode,
     fit_codebook,
     from_smallest_three,
@@ -35,6 +37,7 @@ from stylesplat.io.splats.packing import (
     tree_kmeans,
 )
 from stylesplat.io.splats.splat_ply import BANDS, refuse_faulty
+from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 
 VERSION = 2
@@ -43,7 +46,6 @@ PALETTE_COLUMNS = 64  # entries in a row of the palette's picture
 MOST = 2**28  # Gaussians: WebP has sides of 14 bits
 FARTHEST = 30.0  # logarithm of a position, which float32 holds
 FIRST_TAG = 252  # alpha of a rotation whose first component is largest; 255 if it is the last
-SURE = 1e-6  # from 0 and 1: opacities of 0 and 1 have no logit; splat-transform's bound
 OPAQUE = 255  # alpha where it has no meaning
 BLOCK = 4  # sides are multiples of it, as splat-transform's
 MOST_PER_BYTE = 4  # Gaussians; real files need several bytes for one
@@ -55,13 +57,17 @@ MAX_GROWTH = 4  # of what is unpacked: pictures are compressed already
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # of every entry, so that the same splats make the same file
 WEBP_HEADER = 2**12  # bytes at the start of a WebP picture, which name the kind of its pixels
 MAX_SIDE = 2**14 - 1  # of a WebP picture
+ZIP = b"PK"
+ANTIALIASED = "antialiased"
+MODELS = ("default", ANTIALIASED, "2dgs")  # of splat-transform; flat scales are what makes the last
 Reader = Callable[[str], bytes]
 """Reads a file of the SOG by its name."""
 Texels = UInt8[np.ndarray, "M D"]
 Logarithm = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
 Corner = tuple[Logarithm, Logarithm, Logarithm]
 Number = Annotated[float, Meta(ge=-1e30, le=1e30)]  # float32 holds it; `check_splats` does the rest
-Codebook = Annotated[tuple[Number, ...], Meta(min_length=1, max_length=CODEBOOK_SIZE)]
+Codebook = Annotated[tuple[Number | None, ...], Meta(min_length=1, max_length=CODEBOOK_SIZE)]
+"""Values of bytes; the first may be null, where splat-transform had no number for it."""
 
 
 class _Quats(msgspec.Struct):
@@ -85,12 +91,16 @@ class _Coded(msgspec.Struct):
 
 
 class _Palette(msgspec.Struct):
-    """Higher bands of colour: entries of a palette."""
+    """Higher bands of colour: entries of a palette.
 
-    count: Annotated[int, Meta(ge=1, le=PALETTE)]
-    bands: Literal[1, 2, 3]
-    codebook: Codebook
-    files: tuple[PhotoName, PhotoName]
+    Their picture tells how many there are, and of how many bands; some programs write neither
+    number, or another.
+    """
+
+    count: Annotated[int, Meta(ge=1, le=PALETTE)] | None = None
+    bands: int | None = None
+    codebook: Codebook = ()
+    files: Annotated[tuple[PhotoName, ...], Meta(max_length=2)] = ()
     """The picture of the entries, and that of each Gaussian's entry."""
 
 
@@ -105,6 +115,10 @@ class _Meta(msgspec.Struct):
     sh0: _Coded
     """Colours, and opacities as alpha."""
     shN: _Palette | None = None
+    antialias: bool | None = None
+    """Whether the splats were trained for an anti-aliased rendering: the specification's mark."""
+    model: str | None = None
+    """The same as splat-transform writes it."""
 
 
 def read_sog(path: Path | str) -> Splats:
@@ -113,7 +127,8 @@ def read_sog(path: Path | str) -> Splats:
     Counts are checked against the size of the files before memory is allocated for them.
     """
     path = Path(path)
-    member = _folder_reader(path) if path.name == SOG_META else _bundle_reader(path)
+    bundled = read_bytes(path, first=len(ZIP)) == ZIP
+    member = _bundle_reader(path) if bundled else _folder_reader(path)
     content = json_object(member(SOG_META), path)
     version = content.get("version", 1)
     if version != VERSION:
@@ -121,10 +136,13 @@ def read_sog(path: Path | str) -> Splats:
     meta = msgspec.convert(content, _Meta)
     parts = (meta.means, meta.quats, meta.scales, meta.sh0, meta.shN)
     files = {name: member(name) for part in parts if part for name in part.files}
-    return _decode(meta, files)
+    if meta.model not in (None, *MODELS):
+        say(f"{path} is of the model {brief(str(meta.model))!r}, which is unknown: left out.")
+    marked = meta.antialias is True or meta.model == ANTIALIASED
+    return replace(_decode(meta, files, path), antialiased=marked)
 
 
-def _decode(meta: _Meta, files: Mapping[str, bytes]) -> Splats:
+def _decode(meta: _Meta, files: Mapping[str, bytes], path: Path) -> Splats:
     """Splats from the pictures, which are decoded once their sizes are known to fit."""
     count, stored = meta.count, sum(map(len, files.values()))
     if count > max(MOST_PER_BYTE * stored, SMALL):
@@ -150,31 +168,54 @@ def _decode(meta: _Meta, files: Mapping[str, bytes]) -> Splats:
     colors = rows(meta.sh0.files[0])
     alphas = torch.from_numpy(colors[:, 3] / np.float32(255))
     shN = torch.zeros(count, 0, 3)
-    if meta.shN is not None:
-        bands = BANDS[meta.shN.bands]
-        whole = (PALETTE_COLUMNS * bands, -(-meta.shN.count // PALETTE_COLUMNS))
-        texels = _webp_pixels(files, meta.shN.files[0], whole)[: meta.shN.count * bands, :3]
+    if meta.shN is not None and len(meta.shN.files) == 2:
         choices = rows(meta.shN.files[1]).astype(np.int64)
         labels = torch.from_numpy(choices[:, 0] + 256 * choices[:, 1])
-        bad = int((labels >= meta.shN.count).sum())
-        if bad:
-            raise ValueError(f"{bad} Gaussians have colours beyond the palette's {meta.shN.count}")
-        shN = _look_up(texels, meta.shN.codebook).unflatten(0, (meta.shN.count, -1))[labels]
+        shN = _palette(meta.shN, files, path, labels)
     return Splats(
         means=torch.from_numpy(np.sign(logs) * np.expm1(np.abs(logs))),
         quats=from_smallest_three(largest, others * LARGEST),
         scales=_look_up(rows(meta.scales.files[0])[:, :3], meta.scales.codebook),
-        opacities=alphas.clamp(SURE, 1 - SURE).logit(),
+        opacities=alphas.clamp(NEAR, 1 - NEAR).logit(),
         sh0=_look_up(colors[:, None, :3], meta.sh0.codebook),
         shN=shN,
     )
+
+
+def _palette(
+    palette: _Palette, files: Mapping[str, bytes], path: Path, labels: Int[Tensor, " N"]
+) -> Float[Tensor, "N _ 3"]:
+    """The higher bands of each Gaussian, of degrees up to 3."""
+    width, height = _open_webp(files, palette.files[0]).size
+    bands, rest = divmod(width, PALETTE_COLUMNS)
+    degree = math.isqrt(bands + 1) - 1
+    if rest or (degree + 1) ** 2 != bands + 1 or not bands:
+        raise ValueError(f"its palette's picture is {width} pixels wide, which fits no degree")
+    count = palette.count or PALETTE_COLUMNS * height
+    if count > PALETTE:
+        raise ValueError(f"its palette's picture is {height} pixels high, more than a palette has")
+    if palette.bands != degree:
+        told = "names no bands" if palette.bands is None else f"names {palette.bands} bands"
+        say(f"{path} {told} of colour, but its palette has {degree}: these are read.")
+    if degree >= len(BANDS):
+        say(f"{path} has colours of degree {degree}: the bands above 3 are left out.")
+    bad = int((labels >= count).sum())
+    if bad:
+        raise ValueError(f"{bad} Gaussians have colours beyond the palette's {count}")
+    whole = (PALETTE_COLUMNS * bands, -(-count // PALETTE_COLUMNS))
+    texels = _webp_pixels(files, palette.files[0], whole)[: count * bands, :3]
+    used = texels.reshape(count, bands, 3)[:, : BANDS[-1]]
+    return _look_up(np.ascontiguousarray(used), palette.codebook)[labels]
 
 
 def _look_up(texels: UInt8[np.ndarray, "*B"], codebook: Codebook) -> Float[Tensor, "*B"]:
     bad = int((texels >= len(codebook)).sum())
     if bad:
         raise ValueError(f"{bad} bytes are beyond a codebook of {len(codebook)}")
-    return torch.from_numpy(np.array(codebook, np.float32)[texels])
+    values = np.array(codebook, np.float32)  # None becomes NaN
+    if len(values) > 1 and np.isnan(values[0]):  # as PlayCanvas's engine extends the others
+        values[0] = values[1] + (values[1] - values[-1]) / (CODEBOOK_SIZE - 1)
+    return torch.from_numpy(values[texels])
 
 
 def write_sog(splats: Splats, path: Path | str) -> None:
@@ -231,6 +272,7 @@ def write_sog(splats: Splats, path: Path | str) -> None:
         "version": VERSION,
         "asset": {"generator": "StyleSplat"},
         "count": count,
+        **({"antialias": True, "model": ANTIALIASED} if splats.antialiased else {}),
         "means": {"mins": low, "maxs": high, "files": means_files},
         "scales": {"codebook": scale_codes, "files": [add("scales.webp", scales)]},
         "quats": {"files": [add("quats.webp", quats)]},
@@ -265,7 +307,7 @@ def _to_bytes(shares: torch.Tensor) -> UInt8[np.ndarray, "..."]:
 
 def _folder_reader(path: Path) -> Reader:
     def member(name: str) -> bytes:
-        file = inside(path.parent, name)
+        file = path if name == SOG_META else inside(path.parent, name)
         return read_bytes(file, most=MAX_META if name == SOG_META else None)
 
     return member
@@ -274,10 +316,12 @@ def _folder_reader(path: Path) -> Reader:
 def _bundle_reader(path: Path) -> Reader:
     content = read_bytes(path)
     bundle = zipfile.ZipFile(io.BytesIO(content))
+    above = [each[: -len(SOG_META)] for each in bundle.namelist() if each.endswith(f"/{SOG_META}")]
+    folder = above[0] if len(above) == 1 and SOG_META not in bundle.namelist() else ""
 
     def member(name: str) -> bytes:
         try:
-            entry = bundle.getinfo(name)
+            entry = bundle.getinfo(folder + name)
         except KeyError as error:
             raise ValueError(f"{brief(name)!r} is not in the bundle") from error
         if entry.compress_type not in ZIP_METHODS:

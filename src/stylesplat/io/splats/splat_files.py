@@ -11,24 +11,26 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.atomic import refuse_file
-from stylesplat.io.files import is_there, read_bytes, reading
-from stylesplat.io.kinds import SOG_META, wrong_kind
-from stylesplat.io.ply import MAX_HEADER
+from stylesplat.io.files import is_there, reading
+from stylesplat.io.kinds import SOG_META, SPLATS, wrong_kind
+from stylesplat.io.ply import read_header
 from stylesplat.io.splats.compressed_ply import (
     is_compressed,
     read_compressed_ply,
     write_compressed_ply,
 )
+from stylesplat.io.splats.contents import FORMATS, Format, format_of
 from stylesplat.io.splats.dot_splat import dot_splat_order, read_dot_splat, write_dot_splat
+from stylesplat.io.splats.drawable import drawable
 from stylesplat.io.splats.gltf import VERSION_INSIDE, read_gltf, write_glb, write_gltf
 from stylesplat.io.splats.ksplat import read_ksplat
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.sog import read_sog, write_sog
 from stylesplat.io.splats.splat_ply import (
-    check_splats,
     needed_degree,
     of_degree,
-    read_splat_ply,
+    parse_splat_ply,
+    vertical_axis,
     write_splat_ply,
 )
 from stylesplat.io.splats.spz import read_spz, write_spz
@@ -46,47 +48,62 @@ WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but pla
     ".gltf": write_gltf,
 }
 SPZ_INSIDE = {".glb": write_glb, ".gltf": write_gltf}  # if a version of SPZ is asked for
+UNMARKED = (".splat", ".glb", ".gltf")  # formats without a place for the anti-aliasing mark
 MAX_DEGREE = 3
 WITH_OFFSET = (".ply", ".glb", ".gltf")  # formats that hold coordinates in 64 bits
 
 
 def _read_ply(path: Path) -> Splats:
-    if is_compressed(read_bytes(path, first=MAX_HEADER)):
-        return read_compressed_ply(read_bytes(path))
-    return read_splat_ply(path)
+    compressed = is_compressed(read_header(path))
+    return read_compressed_ply(path) if compressed else parse_splat_ply(path)
 
 
-# They raise any error for damaged content; `read_splats` names the file, and checks the numbers.
+# They raise any error for damaged content, which `read_splats` names; numbers are as in the file.
 # Positions are in the world, with 64 bits where the file may have more than 32.
-READERS: dict[str, Callable[[Path], Splats]] = {
-    ".ply": _read_ply,
-    ".spz": read_spz,
-    ".splat": read_dot_splat,
+READERS: dict[Format, Callable[[Path], Splats]] = {
+    "PLY": _read_ply,
+    "SPZ": read_spz,
+    "SOG": read_sog,
+    "glTF": read_gltf,
     ".ksplat": read_ksplat,
-    ".sog": read_sog,
-    ".glb": read_gltf,
-    ".gltf": read_gltf,
+    ".splat": read_dot_splat,
 }
 
 
 def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
-    Where its coordinates are too large for float32 they get a `world_offset`, and a line says so.
-
-    PLY as INRIA, gsplat, nerfstudio and Postshot write it, SuperSplat's compressed PLY, SPZ,
-    .splat, .ksplat, glTF, and SOG, as a bundle or as the meta.json of a folder. No memory is
-    allocated for a count that was not checked against the file.
+    PLY as INRIA, gsplat, nerfstudio, Postshot and Brush write it, SuperSplat's compressed PLY, SPZ,
+    .splat, .ksplat, glTF, and SOG, as a bundle or as the meta.json of a folder; contents count, not
+    names. No memory is allocated for a count that was not checked against the file. Gaussians that
+    cannot be drawn are left out, with a line. Where coordinates are too large for float32 the
+    splats get a `world_offset`, and a line says so.
     """
+    return read_drawable(path)[0]
+
+
+def read_drawable(path: Path | str) -> tuple[Splats, Int[Tensor, " N"], int]:
+    """The splats of `read_splats`, their rows in the file, and how many rows that has."""
     path = Path(path)
-    reader = read_sog if path.name == SOG_META else READERS.get(path.suffix.lower())
-    if reader is None or path.is_dir() or not is_there(path):
+    known = path.suffix.lower() in SPLATS or path.name == SOG_META
+    if path.is_dir() or not is_there(path):
         raise wrong_kind(path, "splat")
+    try:
+        found = format_of(path)
+    except StyleSplatError as error:
+        raise (error if known else wrong_kind(path, "splat")) from error
+    if FORMATS.get(SOG_META if path.name == SOG_META else path.suffix.lower()) != found:
+        say(f"{path} holds {found}, whatever its name says: it is read as that.")
     with reading(path, "Export it again.", what=" as splats"):
-        splats = check_splats(_in_32_bits(reader(path), path), path)
-    if not len(splats):
-        raise StyleSplatError(f"There are no Gaussians in {path}. Choose another file.")
-    return splats
+        splats = READERS[found](path)
+        drawn, rows = drawable(splats, path)
+        return _in_32_bits(drawn, path), rows, len(splats)
+
+
+def declared_up(path: Path | str) -> str | None:
+    """The direction that a file of splats calls up in a comment of its own, such as 'z'."""
+    path = Path(path)
+    return vertical_axis(read_header(path).comments) if format_of(path) == "PLY" else None
 
 
 def _in_32_bits(splats: Splats, path: Path) -> Splats:
@@ -158,6 +175,11 @@ def write_splats(
     if sh_degree is None:
         sh_degree = MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
     splats = of_degree(splats, sh_degree)
+    if splats.antialiased and suffix in UNMARKED and spz_version is None:
+        say(
+            f"{path} has no place for a mark that its splats are anti-aliased: in its viewer, turn "
+            "anti-aliasing on."
+        )
     if spz_version is not None and suffix == ".spz":
         write_spz(splats, path, version=spz_version)
     elif spz_version is not None:

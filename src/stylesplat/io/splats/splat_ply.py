@@ -1,6 +1,7 @@
 """Splats as PLY files with exactly the columns of the INRIA code, which every viewer opens."""
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +11,12 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.io.ply import read_ply_table, write_ply_rows
+from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.io.gaussian_lists import LABEL_NAMES, STATE
+from stylesplat.io.ply import VERTEX, PlyHeader, Table, read_ply, write_ply_rows
 from stylesplat.io.tensors import GAUSSIANS, check_range
-from stylesplat.scene.splats import Splats
+from stylesplat.progress import say
+from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.scene.world_offset import ORIGIN, to_world
 
 FULL_BANDS = 15  # higher bands of spherical harmonics at degree 3
@@ -21,29 +24,135 @@ BANDS = (0, 3, 8, FULL_BANDS)  # at each degree
 MEANS, NORMALS = ("x", "y", "z"), ("nx", "ny", "nz")  # normals are 0; some viewers count on them
 SH0, SCALES = (tuple(f"{name}_{i}" for i in range(3)) for name in ("f_dc", "scale"))
 OPACITY, QUATS = ("opacity",), tuple(f"rot_{i}" for i in range(4))
+REST, RGB = "f_rest_", ("red", "green", "blue")
+FILTER = "filter_3D"  # Mip-Splatting's: the standard deviation of a blur of each Gaussian
+HARMLESS = ("alpha", STATE, *LABEL_NAMES)  # beside plain colours; what `import --labels` reads
+HALF = 2  # bytes
+THICKNESS = 1e-6  # of 2D Gaussians, as 2DGS' authors have it
+PLAIN, ANTIALIASED, FLAT = (
+    "default",
+    "mip",
+    "2dgs",
+)  # modes in comments of Brush and splat-transform
+MARK = f"SplatRenderMode: {ANTIALIASED}"
+RENDER_MODE = re.compile(r"SplatRenderMode\s*[:=]?\s*(\S+)", re.IGNORECASE)
+ANTIALIAS = re.compile(r"antialias(?:ed|ing)?\s*[:=]?\s*(0|1|true|false)$", re.IGNORECASE)
+VERTICAL = re.compile(r"vertical\s*axis\s*[:=]?\s*([+-]?)([xyz])\b", re.IGNORECASE)
 AT_ONCE = 1 << 11  # rows: half a MB, which stays in the cache while columns are copied
 REMEDY = "Remove those Gaussians, or make the file again."
 SMALLEST_QUAT = 1e-10  # of a component: squares of less vanish in float32
 
 
 def read_splat_ply(path: Path | str) -> Splats:
-    """Read splats of degree 0 to 3, their columns in any order; other columns are ignored.
+    """Read splats that we wrote ourselves: what `splat_fault` finds is a StyleSplatError."""
+    return check_splats(parse_splat_ply(path), path)
 
-    Positions have 64 bits if those of the file have more than 32.
+
+def parse_splat_ply(path: Path | str) -> Splats:
+    """Read splats of any program, their columns in any order, their numbers as they are.
+
+    Positions have 64 bits if those of the file have more than 32. Colours may be plain `red green blue`, numbers half
+    floats in columns of 16 bits, the thickness of 2D Gaussians missing. A line names what is read
+    in another way than it stands there, and what is left out.
     """
-    table = read_ply_table(path)
+    header, tables = read_ply(path)
+    table = _with_half_floats(tables[VERTEX])
+    names = table.dtype.names or ()
     rest = _find_rest(table.dtype, path)
-    shapes = ((3,), (4,), (3,), (), (1, 3), (len(rest) // 3, 3))
+    bands = min(len(rest) // 3, FULL_BANDS)
+    shapes = ((3,), (4,), (3,), (), (1, 3), (bands, 3))
     means, quats, scales, opacities, sh0, shN = (torch.empty(len(table), *s) for s in shapes)
     if not all(np.can_cast(table.dtype[name], np.float32) for name in MEANS):
         means = means.double()
     splats = Splats(means, quats, scales, opacities, sh0, shN)
-    columns = _columns(splats, rest)
-    for start in range(0, len(table), AT_ONCE):
-        part = slice(start, start + AT_ONCE)
-        for name, column in columns.items():
-            column[part] = table[part][name]
-    return check_splats(splats, path)
+    columns = {name: each for name, each in _columns(splats, rest).items() if name in names}
+    with np.errstate(all="ignore"):  # doubles that are too large; `drawable` finds them
+        for start in range(0, len(table), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            for name, column in columns.items():
+                column[part] = table[part][name]
+    if SH0[0] not in names:
+        sh0[:] = sh0_from_rgb(_plain_colors(table))[:, None]
+    if SCALES[2] not in names:
+        scales[:, 2] = math.log(THICKNESS)
+        say(f"{path} has no {SCALES[2]}: its Gaussians are flat, as those of 2DGS.")
+    if FILTER in names:
+        splats = _filtered(splats, torch.from_numpy(np.array(table[FILTER], np.float64)))
+        say(f"{path} has a {FILTER}: scales and opacities are what Mip-Splatting makes of it.")
+    _say_what_is_left_out(path, header, names, rest)
+    return replace(splats, antialiased=is_antialiased(path, header.comments))
+
+
+def vertical_axis(comments: Sequence[str]) -> str | None:
+    """The direction that the comments of a PLY file call up, such as 'z' or '-y'.
+
+    nerfstudio writes z for its world, whose z points up. Brush writes y for COLMAP's, whose y
+    points down: without a sign, y is taken so.
+    """
+    found = [match for each in comments if (match := VERTICAL.match(each))]
+    if not found:
+        return None
+    sign, axis = found[-1].groups()
+    return f"{'-' if sign == '-' or (axis.lower() == 'y' and not sign) else ''}{axis.lower()}"
+
+
+def _with_half_floats(table: Table) -> Table:
+    """The table with splats' columns of 16 bits as what they can only be, half floats."""
+    dtype, names = table.dtype, table.dtype.names or ()
+    ours = {*MEANS, *SH0, *OPACITY, *SCALES, *QUATS, FILTER}
+    if MEANS[0] in names and dtype[MEANS[0]].itemsize == HALF:
+        ours |= {*RGB}
+    halves = {
+        name: f"{dtype[name].byteorder}f2"
+        for name in names
+        if (name in ours or name.startswith(REST)) and dtype[name].itemsize == HALF
+    }
+    kinds = [(name, halves.get(name, dtype[name])) for name in names]
+    return table.view(np.dtype(kinds)) if halves else table
+
+
+def _plain_colors(table: Table) -> Float[Tensor, "N 3"]:
+    """Colours from 0 to 1 of columns red, green and blue: floats, or integers up to 255."""
+    kind = table.dtype[RGB[0]]
+    whole = 1 if kind.kind == "f" else 65535 if kind.itemsize == HALF else 255
+    columns = [np.array(table[name], np.float64) / whole for name in RGB]
+    return torch.from_numpy(np.stack(columns, axis=1)).float()
+
+
+def _filtered(splats: Splats, sizes: Float[Tensor, " N"]) -> Splats:
+    """Mip-Splatting's 3D filter (Yu et al. 2024): a blur of a size, opacity spread over it."""
+    scales = splats.scales.double()
+    blurred = torch.logaddexp(2 * scales, 2 * sizes.log()[:, None]) / 2
+    shares = torch.where(blurred == scales, 0.0, scales - blurred)  # no filter, perhaps no scale
+    alphas = splats.opacities.double().sigmoid() * shares.sum(dim=1).exp()
+    return replace(splats, scales=blurred.float(), opacities=alphas.logit().float())
+
+
+def _say_what_is_left_out(
+    path: Path | str, header: PlyHeader, names: Sequence[str], rest: Sequence[str]
+) -> None:
+    if len(rest) > 3 * FULL_BANDS:
+        degree = math.isqrt(len(rest) // 3)
+        say(f"{path} has colours of degree {degree}: the bands above 3 are left out.")
+    known = {*MEANS, *NORMALS, *SH0, *RGB, *rest, *OPACITY, *SCALES, *QUATS, FILTER, *HARMLESS}
+    columns = [name for name in names if name not in known]
+    elements = [each.name for each in header.elements if each.rows and each.name != VERTEX]
+    for what, found in (("columns", columns), ("elements", elements)):
+        if found:
+            say(f"{path} has {what} that splats do not have, left out: {some(found)}.")
+
+
+def is_antialiased(path: Path | str, comments: Sequence[str]) -> bool:
+    """Whether the last comment about it, Brush's or Postshot's, wants an anti-aliased rendering."""
+    mode = PLAIN
+    for comment in comments:
+        if match := RENDER_MODE.match(comment):
+            mode = match[1].lower()
+        elif match := ANTIALIAS.match(comment):
+            mode = ANTIALIASED if match[1].lower() in ("1", "true") else PLAIN
+    if mode not in (PLAIN, ANTIALIASED, FLAT):
+        say(f"{path} asks for the render mode {brief(mode)!r}, which is unknown: left out.")
+    return mode == ANTIALIASED
 
 
 def check_splats(splats: Splats, path: Path | str) -> Splats:
@@ -107,7 +216,8 @@ def write_splat_ply(
                 table[name] = array[part]
             yield table
 
-    write_ply_rows(path, len(splats), dtype, blocks())
+    comments = [MARK] if splats.antialiased else []
+    write_ply_rows(path, len(splats), dtype, blocks(), comments=comments)
 
 
 def _columns(splats: Splats, rest: Sequence[str]) -> dict[str, Float[np.ndarray, " N"]]:
@@ -142,17 +252,25 @@ def needed_degree(splats: Splats) -> int:
 
 
 def _rest(count: int) -> tuple[str, ...]:
-    return tuple(f"f_rest_{i}" for i in range(count))
+    return tuple(f"{REST}{i}" for i in range(count))
 
 
 def _find_rest(dtype: np.dtype, path: Path | str) -> tuple[str, ...]:
     """The columns of the higher bands; a missing column is a StyleSplatError."""
     names = dtype.names or ()
-    rest = _rest(sum(name.startswith("f_rest_") for name in names))
-    missing = [n for n in (*MEANS, *SH0, *OPACITY, *SCALES, *QUATS, *rest) if n not in names]
+    rest = _rest(sum(name.startswith(REST) for name in names))
+    colors = SH0 if SH0[0] in names or not set(RGB) <= {*names} else RGB
+    needed = (*MEANS, *colors, *OPACITY, *SCALES[:2], *QUATS, *rest)
+    missing = [name for name in needed if name not in names]
     fault = f"it has no column {missing[0]}" if missing else None
-    if len(rest) not in [3 * bands for bands in BANDS]:
-        fault = fault or f"{len(rest)} f_rest columns fit no degree up to 3"
+    if {*OPACITY, *SCALES[:2], *QUATS} <= {*missing}:
+        fault = f"it is a cloud of points or a mesh, without Gaussians ({some(names)})"
+    bases = len(rest) // 3 + 1
+    if len(rest) % 3 or math.isqrt(bases) ** 2 != bases:
+        fault = fault or f"{len(rest)} f_rest columns fit no degree"
+    coded = [name for name in needed if name in names and dtype[name].itemsize == 1]
+    if {*coded} - {*RGB}:
+        fault = fault or f"its column {coded[0]} has 8 bits, which a codebook would explain"
     if fault:
         raise StyleSplatError(
             f"Cannot read {path} as splats: {fault}. Export it as an uncompressed 3DGS PLY."

@@ -4,57 +4,112 @@ import gzip
 import struct
 import zlib
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import gsply
+import numpy as np
 import torch
 import zstandard
+from jaxtyping import Float, UInt8
+from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.errors import StyleSplatError, check_choice, some
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
-from stylesplat.io.splats.compressed_ply import from_gsply, to_gsply
+from stylesplat.io.splats.compressed_ply import to_gsply
+from stylesplat.io.splats.dot_splat import to_floats
+from stylesplat.io.splats.packing import LARGEST, NEAR, from_smallest_three
 from stylesplat.io.splats.splat_ply import BANDS
+from stylesplat.progress import say
+from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats
 
 SPZ_VERSIONS = (4, 3, 2)  # that are written; 3 is larger by a twelfth, 2 has coarser rotations
 POSITION = 2**23 - 1  # largest fixed-point coordinate
 FRACTION = range(1, 21)  # bits behind the point; 20 resolve a millionth
 SURE = 30.0  # a logit beyond which the byte of an opacity is 0 or 255; exp(88) overflows
-FLIP = torch.tensor([1.0, -1.0, -1.0])  # PLY's x right, y down to SPZ's x right, y up, and back
-FLIP_SH = torch.tensor([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])  # per band
-GZIP = b"\x1f\x8b"
+COLOR_SCALE = 0.15  # of the constant band in a byte
+GZIP, MAGIC = b"\x1f\x8b", b"NGSP"
 HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, degree, fraction, flags, 0
 TABLE = struct.Struct("<4sIIBBBBI")  # version 4: the same, but number of streams, their table
+TABLE_HEADER = 32  # bytes of version 4's, before its records
 STREAM = struct.Struct("<QQ")  # bytes before and after compression
+RECORD = struct.Struct("<II")  # kind, bytes that follow
 ROTATIONS = 16  # bytes of a Gaussian before its rotation: place, opacity, colour, size
-SMALLEST_ROW = 19  # bytes of a Gaussian without higher bands, before compression
+SMALLEST_ROW = 16  # bytes of a Gaussian without higher bands, before compression
 EXTENSIONS = 2**20  # bytes that may follow the Gaussians
 LARGEST_RATIO = 200  # of compression: real files reach 20, zeros 1000
+HALVES, SMALLEST_THREE, TABLES = 1, 3, 4  # versions of half floats, good rotations, tables
+DEGREES = range(5)  # of colour that a file may have
+ANTIALIASED, EXTENDED = 1, 2  # flags
+FLAGS = 14  # their byte
+AXES = 0xADBE0003  # the record of SPZ_ADOBE_coordinate_system, and its numbers from 1 on
+NAMES = (
+    *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
+    *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
+)
+OWN_AXES, PLY_AXES = "RUB", "RDF"  # right, up, back without that record; right, down, forward
+OPPOSITE = {"F": "B", "B": "F"}
+QUARTER_TURN = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # x, z, -y
+
+
+class _Header(NamedTuple):
+    version: int
+    rows: int
+    degree: int
+    fraction: int
+    flags: int
+    streams: int
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Bytes of a Gaussian: place, opacity, colour, size, rotation, higher bands."""
+        place, turn = 6 if self.version == HALVES else 9, 3 + (self.version >= SMALLEST_THREE)
+        return place, 1, 3, 3, turn, 3 * ((self.degree + 1) ** 2 - 1)
 
 
 def read_spz(path: Path | str) -> Splats:
-    """Read an SPZ file into PLY's axes."""
-    return _flip(unpack_spz(read_bytes(path)))
+    """Read an SPZ file into PLY's axes, from those that it declares or from SPZ's own."""
+    splats, axes = unpack_spz(read_bytes(path), path)
+    if axes != OWN_AXES:
+        say(f"{path} declares the axes {axes}: it is read from these.")
+    return _in_ply_axes(splats, axes)
 
 
-def unpack_spz(content: bytes) -> Splats:
-    """Read the content of an SPZ file in SPZ's own axes."""
-    _check(content)
-    with TemporaryDirectory() as folder:  # gsply reads files alone
-        unpacked = Path(folder) / "a.spz"
-        unpacked.write_bytes(content)
-        try:
-            return from_gsply(gsply.read_spz(unpacked))
-        except ValueError as error:  # gsply ends with the file's name
-            raise ValueError(str(error).removesuffix(f": {unpacked}")) from error
+def unpack_spz(content: bytes, path: Path | str) -> tuple[Splats, str]:
+    """The splats of an SPZ file's content, and the axes that they are in.
+
+    `path` is for lines about what is left out: bands of colour above the third, unknown records.
+    """
+    header, streams, records = _sections(content)
+    count, degree = header.rows, min(header.degree, len(BANDS) - 1)
+    places, alphas, colors, sizes, turns, bands = (
+        np.frombuffer(stream, np.uint8).reshape(count, width)
+        for stream, width in zip(streams, header.widths, strict=True)
+    )
+    if degree < header.degree:
+        say(f"{path} has colours of degree {header.degree}: the bands above 3 are left out.")
+    splats = Splats(
+        means=torch.from_numpy(_positions(places, header)),
+        quats=_rotations(turns) if header.version >= SMALLEST_THREE else _coarse_rotations(turns),
+        scales=to_floats(sizes) / 16 - 10,
+        opacities=(to_floats(alphas[:, 0]) / 255).clamp(NEAR, 1 - NEAR).logit(),
+        sh0=((to_floats(colors) / 255 - 0.5) / COLOR_SCALE)[:, None],
+        shN=((to_floats(bands[:, : 3 * BANDS[degree]]) - 128) / 128).unflatten(1, (-1, 3))
+        if degree
+        else torch.zeros(count, 0, 3),
+        antialiased=bool(header.flags & ANTIALIASED),
+    )
+    return splats, _axes(records, path) if header.flags & EXTENDED else OWN_AXES
 
 
 def write_spz(splats: Splats, path: Path | str, *, version: int = SPZ_VERSIONS[0]) -> None:
     """Write SPZ: six times smaller than PLY or more, its numbers rounded."""
-    content = pack_spz(_flip(splats), Path(path), version=version)
+    content = pack_spz(_flipped(splats, 1.0, -1.0, -1.0), Path(path), version=version)
     with atomic_path(path) as draft:
         draft.write_bytes(content)
 
@@ -74,16 +129,26 @@ def pack_spz(splats: Splats, path: Path, *, version: int = SPZ_VERSIONS[0]) -> b
         packed = Path(folder) / "a.spz"
         gsply.write_spz(packed, data, version=max(version, 3), fractional_bits=max(bits))
         content = packed.read_bytes()
-    return _of_version_2(content, splats) if version == 2 else content
+    if version == TABLES:
+        return _marked(content) if splats.antialiased else content
+    if version == 3 and not splats.antialiased:
+        return content
+    unpacked = gzip.decompress(content)
+    unpacked = _marked(unpacked) if splats.antialiased else unpacked
+    return gzip.compress(_of_version_2(unpacked, splats) if version == 2 else unpacked)
 
 
-def _of_version_2(content: bytes, splats: Splats) -> bytes:
-    """An SPZ file of version 3 as one of version 2, whose rotations lack the real part.
+def _marked(content: bytes) -> bytes:
+    """An SPZ file, without compression, that says that its splats are anti-aliased."""
+    return content[:FLAGS] + bytes([content[FLAGS] | ANTIALIASED]) + content[FLAGS + 1 :]
+
+
+def _of_version_2(unpacked: bytes, splats: Splats) -> bytes:
+    """Version 3 without its compression as version 2, whose rotations lack the real part.
 
     Half a turn about its own axis leaves a Gaussian as it is. Of four such quaternions, that of the
     largest real part loses least.
     """
-    unpacked = gzip.decompress(content)
     start = HEADER.size + ROTATIONS * len(splats)
     w, x, y, z = F.normalize(splats.quats, dim=1).unbind(dim=1)
     turned = [(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
@@ -92,38 +157,120 @@ def _of_version_2(content: bytes, splats: Splats) -> bytes:
     imaginary = quats[:, 1:] * quats[:, :1].sign()
     rotations = (imaginary * 127.5 + 127.5).round().clamp(0, 255).byte()
     head = unpacked[:4] + struct.pack("<I", 2) + unpacked[8:start]
-    return gzip.compress(head + rotations.numpy().tobytes() + unpacked[start + 4 * len(splats) :])
+    return head + rotations.numpy().tobytes() + unpacked[start + 4 * len(splats) :]
 
 
-def _flip(splats: Splats) -> Splats:
-    bands = splats.shN.shape[1]
+def _positions(places: UInt8[np.ndarray, "N D"], header: _Header) -> Float[np.ndarray, "N 3"]:
+    if header.version == HALVES:
+        return places.view("<f2").astype(np.float32)
+    low, middle, high = np.moveaxis(places.reshape(-1, 3, 3).astype(np.int32), 2, 0)
+    fixed = low | middle << 8 | (high ^ 128) - 128 << 16  # the highest bit is the sign
+    return (fixed * 2.0**-header.fraction).astype(np.float32)
+
+
+def _rotations(turns: UInt8[np.ndarray, "N 4"]) -> Float[Tensor, "N 4"]:
+    """The index of the largest of x, y, z, w in two bits, then the others with their signs."""
+    packed = torch.from_numpy(turns.copy().view("<u4")[:, 0].astype(np.int64))
+    fields = torch.stack([packed >> shift for shift in (20, 10, 0)], dim=1)
+    others = (fields & 511) * (LARGEST / 511) * (1 - 2 * (fields >> 9 & 1))
+    return from_smallest_three(packed >> 30, others.float())[:, [3, 0, 1, 2]]
+
+
+def _coarse_rotations(turns: UInt8[np.ndarray, "N 3"]) -> Float[Tensor, "N 4"]:
+    imaginary = to_floats(turns) / 127.5 - 1
+    real = (1 - imaginary.square().sum(dim=1, keepdim=True)).clamp(min=0).sqrt()
+    return torch.cat([real, imaginary], dim=1)
+
+
+def _axes(records: bytes, path: Path | str) -> str:
+    """The axes that the records of a file declare; a line names the others, which are skipped."""
+    axes, skipped, start = OWN_AXES, list[str](), 0
+    while start < len(records):
+        kind, size = RECORD.unpack_from(records, start)
+        start += RECORD.size + size
+        if start > len(records):
+            raise ValueError(f"its record 0x{kind:08X} ends after the file")
+        if kind != AXES or size < 4:
+            skipped.append(f"0x{kind:08X}")
+            continue
+        (number,) = struct.unpack_from("<I", records, start - size)
+        if number > len(NAMES):
+            raise ValueError(f"it declares axes of number {number}, of which there are 16")
+        axes = NAMES[number - 1] if number else OWN_AXES
+    if skipped:
+        say(f"{path} has records that are not read here: {some(skipped)}.")
+    return axes
+
+
+def _in_ply_axes(splats: Splats, axes: str) -> Splats:
+    """Splats of axes whose letters name the directions of x, y and z."""
+    if axes[1] in OPPOSITE:  # y points forward or back
+        splats = move_splats(splats, Frame(QUARTER_TURN))
+        axes = axes[0] + axes[2] + OPPOSITE[axes[1]]
+    x, y, z = (1.0 if one == other else -1.0 for one, other in zip(axes, PLY_AXES, strict=True))
+    return _flipped(splats, x, y, z)
+
+
+def _flipped(splats: Splats, x: float, y: float, z: float) -> Splats:
+    """The same splats where axes of sign -1 point the other way, which may mirror them."""
+    bands = [y, z, x, x * y, y * z, 1, x * z, 1, y, x * y * z, y, z, x, z, x]
     return replace(
         splats,
-        means=splats.means * FLIP,
-        quats=torch.cat([splats.quats[:, :2], -splats.quats[:, 2:]], dim=1),
-        shN=splats.shN * FLIP_SH[:bands, None],
+        means=splats.means * torch.tensor([x, y, z]),
+        quats=splats.quats * torch.tensor([1, y * z, x * z, x * y]),
+        shN=splats.shN * torch.tensor(bands)[: splats.shN.shape[1], None],
     )
 
 
-def _check(content: bytes) -> None:
-    """Raise a ValueError unless the count in the header fits the file: gsply allocates by it."""
+def _sections(content: bytes) -> tuple[_Header, list[bytes], bytes]:
+    """The header, the bytes of each attribute, and the records.
+
+    A ValueError if the count does not fit the file, before memory is allocated for it.
+    """
     packed = zlib.decompressobj(wbits=31) if content.startswith(GZIP) else None
     head = packed.decompress(content, HEADER.size) if packed else content[: HEADER.size]
-    magic, version, count, degree, *_ = HEADER.unpack(head)
-    if magic != b"NGSP" or degree >= len(BANDS):
+    magic, *numbers = HEADER.unpack(head)
+    header = _Header(*numbers)
+    if magic != MAGIC:
         raise ValueError("it has no SPZ header")
-    if count * SMALLEST_ROW > LARGEST_RATIO * len(content):
-        raise ValueError(f"it claims {count} Gaussians, which {len(content)} bytes cannot hold")
-    if packed:
-        rows = count * (SMALLEST_ROW + (version >= 3) + 3 * BANDS[degree])
-        packed.decompress(packed.unconsumed_tail, rows + EXTENSIONS)
+    if not HALVES <= header.version <= TABLES or header.degree not in DEGREES:
+        kind = f"version {header.version}, degree {header.degree}"
+        raise ValueError(f"its SPZ header is of {kind}, which is not read here")
+    if header.rows * SMALLEST_ROW > LARGEST_RATIO * len(content):
+        fault = f"it claims {header.rows} Gaussians, which {len(content)} bytes cannot hold"
+        raise ValueError(fault)
+    sizes = [header.rows * width for width in header.widths]
+    if packed is None and header.version == TABLES:
+        return header, *_unpacked_streams(content, header.streams, sizes)
+    rest = content[HEADER.size :]  # without compression, as some tools write it
+    if packed is not None:
+        rest = packed.decompress(packed.unconsumed_tail, sum(sizes) + EXTENSIONS)
         if not packed.eof or packed.unused_data:
             raise ValueError("it is cut off, or holds more than its header says")
-        return
-    *_, streams, table = TABLE.unpack_from(content)
-    start = table + streams * STREAM.size
-    for index in range(streams):
-        size, unpacked = STREAM.unpack_from(content, table + index * STREAM.size)
-        if zstandard.frame_content_size(content[start : start + size]) not in (-1, unpacked):
+    if len(rest) < sum(sizes):
+        raise ValueError(f"it is cut off: {sum(sizes)} bytes should follow, {len(rest)} do")
+    ends = np.cumsum([0, *sizes]).tolist()
+    streams = [rest[start:end] for start, end in pairwise(ends)]
+    return header, streams, rest[ends[-1] :]
+
+
+def _unpacked_streams(content: bytes, count: int, sizes: list[int]) -> tuple[list[bytes], bytes]:
+    """The streams of version 4, of which those without bytes are not there, and the records."""
+    *_, table = TABLE.unpack_from(content)
+    start = table + count * STREAM.size
+    if count != sum(size > 0 for size in sizes) or not TABLE_HEADER <= table:
+        raise ValueError("its table of streams does not fit its header")
+    unpacked, entries = list[bytes](), iter(range(table, start, STREAM.size))
+    for size in sizes:
+        if not size:
+            unpacked.append(b"")
+            continue
+        packed, announced = STREAM.unpack_from(content, next(entries))
+        stream = content[start : start + packed]
+        if announced != size or zstandard.frame_content_size(stream) not in (-1, size):
             raise ValueError("it holds more than its header says")
-        start += size
+        unpacked.append(zstandard.ZstdDecompressor().decompress(stream, max_output_size=size))
+        if len(unpacked[-1]) != size:
+            raise ValueError("it is cut off")
+        start += packed
+    return unpacked, content[TABLE_HEADER:table]

@@ -1,0 +1,148 @@
+"""What a file holds, told by its first bytes: a format of splats, or what else it is."""
+
+import math
+import re
+import zipfile
+import zlib
+from contextlib import suppress
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.io.files import open_binary, read_bytes
+from stylesplat.io.kinds import SOG_META, SPLATS
+from stylesplat.io.ply import BOM
+from stylesplat.io.ply import MAGIC as PLY
+from stylesplat.io.splats.dot_splat import ROW
+from stylesplat.io.splats.gltf_file import MAGIC as GLB
+from stylesplat.io.splats.ksplat import MAGIC as KSPLAT
+from stylesplat.io.splats.sog import ZIP
+from stylesplat.io.splats.spz import MAGIC as SPZ
+from stylesplat.io.tensors import LARGEST_LOG, LARGEST_POSITION
+
+Format = Literal["PLY", "SPZ", "SOG", "glTF", ".ksplat", ".splat"]
+FORMATS: dict[str, Format] = {  # by what a name ends in
+    **{".ply": "PLY", ".spz": "SPZ", ".sog": "SOG", ".glb": "glTF", ".gltf": "glTF"},
+    **{".ksplat": ".ksplat", ".splat": ".splat", SOG_META: "SOG"},
+}
+JSONS = (".gltf", SOG_META)  # names of formats that are JSON
+HEAD = 1 << 12  # bytes that are looked at
+ROWS = 64  # of a .splat
+MAX_CHARACTER = 4  # bytes of one in UTF-8, of which the last may be cut
+SHOWN = 40  # characters of a text in a message
+POINTER = b"version https://git-lfs.github.com/spec/"
+PAGES = (b"<!doctype html", b"<html", b"<head", b"<?xml", b"<!--")
+UNPACK = "Unpack it, and give the file of splats in it"
+OTHER = f"Give a file of splats ({', '.join(SPLATS)})"
+OTHERS = {  # what files begin with that are no splats
+    b"\x1f\x8b": ("a gzip archive", UNPACK),
+    b"7z\xbc\xaf": ("a 7z archive", UNPACK),
+    b"Rar!": ("a RAR archive", UNPACK),
+    b"\xfd7zXZ": ("an xz archive", UNPACK),
+    b"BZh": ("a bzip2 archive", UNPACK),
+    b"(\xb5/\xfd": ("a zstd archive", UNPACK),
+    b"\x89PNG": ("a PNG picture", OTHER),
+    b"\xff\xd8\xff": ("a JPEG picture", OTHER),
+    b"RIFF": ("a WebP picture or other media", OTHER),
+    b"%PDF": ("a PDF", OTHER),
+    b"\x93NUMPY": ("an array of NumPy", OTHER),
+    b"\x89HDF": ("an HDF5 file", OTHER),
+    b"SQLite": ("an SQLite database", OTHER),
+    b"\x80\x02": ("a pickle of Python", OTHER),
+    b"\x80\x04": ("a pickle of Python", OTHER),
+}
+
+
+def format_of(path: Path) -> Format:
+    """The format of splats that a file has, whatever its name; a StyleSplatError if it has none.
+
+    A `.ksplat` or `.splat` has no sure mark: a file of that name is one unless it is known to be
+    something else, and any file is a .splat whose rows can be one.
+    """
+    head, name = read_bytes(path, first=HEAD), path.suffix.lower()
+    found = _marked(head, path)
+    if found is not None:
+        return found
+    other = _something_else(head, path)
+    if other is None and name in (".ksplat", ".splat"):
+        return FORMATS[name]
+    if other is None and _has_splat_rows(path):
+        return ".splat"
+    what, remedy = other or ("of no format of splats that is known here", OTHER)
+    raise StyleSplatError(f"Cannot read {path} as splats: it is {what}. {remedy}.")
+
+
+def _marked(head: bytes, path: Path) -> Format | None:
+    """The format that the first bytes name; of JSON and ZIP, what is in them."""
+    if PLY.match(head):
+        return "PLY"
+    if head.startswith(GLB):
+        return "glTF"
+    if head.startswith(SPZ) or _unpacked(head).startswith(SPZ):
+        return "SPZ"
+    if head.startswith(KSPLAT):
+        return ".ksplat"
+    if head.startswith(ZIP):
+        return "SOG" if any(each.endswith(SOG_META) for each in _members(path)) else None
+    if head.removeprefix(BOM).lstrip()[:1] in (b"{", b"["):
+        content = read_bytes(path)
+        if b'"means"' in content and b'"quats"' in content:
+            return "SOG"
+        name = SOG_META if path.name == SOG_META else path.suffix.lower()
+        return "glTF" if b'"asset"' in content else FORMATS.get(name) if name in JSONS else None
+    return None
+
+
+def _something_else(head: bytes, path: Path) -> tuple[str, str] | None:
+    """What a file is instead of splats, and what to do with it."""
+    start = head.removeprefix(BOM).lstrip()[:SHOWN].lower()
+    if not any(head):
+        return ("nothing but zeros" if head else "empty"), "Copy or download it again"
+    if head.startswith(POINTER):
+        return "a pointer of Git LFS in place of the file", "Fetch the file: `git lfs pull`"
+    if start.startswith(PAGES):
+        return "a page of HTML or XML, as failed downloads leave it", "Download the file itself"
+    if head.startswith(ZIP):
+        inner = some(_members(path)) or "nothing that can be read"
+        return f"a ZIP archive of {inner}, and no SOG, which has a {SOG_META}", UNPACK
+    for magic, what in OTHERS.items():
+        if head.startswith(magic):
+            return what
+    with suppress(UnicodeDecodeError):
+        text = head[: len(head) - MAX_CHARACTER].decode() if len(head) == HEAD else head.decode()
+        if not re.search(r"[\x00-\x08\x0e-\x1f]", text):
+            return f"text, which begins {brief(text.strip()[:SHOWN])!r}", OTHER
+    return None
+
+
+def _unpacked(head: bytes) -> bytes:
+    """The first bytes of what a gzip holds; nothing of anything else."""
+    with suppress(zlib.error):
+        return zlib.decompressobj(wbits=31).decompress(head, len(SPZ))
+    return b""
+
+
+def _members(path: Path) -> list[str]:
+    try:
+        with open_binary(path) as file, zipfile.ZipFile(file) as archive:
+            return archive.namelist()
+    except (zipfile.BadZipFile, ValueError, NotImplementedError):
+        return [SOG_META] if path.suffix.lower() == ".sog" else []  # its reader says what is wrong
+
+
+def _has_splat_rows(path: Path) -> bool:
+    """Whether a file can be a .splat: positions are places, and sizes are sizes."""
+    content = read_bytes(path, first=ROWS * ROW.itemsize)
+    if path.stat().st_size % ROW.itemsize or not content:
+        return False
+    rows = np.frombuffer(content, ROW)
+    with np.errstate(invalid="ignore"):
+        places, sizes = np.abs(rows["mean"]), rows["scale"]
+        return bool(
+            (places <= LARGEST_POSITION).all()
+            and (sizes >= 0).all()
+            and (sizes <= math.exp(LARGEST_LOG)).all()
+            and sizes.any()
+        )
