@@ -190,6 +190,43 @@ def test_integers_are_fractions_where_the_file_says_so(
         torch.testing.assert_close(found.opacities, expected[:, 0].logit().float())
 
 
+def with_logarithms(path: Path, splats: Splats, generator: str | None) -> None:
+    """Scales as the extension's first draft had them."""
+    document, binary = glb_parts(path)
+    view = document["bufferViews"][attributes(document)[f"{NAME}:SCALE"]]
+    start, end = view["byteOffset"], view["byteOffset"] + view["byteLength"]
+    scales = splats.scales.numpy().astype("<f4").tobytes()
+    document["asset"] = {"version": "2.0"} | ({"generator": generator} if generator else {})
+    path.write_bytes(glb_of(document, binary[:start] + scales + binary[end:]))
+
+
+@pytest.mark.parametrize("generator", ["splat-transform 2.6.0", "splat-transform v1.10.2", None])
+@pytest.mark.parametrize("large", [False, True])
+def test_scales_of_the_first_draft(
+    tmp_path: Path, said: list[str], generator: str | None, large: bool
+):
+    splats = some()
+    if large and generator:  # nothing but the name tells these
+        splats = replace(splats, scales=splats.scales.abs())
+    path = written(tmp_path, splats)
+    with_logarithms(path, splats, generator)
+    assert_same(read_splats(path), splats)
+    assert len(said) == 1 and "logarithms of scales" in said[0]
+
+
+def test_linear_scales_of_splat_transform(tmp_path: Path, said: list[str]):
+    path = written(tmp_path)
+    for generator in ("splat-transform 2.7.0", "splat-transform 3.2.0"):
+        changed_glb(path, lambda d, name=generator: d["asset"].update(generator=name))
+        assert_same(read_splats(path), some())
+    assert not said
+
+
+def test_the_file_says_which_draft_it_follows(tmp_path: Path):
+    document, _ = glb_parts(written(tmp_path))
+    assert "linear scales" in document["asset"]["extras"][NAME]
+
+
 def test_buffers_in_files_beside_it(tmp_path: Path):
     path, splats = written(tmp_path), some()
     _, binary = glb_parts(path)

@@ -116,6 +116,65 @@ def test_declarations_that_do_not_fit(files: Files, tmp_path: Path, case: str, p
     refused(make(changed, tmp_path / "a.sog"), expected)
 
 
+BANDS: dict[str, Callable[[dict[str, Any]], object]] = {
+    "names 0 bands": lambda m: m["shN"].update(bands=0),
+    "names no bands": lambda m: m["shN"].pop("bands"),
+    "names 2 bands": lambda m: m["shN"].update(bands=2),
+}
+
+
+@pytest.mark.parametrize("expected", [*BANDS])
+def test_the_palettes_picture_tells_the_bands(
+    files: Files, tmp_path: Path, said: list[str], expected: str
+):
+    plain = read_splats(bundled(files, tmp_path / "a.sog"))
+    path = bundled(declaring(files, BANDS[expected]), tmp_path / "b.sog")
+    assert torch.equal(read_splats(path).shN, plain.shN) and plain.sh_degree == 3
+    assert said == [f"{path} {expected} of colour, but its palette has 3: these are read."]
+
+
+@pytest.mark.parametrize("shN", [None, {"bands": 0}, {"bands": 0, "files": []}])
+def test_no_palette(files: Files, tmp_path: Path, shN: object):
+    path = bundled(declaring(files, lambda m: m.update(shN=shN)), tmp_path / "a.sog")
+    assert read_splats(path).sh_degree == 0
+
+
+def test_a_palette_without_a_count(files: Files, tmp_path: Path):
+    plain = read_splats(bundled(files, tmp_path / "a.sog"))
+    path = bundled(declaring(files, lambda m: m["shN"].pop("count")), tmp_path / "b.sog")
+    assert torch.equal(read_splats(path).shN, plain.shN)
+
+
+def test_a_codebook_that_begins_with_null(files: Files, tmp_path: Path):
+    """Of splat-transform; PlayCanvas's engine extends the other values."""
+    numbers = [n / 16 - 12 for n in range(256)]
+    plain = declaring(files, lambda m: m["scales"].update(codebook=numbers))
+    changed = declaring(files, lambda m: m["scales"].update(codebook=[None, *numbers[1:]]))
+    found, expected = (
+        read_splats(bundled(each, tmp_path / "a.sog")).scales for each in (changed, plain)
+    )
+    (where,) = (found != expected).nonzero(as_tuple=True)[:1]
+    assert len(where) == (expected == numbers[0]).sum() > 0
+    torch.testing.assert_close(found, expected, atol=0.13, rtol=0)
+
+
+MARKS: dict[str, tuple[dict[str, Any], bool]] = {
+    "specification": ({"antialias": True}, True),
+    "splat-transform": ({"model": "antialiased"}, True),
+    "2DGS": ({"model": "2dgs", "antialias": False}, False),
+    "none": ({}, False),
+}
+
+
+@pytest.mark.parametrize("kind", [*MARKS])
+def test_marks_of_anti_aliasing(files: Files, tmp_path: Path, said: list[str], kind: str):
+    marks, expected = MARKS[kind]
+    path = bundled(declaring(files, lambda m: m.update(marks)), tmp_path / "a.sog")
+    assert read_splats(path).antialiased == expected and not said
+    read_splats(bundled(declaring(files, lambda m: m.update(model="bokeh")), path))
+    assert len(said) == 1 and "'bokeh', which is unknown" in said[0]
+
+
 def as_large_as_can_be() -> bytes:
     """A picture whose header claims all pixels that WebP allows: 14 bits for each side."""
     content, start = bytearray(webp(4, 4, lossless=True)), 21
