@@ -10,6 +10,7 @@ from tyro.conf import Positional
 import stylesplat as ss
 from stylesplat.cli.options import Device, MakingCommand, Output
 from stylesplat.cli.results import Answer, describe_scene, new_scene, pasted
+from stylesplat.io.splats.splat_files import declared_up
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Import(MakingCommand):
     """Folder with the posed photos that it was made from, and label maps in object_mask/. Without
     it the scene gets views around the content, which `mask` takes for photos."""
     up: Literal["x", "-x", "y", "-y", "z", "-z"] | None = None
-    """The axis that points up, where there is no capture; by default -y."""
+    """The axis that points up, where there is no capture; by default what the file says, or -y."""
     frame: Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"] = "capture"
     """World frame of the splat; an import that does not fit says which one does."""
     like: Path | None = None
@@ -75,5 +76,6 @@ class Import(MakingCommand):
                 yield f"Moved: {part['gaussians']:,} Gaussians, {turn}."
         elif self.capture is None and self.up is None:
             labels = ("--labels", self.labels) if self.labels else ()
-            again = pasted("import", self.splat, *labels, "-o", self.output, "--up", "z")
+            other = "-y" if declared_up(self.splat) == "z" else "z"
+            again = pasted("import", self.splat, *labels, "-o", self.output, "--up", other)
             yield f"If it lies on its side: {again} --overwrite"

@@ -38,7 +38,7 @@ def read_json(path: Path | str, *, most: int = MAX_BYTES) -> dict[str, Any]:
 def json_object(content: bytes, path: Path | str) -> dict[str, Any]:
     """The object in the content of a JSON file; `path` is its name in messages."""
     try:
-        found = json.loads(content.decode("utf-8"))
+        found = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise StyleSplatError(
             f"Cannot read {path}: it is not valid JSON ({error}). {RESTORE}"

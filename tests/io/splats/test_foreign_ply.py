@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.ply import read_ply_table
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 from stylesplat.scene.splats import Splats
-from stylesplat.verbs.import_ import import_
+from stylesplat.verbs.import_ import Up, import_
 
 COUNT = 30
 C0 = 0.28209479177387814
@@ -204,7 +204,7 @@ def test_the_last_mark_counts(tmp_path: Path):
     ).antialiased
 
 
-AXES = {"Vertical Axis: z": "z", "vertical axis: -Z": "-z", "Vertical axis: x": "x"}
+AXES: dict[str, Up] = {"Vertical Axis: z": "z", "vertical axis: -Z": "-z", "Vertical axis: x": "x"}
 
 
 @pytest.mark.parametrize("comment", [*AXES])

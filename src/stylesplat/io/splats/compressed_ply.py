@@ -71,11 +71,13 @@ def _higher_bands(table: Table | None, count: int) -> Float[Tensor, "N _ 3"]:
     """Bytes that stand for the middle of their step, but at both ends; channel by channel."""
     if table is None:
         return torch.zeros(count, 0, 3)
-    names = [f"{REST}{n}" for n in range(len(table.dtype.names or ()))]
-    codes = np.stack([table[name] for name in names], axis=1)
-    shares = np.where(codes == 0, 0, np.where(codes == 255, 1, (codes + np.float32(0.5)) / 256))
-    bands = torch.from_numpy(SH_REACH * (2 * shares - 1)).float()
-    return bands.unflatten(1, (3, -1)).transpose(1, 2).contiguous()
+    bands = len(table.dtype.names or ()) // 3
+    values = SH_REACH * (np.array([0, *(np.arange(1, 255) + 0.5), 256]) / 128 - 1)
+    shN = np.empty((count, bands, 3), np.float32)
+    for number in range(3 * bands):
+        channel, band = divmod(number, bands)
+        shN[:, band, channel] = values.astype(np.float32)[table[f"{REST}{number}"]]
+    return torch.from_numpy(shN)
 
 
 def _check_elements(header: PlyHeader) -> None:

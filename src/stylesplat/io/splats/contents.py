@@ -2,6 +2,7 @@
 
 import math
 import re
+import struct
 import zipfile
 import zlib
 from contextlib import suppress
@@ -30,6 +31,7 @@ FORMATS: dict[str, Format] = {  # by what a name ends in
 JSONS = (".gltf", SOG_META)  # names of formats that are JSON
 HEAD = 1 << 12  # bytes that are looked at
 ROWS = 64  # of a .splat
+ROUNDING = 0.1  # of the length of a quaternion whose components are bytes
 MAX_CHARACTER = 4  # bytes of one in UTF-8, of which the last may be cut
 SHOWN = 40  # characters of a text in a message
 POINTER = b"version https://git-lfs.github.com/spec/"
@@ -128,20 +130,22 @@ def _members(path: Path) -> list[str]:
     try:
         with open_binary(path) as file, zipfile.ZipFile(file) as archive:
             return archive.namelist()
-    except (zipfile.BadZipFile, ValueError, NotImplementedError):
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, EOFError, struct.error):
         return [SOG_META] if path.suffix.lower() == ".sog" else []  # its reader says what is wrong
 
 
 def _has_splat_rows(path: Path) -> bool:
-    """Whether a file can be a .splat: positions are places, and sizes are sizes."""
+    """Whether a file can be a .splat: places, sizes and unit quaternions are where they should."""
     content = read_bytes(path, first=ROWS * ROW.itemsize)
     if path.stat().st_size % ROW.itemsize or not content:
         return False
     rows = np.frombuffer(content, ROW)
     with np.errstate(invalid="ignore"):
         places, sizes = np.abs(rows["mean"]), rows["scale"]
+        lengths = np.linalg.norm(rows["quat"] / 128 - 1, axis=1)
         return bool(
-            (places <= LARGEST_POSITION).all()
+            (np.abs(lengths - 1) < ROUNDING).all()
+            and (places <= LARGEST_POSITION).all()
             and (sizes >= 0).all()
             and (sizes <= math.exp(LARGEST_LOG)).all()
             and sizes.any()

@@ -88,13 +88,13 @@ def read_drawable(path: Path | str) -> tuple[Splats, Int[Tensor, " N"], int]:
     known = path.suffix.lower() in SPLATS or path.name == SOG_META
     if path.is_dir() or not is_there(path):
         raise wrong_kind(path, "splat")
-    try:
-        found = format_of(path)
-    except StyleSplatError as error:
-        raise (error if known else wrong_kind(path, "splat")) from error
-    if FORMATS.get(SOG_META if path.name == SOG_META else path.suffix.lower()) != found:
-        say(f"{path} holds {found}, whatever its name says: it is read as that.")
     with reading(path, "Export it again.", what=" as splats"):
+        try:
+            found = format_of(path)
+        except StyleSplatError as error:
+            raise (error if known else wrong_kind(path, "splat")) from error
+        if FORMATS.get(SOG_META if path.name == SOG_META else path.suffix.lower()) != found:
+            say(f"{path} holds {found}, whatever its name says: it is read as that.")
         splats = READERS[found](path)
         drawn, rows = drawable(splats, path)
         return _in_32_bits(drawn, path), rows, len(splats)

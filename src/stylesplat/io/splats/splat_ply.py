@@ -51,9 +51,9 @@ def read_splat_ply(path: Path | str) -> Splats:
 def parse_splat_ply(path: Path | str) -> Splats:
     """Read splats of any program, their columns in any order, their numbers as they are.
 
-    Positions have 64 bits if those of the file have more than 32. Colours may be plain `red green blue`, numbers half
-    floats in columns of 16 bits, the thickness of 2D Gaussians missing. A line names what is read
-    in another way than it stands there, and what is left out.
+    Positions have 64 bits if those of the file have more than 32. Colours may be plain `red green
+    blue`, numbers half floats in columns of 16 bits, the thickness of 2D Gaussians missing. A line
+    names what is read in another way than it stands there, and what is left out.
     """
     header, tables = read_ply(path)
     table = _with_half_floats(tables[VERTEX])

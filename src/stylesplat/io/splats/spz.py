@@ -99,7 +99,7 @@ def unpack_spz(content: bytes, path: Path | str) -> tuple[Splats, str]:
         scales=to_floats(sizes) / 16 - 10,
         opacities=(to_floats(alphas[:, 0]) / 255).clamp(NEAR, 1 - NEAR).logit(),
         sh0=((to_floats(colors) / 255 - 0.5) / COLOR_SCALE)[:, None],
-        shN=((to_floats(bands[:, : 3 * BANDS[degree]]) - 128) / 128).unflatten(1, (-1, 3))
+        shN=to_floats(bands[:, : 3 * BANDS[degree]]).sub_(128).div_(128).unflatten(1, (-1, 3))
         if degree
         else torch.zeros(count, 0, 3),
         antialiased=bool(header.flags & ANTIALIASED),
