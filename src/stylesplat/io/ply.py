@@ -24,7 +24,7 @@ BYTE_ORDERS: dict[str, Literal["<", ">", "="]] = {
     "binary_big_endian": ">",
     "ascii": "=",
 }
-MAX_HEADER = 1 << 16  # bytes; real headers have about two thousand
+MAX_HEADER = 1 << 20  # bytes; real headers have about two thousand, but comments hold anything
 BOM = b"\xef\xbb\xbf"  # editors of Windows put it before UTF-8
 MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)", re.IGNORECASE)
 LINE_END = re.compile(r"\r\n|\r|\n")  # and nothing else: a comment in Latin-1 may hold NEL

@@ -155,9 +155,9 @@ def test_sizes_of_0_in_dot_splat(tmp_path: Path):
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_sizes_of_0_in_ksplat(tmp_path: Path, level: int):
-    flat = replace(PLAIN, scales=torch.full((COUNT, 3), -INF))
+    flat = replace(PLAIN, scales=torch.full((COUNT, 3), -INF))[:30]
     found = read_splats(write_ksplat(tmp_path / "a.ksplat", [flat], level, 1))
-    assert len(found) == COUNT and (found.scales.exp().square() == 0).all()
+    assert len(found) == 30 and (found.scales.exp().square() == 0).all()
 
 
 def test_sizes_of_0_in_gltf(tmp_path: Path):

@@ -239,6 +239,11 @@ def test_other_colours_are_told(tmp_path: Path, said: list[str]):
     changed_glb(path, lambda d: extension(d).update(colorSpace="lin_rec709_display"))
     read_splats(path)
     assert len(said) == 1 and "'lin_rec709_display': they are read as srgb" in said[0]
+    changed_glb(path, lambda d: extension(d).update(sortingMethod="none"))
+    read_splats(path)
+    assert "sorting method 'none': left out" in said.pop()
+    said.pop()
+    changed_glb(path, lambda d: extension(d).update(sortingMethod="cameraDistance"))
     changed_glb(path, lambda d: extension(d).update(colorSpace="srgb_rec709_display"))
     changed_glb(path, lambda d: attributes(d).update({f"{NAME}:SH_DEGREE_4_COEF_0": 0}))
     assert read_splats(path).sh_degree == 1

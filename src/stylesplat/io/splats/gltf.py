@@ -35,6 +35,7 @@ from stylesplat.io.splats.gltf_file import (
     Gltf,
     Node,
     Primitive,
+    Splatting,
     attribute,
     glb_head,
     glb_size,
@@ -103,6 +104,11 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
             f"{gltf.path} has its colours in {brief(splatting.color_space)!r}: they are read as "
             f"{DISPLAYED}, so they may look darker."
         )
+    known = Splatting()
+    for name in ("projection", "sorting_method"):
+        value = getattr(splatting, name)
+        if value != getattr(known, name):
+            say(f"{gltf.path} asks for the {name.replace('_', ' ')} {brief(value)!r}: left out.")
     view = _spz_view(primitive)
     if view is not None:  # its numbers are in the axes of the primitive, unlike those of a `.spz`
         splats, axes = unpack_spz(bytes(gltf.view(view, "SPZ")[0]), gltf.path)

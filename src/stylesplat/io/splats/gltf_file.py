@@ -96,6 +96,8 @@ class Compression(_Part, frozen=True):
 class Splatting(_Part, frozen=True):
     kernel: str = "ellipse"
     color_space: str = DISPLAYED
+    projection: str = "perspective"
+    sorting_method: str = "cameraDistance"
     extensions: dict[str, Compression] = {}
 
 
