@@ -106,6 +106,17 @@ def test_what_is_no_splats_is_named(tmp_path: Path, expected: str, suffix: str):
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("first", [b"\x1f\x8b", b"PK", b"\x80\x02"])
+def test_dot_splats_that_begin_like_other_files(tmp_path: Path, said: list[str], first: bytes):
+    path = tmp_path / "a.splat"
+    write_splats(random_splats(200), path)
+    path.write_bytes(first + path.read_bytes()[2:])
+    assert len(read_splats(path)) == 200
+    path.write_bytes(bytes(32 * 200) + path.read_bytes())
+    assert len(read_splats(path)) == 200
+    assert len(said) == 1 and "200 of 400 Gaussians cannot be drawn" in said[0]
+
+
 @pytest.mark.parametrize("expected", [e for e in OTHERS if e != "of no format"])
 def test_nor_is_it_a_dot_splat(tmp_path: Path, expected: str):
     """A .splat has no mark: pages and pictures of a multiple of 32 bytes would be read."""

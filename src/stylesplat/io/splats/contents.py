@@ -38,8 +38,8 @@ POINTER = b"version https://git-lfs.github.com/spec/"
 PAGES = (b"<!doctype html", b"<html", b"<head", b"<?xml", b"<!--")
 UNPACK = "Unpack it, and give the file of splats in it"
 OTHER = f"Give a file of splats ({', '.join(SPLATS)})"
-OTHERS = {  # what files begin with that are no splats
-    b"\x1f\x8b": ("a gzip archive", UNPACK),
+OTHERS = {  # what files begin with that are no splats: 3 bytes at least, as a .splat has any
+    b"\x1f\x8b\x08": ("a gzip archive", UNPACK),
     b"7z\xbc\xaf": ("a 7z archive", UNPACK),
     b"Rar!": ("a RAR archive", UNPACK),
     b"\xfd7zXZ": ("an xz archive", UNPACK),
@@ -52,8 +52,8 @@ OTHERS = {  # what files begin with that are no splats
     b"\x93NUMPY": ("an array of NumPy", OTHER),
     b"\x89HDF": ("an HDF5 file", OTHER),
     b"SQLite": ("an SQLite database", OTHER),
-    b"\x80\x02": ("a pickle of Python", OTHER),
-    b"\x80\x04": ("a pickle of Python", OTHER),
+    b"\x80\x02\x8a": ("a checkpoint of PyTorch", OTHER),
+    b"\x80\x04\x95": ("a pickle of Python", OTHER),
 }
 
 
@@ -100,8 +100,10 @@ def _marked(head: bytes, path: Path) -> Format | None:
 def _something_else(head: bytes, path: Path) -> tuple[str, str] | None:
     """What a file is instead of splats, and what to do with it."""
     start = head.removeprefix(BOM).lstrip()[:SHOWN].lower()
-    if not any(head):
-        return ("nothing but zeros" if head else "empty"), "Copy or download it again"
+    if not head:
+        return "empty", "Copy or download it again"
+    if not any(head) and not np.frombuffer(read_bytes(path), np.uint8).any():
+        return "nothing but zeros", "Copy or download it again"
     if head.startswith(POINTER):
         return "a pointer of Git LFS in place of the file", "Fetch the file: `git lfs pull`"
     if start.startswith(PAGES):

@@ -23,9 +23,11 @@ def read_dot_splat(path: Path | str) -> Splats:
         raise ValueError(f"{fault}: it is cut off, or no .splat")
     rows = np.frombuffer(content, ROW)
     sh0, opacities = from_rgba(rows["rgba"])
+    quats = (to_floats(rows["quat"]) - 128) / 128
+    quats[~rows["quat"].any(axis=1)] = 0  # rows of zeros: no unit quaternion has such bytes
     return Splats(
         means=to_floats(rows["mean"]),
-        quats=(to_floats(rows["quat"]) - 128) / 128,
+        quats=quats,
         scales=to_floats(rows["scale"]).abs().log(),  # viewers square them
         opacities=opacities,
         sh0=sh0,

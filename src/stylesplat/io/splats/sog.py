@@ -57,7 +57,7 @@ MAX_GROWTH = 4  # of what is unpacked: pictures are compressed already
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # of every entry, so that the same splats make the same file
 WEBP_HEADER = 2**12  # bytes at the start of a WebP picture, which name the kind of its pixels
 MAX_SIDE = 2**14 - 1  # of a WebP picture
-ZIP = b"PK"
+ZIP = (b"PK\3\4", b"PK\5\6")  # the second of an empty one
 ANTIALIASED = "antialiased"
 MODELS = ("default", ANTIALIASED, "2dgs")  # of splat-transform; flat scales are what makes the last
 Reader = Callable[[str], bytes]
@@ -127,7 +127,7 @@ def read_sog(path: Path | str) -> Splats:
     Counts are checked against the size of the files before memory is allocated for them.
     """
     path = Path(path)
-    bundled = read_bytes(path, first=len(ZIP)) == ZIP
+    bundled = read_bytes(path, first=4).startswith(ZIP)
     member = _bundle_reader(path) if bundled else _folder_reader(path)
     content = json_object(member(SOG_META), path)
     version = content.get("version", 1)

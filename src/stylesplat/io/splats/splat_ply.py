@@ -29,7 +29,7 @@ FILTER = "filter_3D"  # Mip-Splatting's: the standard deviation of a blur of eac
 HARMLESS = ("alpha", STATE, *LABEL_NAMES)  # beside plain colours; what `import --labels` reads
 HALF = 2  # bytes
 THICKNESS = 1e-6  # of 2D Gaussians, as 2DGS' authors have it
-PLAIN, ANTIALIASED, FLAT = (
+PLAIN, ANTIALIASED, TWO_D = (
     "default",
     "mip",
     "2dgs",
@@ -150,7 +150,7 @@ def is_antialiased(path: Path | str, comments: Sequence[str]) -> bool:
             mode = match[1].lower()
         elif match := ANTIALIAS.match(comment):
             mode = ANTIALIASED if match[1].lower() in ("1", "true") else PLAIN
-    if mode not in (PLAIN, ANTIALIASED, FLAT):
+    if mode not in (PLAIN, ANTIALIASED, TWO_D):
         say(f"{path} asks for the render mode {brief(mode)!r}, which is unknown: left out.")
     return mode == ANTIALIASED
 
