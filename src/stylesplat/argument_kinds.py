@@ -9,7 +9,7 @@ from functools import wraps
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
+from typing import Any, Literal, ParamSpec, TypeVar, Union, cast, get_args, get_origin
 
 import msgspec
 
@@ -45,9 +45,8 @@ def check_arguments(verb: Callable[P, T]) -> Callable[P, T]:
             if not (variable or any(_is_instance(value, each) for each in kinds)):
                 _refuse(verb.__name__, name, value, kinds)
         with own_modes():
-            given = usable(args), usable(kwargs)
-            result = verb(*given[0], **given[1])
-        return steps_in_own_modes(result) if inspect.isgenerator(result) else result
+            result = verb(*usable(args), **usable(kwargs))
+        return cast("T", steps_in_own_modes(result)) if inspect.isgenerator(result) else result
 
     return checked
 

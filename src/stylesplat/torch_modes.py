@@ -37,21 +37,25 @@ def steps_in_own_modes(steps: Iterator[T]) -> Iterator[T]:
         yield item
 
 
-def usable(value: Any) -> Any:
+def usable(value: T) -> T:
     """A value whose tensors gradients can be taken of: those of inference mode are copied.
 
     What holds none is returned itself, as verbs tell by identity what has changed.
     """
+    return _usable(value)
+
+
+def _usable(value: Any) -> Any:
     torch = sys.modules.get("torch")
     if torch is None:
         return value
     if isinstance(value, torch.Tensor):
         return value.clone() if value.is_inference() else value
     if isinstance(value, dict):
-        found = {key: usable(each) for key, each in value.items()}
+        found = {key: _usable(each) for key, each in value.items()}
         return found if any(found[key] is not each for key, each in value.items()) else value
     if isinstance(value, list | tuple) and type(value) in (list, tuple):
-        items = [usable(each) for each in value]
+        items = [_usable(each) for each in value]
         changed = any(new is not old for new, old in zip(items, value, strict=True))
         return type(value)(items) if changed else value
     return _usable_fields(value) if is_dataclass(value) else value
@@ -61,7 +65,7 @@ def _usable_fields(value: Any) -> Any:
     changed: Mapping[str, Any] = {
         each.name: found
         for each in fields(value)
-        if (found := usable(old := getattr(value, each.name))) is not old
+        if (found := _usable(old := getattr(value, each.name))) is not old
     }
     if not changed:
         return value

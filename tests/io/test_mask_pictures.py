@@ -172,4 +172,4 @@ def test_training_takes_what_mask_takes(tmp_path: Path):
         for row in range(len(capture)):
             ours, theirs = other.labels(row), imported.labels(row)
             assert ours is not None and theirs is not None and torch.equal(ours, theirs)
-            assert int((ours == 1).sum()) == 140
+            assert int((ours == 1).sum()) == 140 - 4, "all but the corners"

@@ -118,7 +118,9 @@ def test_what_fails_in_one_pick_is_no_worse_pick():
     """Picks of nothing are left out, but other errors are told."""
 
     class Stopping(Observer):
-        def task(self, what: str, *_: object) -> AbstractContextManager[Task]:
+        def task(
+            self, what: str, total: float | None, unit: str, done: float
+        ) -> AbstractContextManager[Task]:
             raise StyleSplatError(f"stopped while {what}")
 
     splats = replace(BARE.splats, sh0=BARE.splats.sh0 + 0.1)  # of which nothing is cached

@@ -154,9 +154,9 @@ def _edges(levels: UInt8[np.ndarray, "H W"], *, lossy: bool) -> dict[str, int | 
     """What greys say of soft edges; see `_Look`."""
     black, white = (levels <= DARK, levels >= BRIGHT) if lossy else (levels == 0, levels == 255)
     between = ~(black | white)
-    regions, _ = label(between, structure=np.ones((3, 3)))
+    regions: np.ndarray = label(between, structure=np.ones((3, 3)))[0]  # pyright: ignore
     touching = [
-        np.isin(regions, np.unique(regions[binary_dilation(each) & between]))
+        np.isin(regions, np.unique(regions[np.asarray(binary_dilation(each), bool) & between]))
         for each in (black, white)
     ]
     return {

@@ -79,7 +79,9 @@ def _size_of(item: tuple[Tensor | None, ...]) -> int:
     return sum(t.nbytes for t in item if t is not None)
 
 
-A, B, R = TypeVar("A"), TypeVar("B"), TypeVar("R")
+A = TypeVar("A")
+B = TypeVar("B")
+R = TypeVar("R")
 
 
 def cached_while_alive(function: Callable[[A, B], R]) -> Callable[[A, B], R]:
