@@ -78,6 +78,26 @@ def write_capture(
     return folder
 
 
+def with_tracks(folder: Path, seen_by: list[list[int]]) -> None:
+    """Give the reconstruction points that are seen in the photos of these ids."""
+    model = pycolmap.Reconstruction(folder / "sparse" / "0")
+    for image in model.images.values():
+        seen = [point for point, ids in enumerate(seen_by) if image.image_id in ids]
+        image.points2D = pycolmap.Point2DList(
+            [pycolmap.Point2D(np.array([3.0 + point % 50, 5.0])) for point in seen]
+        )
+    for point, ids in enumerate(seen_by):
+        track = pycolmap.Track()
+        for id in ids:
+            index = [p for p, others in enumerate(seen_by) if id in others].index(point)
+            track.add_element(id, index)
+        key = model.add_point3D(
+            np.array([0.01 * point, 0.5, 5.0]), track, np.array([9, 9, 9], np.uint8)
+        )
+        model.points3D[key].error = 3.0
+    model.write(folder / "sparse" / "0")
+
+
 def lenses_of(posed: PosedFiles) -> list[Lens]:
     """The lenses of photos that all have one."""
     return [lens for lens in posed.lenses if lens is not None]

@@ -48,7 +48,7 @@ def some(names: Iterable[object], most: int = NAMED, *, whole: bool = False) -> 
         >>> some("abc"), some("abcde"), some("")
         ('a, b, c', 'a, b, c and 2 more', '')
     """
-    several = [str(name) if whole else brief(str(name)) for name in names]
+    several = [printable(str(name) if whole else brief(str(name))) for name in names]
     others = f" and {len(several) - most} more" if len(several) > most else ""
     return ", ".join(several[:most]) + others
 

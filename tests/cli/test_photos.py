@@ -63,7 +63,10 @@ def test_poses_that_nobody_has_found_are_found_first(
     monkeypatch.setattr("stylesplat.verbs.sfm.sfm", lambda *places: made.append(places))
     output = find_photos_capture(photos, beside=tmp_path / "scene")
     assert made == [(photos, output)] and output.name == "My photos-capture"
-    assert "has no camera poses: finding them first" in said[-1]
+    assert len(said) == 1 and "has no camera poses: finding them first" in said[-1]
+    (photos / "cameras.xml").touch()
+    find_photos_capture(photos, beside=tmp_path / "scene")
+    assert f"{photos / 'cameras.xml'} may hold poses" in said[1] and "found anew" in said[1]
 
 
 def test_a_capture_of_other_photos_is_not_taken(photos: Path, tmp_path: Path):

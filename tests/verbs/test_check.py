@@ -3,11 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import pycolmap
 import pytest
 
-from capture_files import save_noise, sfm_record, write_ball_capture, write_capture
+from capture_files import save_noise, sfm_record, with_tracks, write_ball_capture, write_capture
 from stylesplat.io.captures.sfm_file import write_sfm
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
 from stylesplat.verbs.check import check
@@ -22,26 +20,6 @@ def finding(report: CaptureReport, what: str) -> tuple[str, str]:
 @pytest.fixture
 def posed(tmp_path: Path) -> Path:
     return write_capture(tmp_path / "capture", count=4)
-
-
-def with_tracks(folder: Path, seen_by: list[list[int]]) -> None:
-    """Give the reconstruction points that are seen in the photos of these ids."""
-    model = pycolmap.Reconstruction(folder / "sparse" / "0")
-    for image in model.images.values():
-        seen = [point for point, ids in enumerate(seen_by) if image.image_id in ids]
-        image.points2D = pycolmap.Point2DList(
-            [pycolmap.Point2D(np.array([3.0 + point % 50, 5.0])) for point in seen]
-        )
-    for point, ids in enumerate(seen_by):
-        track = pycolmap.Track()
-        for id in ids:
-            index = [p for p, others in enumerate(seen_by) if id in others].index(point)
-            track.add_element(id, index)
-        key = model.add_point3D(
-            np.array([0.01 * point, 0.5, 5.0]), track, np.array([9, 9, 9], np.uint8)
-        )
-        model.points3D[key].error = 3.0
-    model.write(folder / "sparse" / "0")
 
 
 def test_photos_without_a_pose_are_named(posed: Path):

@@ -11,7 +11,7 @@ import stylesplat as ss
 from stylesplat.cli.arguments import from_config, parse_place
 from stylesplat.cli.options import CONTINUES, MakingCommand, OptionalOutput, Output
 from stylesplat.cli.results import Answer, mask_command, next_command
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.atomic import changing, partial_of
 from stylesplat.progress import say
 from stylesplat.structure_from_motion.config import SfmConfig
@@ -98,7 +98,7 @@ class Check(MakingCommand):
             raise wrong_kind(folder, "capture")
         if not is_posed(folder):
             folder = find_earlier_capture(folder, beside=folder) or folder
-        files = open_capture(folder, masks=False)
+        files = open_capture(folder)
         capture = files.at(files.cameras.shrink_to(SIDE))
         report = ss.check(capture)
         values = report.summary()
@@ -123,7 +123,13 @@ def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path
     An earlier capture of the same photos is used if it lies beside them or beside `beside`;
     otherwise `sfm` makes one beside `beside`, after the names and boxes in `drawn` are checked.
     """
-    from stylesplat.io.kinds import is_posed, kind_of, refuse_other_than_photos, wrong_kind
+    from stylesplat.io.kinds import (
+        find_foreign_poses,
+        is_posed,
+        kind_of,
+        refuse_other_than_photos,
+        wrong_kind,
+    )
 
     if is_posed(given):
         return given
@@ -149,6 +155,11 @@ def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path
         )
     check_source(given)
     _check_drawn(given, drawn)
+    if foreign := find_foreign_poses(given):
+        say(
+            f"{some(foreign, whole=True)} may hold poses, in a form or a place that is not read: "
+            "poses are found anew. To use those, export them as COLMAP's text into sparse/0."
+        )
     say(f"{given} has no camera poses: finding them first, to be kept in {output}.")
     sfm(given, output)
     return output

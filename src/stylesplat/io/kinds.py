@@ -1,12 +1,13 @@
 """What lies at a path, and what to do with it where something else was expected."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from fnmatch import fnmatch
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from stylesplat.errors import StyleSplatError, some
-from stylesplat.io.files import is_file, is_there
+from stylesplat.io.files import is_file, is_folder, is_there
 from stylesplat.io.json_files import read_json
 from stylesplat.scene.arguments import pasted
 
@@ -24,6 +25,41 @@ TRANSFORMS = "transforms.json"  # makes a folder a capture, as COLMAP's files do
 SPLITS = ("train", "test", "val")  # of NeRF-synthetic, BlenderNeRF and nerfstudio
 SPLIT_TRANSFORMS = tuple(f"transforms_{split}.json" for split in SPLITS)
 POSES_BOUNDS = "poses_bounds.npy"  # of LLFF
+# Folders of pictures that are no photos of the scene
+NO_PHOTOS = (
+    *("object_mask", "object_mask_exact", "object_masks", "mask", "masks"),
+    *("sparse", "depth", "depths", "thumbs"),
+)
+PHOTO_FOLDERS = ("images", "input")  # how the names of folders begin that lie beside their poses
+
+Form = Literal["colmap", "transforms", "llff"]
+# Where a capture keeps its poses, the places to prefer first: files, or folders of COLMAP models
+POSES: tuple[tuple[Form, tuple[str, ...]], ...] = (
+    ("colmap", ("sparse/*",)),
+    ("colmap", ("sparse",)),
+    ("transforms", (TRANSFORMS,)),
+    ("transforms", SPLIT_TRANSFORMS),
+    ("colmap", ("colmap/sparse/*",)),  # nerfstudio
+    ("colmap", ("colmap/sparse",)),
+    ("colmap", ("colmap",)),
+    ("colmap", ("dense/*/sparse",)),  # COLMAP's automatic reconstructor
+    ("colmap", ("dense/sparse",)),
+    ("colmap", ("distorted/sparse/*",)),  # INRIA's convert.py
+    ("colmap", ("distorted/sparse",)),
+    ("colmap", (".", "images")),  # beside the photos
+    ("llff", (POSES_BOUNDS,)),
+)
+# Files of poses that are not read, beside or among photos
+FOREIGN_POSES = (
+    *("cameras.json", "transforms*.json"),  # INRIA; NeRF
+    *("*camera*.xml", "*blocks*.xml"),  # Metashape; ContextCapture
+    *("bundle*.out", "*.nvm", "*.sfm"),  # Bundler; VisualSFM; Meshroom
+    *("sfm_data*.json", "sfm_data*.bin", "reconstruction.json"),  # OpenMVG; OpenSfM
+    *("*poses*.txt", "*.pose.txt", "*traj*.txt", "groundtruth.txt"),  # KITTI; 7-Scenes; TUM
+    *("*_sfm.log", "trajectory.log", "*_cam.txt"),  # Tanks and Temples; Open3D; MVSNet
+    *("cameras*.npz", "*poses*.npy", "*poses*.npz"),  # IDR; LLFF
+)
+FOREIGN_DEPTH = 2  # folders below that are searched for them
 
 Kind = Literal[
     "nothing",
@@ -57,24 +93,68 @@ def kind_of(path: Path) -> Kind:
     return "picture" if suffix in PHOTOS else "file"
 
 
+class Poses(NamedTuple):
+    """Poses that a capture has in one form."""
+
+    form: Form
+    paths: list[Path]
+    """The file, or the folders of COLMAP's models."""
+
+
 def is_posed(folder: Path) -> bool:
     return bool(find_poses(folder))
 
 
-def find_poses(folder: Path) -> list[Path]:
-    """What a folder has its poses in, the best first; split ones are named by one of them."""
-    sparse = find_sparse(folder)
-    splits = [name for name in SPLIT_TRANSFORMS if is_file(folder / name)][:1]
-    files = [folder / name for name in (TRANSFORMS, *splits, POSES_BOUNDS)]
-    return [*([sparse] if sparse else []), *filter(is_file, files)]
+def find_poses(folder: Path) -> list[Poses]:
+    """The poses of a capture in each form and place that has some, those to use first."""
+    if not is_folder(folder):
+        return []
+    found = [Poses(form, _poses_at(folder, form, places)) for form, places in POSES]
+    return [poses for poses in found if poses.paths]
 
 
-def find_sparse(folder: Path) -> Path | None:
-    """The folder with the COLMAP reconstruction of a capture, if it has one."""
-    for sparse in (folder / "sparse" / "0", folder / "sparse"):
-        if any(is_file(sparse / f"cameras{suffix}") for suffix in (".bin", ".txt")):
-            return sparse
-    return None
+def find_foreign_poses(folder: Path) -> list[Path]:
+    """Files that hold poses of the photos in a folder, but in forms or places that are not read."""
+    beside = folder.name.startswith(PHOTO_FOLDERS)
+    places = [*_folders(folder, FOREIGN_DEPTH), *([folder.parent] if beside else [])]
+    return [path for place in places for path in _foreign_poses_in(place)]
+
+
+def _poses_at(folder: Path, form: Form, places: Sequence[str]) -> list[Path]:
+    paths = [path for place in places for path in _matching(folder, place)]
+    if form != "colmap":
+        return [path for path in paths if is_file(path)]
+    whole = [path for path in paths if _model_files(path) == 2]
+    if whole or "sparse" not in places[0]:
+        return whole
+    return [path for path in paths if _model_files(path) == 1]  # COLMAP's, but incomplete
+
+
+def _matching(folder: Path, place: str) -> list[Path]:
+    return sorted(folder.glob(place)) if "*" in place else [folder / place]
+
+
+def _model_files(folder: Path) -> int:
+    """How many of the two files that poses need are there."""
+    return sum(
+        any(is_file(folder / f"{kind}{suffix}") for suffix in (".bin", ".txt"))
+        for kind in ("cameras", "images")
+    )
+
+
+def _folders(folder: Path, depth: int) -> Iterator[Path]:
+    """A folder and those below it, without scenes, whose poses are our own."""
+    if not _is_scene(folder):
+        yield folder
+        for inner in _entries(folder, Path.is_dir) if depth else ():
+            yield from _folders(inner, depth - 1)
+
+
+def _foreign_poses_in(folder: Path) -> list[Path]:
+    files = _entries(
+        folder, lambda p: any(fnmatch(p.name.lower(), pattern) for pattern in FOREIGN_POSES)
+    )
+    return files + [folder] * (_model_files(folder) == 2)
 
 
 def find_capture(scene: Path, capture: str | None, relative: str | None) -> Path | None:
@@ -118,7 +198,9 @@ def wrong_kind(path: Path, wanted: Noun) -> StyleSplatError:
             remedy = _capture_of_scene(path)
         case "capture", "photos" | "video":
             way = pasted("sfm", path, "-o", "CAPTURE")
+            foreign = some(find_foreign_poses(path), whole=True)
             fault += ", as no camera poses are known"
+            fault += f" (those in {foreign} are not read)" * bool(foreign)
             remedy = f"Find the cameras first: `{way}`; or give the capture that was made of it"
         case "capture", "part of a capture":
             fault = f"{path} holds the photos of the capture {path.parent}, whose poses are known"
@@ -164,7 +246,7 @@ def _kind_of_folder(path: Path) -> Kind:
     if _is_scene(path.parent):
         return "part of a scene"
     photos = any(_entries(path, lambda p: _is_photo(p) or any(_entries(p, _is_photo))))
-    if photos and path.name.startswith("images") and is_posed(path.parent):
+    if photos and path.name.startswith(PHOTO_FOLDERS) and is_posed(path.parent):
         return "part of a capture"
     if photos:
         return "photos"

@@ -86,14 +86,10 @@ def diagnose_model(figures: ModelFigures) -> list[Finding]:
     overlap = f"each photo shares {min(shared.values()):,} points or more with others"
     if weak:
         overlap = f"few points connect {some(weak)} with the others"
+    vague = "Poses are vague: --refine-poses helps; leave out photos that are blurred or zoomed."
+    mean = f"the mean reprojection error is {error:.1f} pixels" if error is not None else ""
     return [
-        _graded(
-            "reprojection error",
-            error,
-            (1.5, 2.5),
-            f"the mean reprojection error is {error:.1f} pixels",
-            "Poses are vague: --refine-poses helps; leave out photos that are blurred or zoomed.",
-        ),
+        *([] if error is None else [_graded("reprojection error", error, (1.5, 2.5), mean, vague)]),
         _graded(
             "track length",
             length,

@@ -12,12 +12,11 @@ import numpy as np
 
 from stylesplat.errors import StyleSplatError, brief, some
 from stylesplat.io.atomic import PARTIAL
-from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
 from stylesplat.io.captures.photos import SmallPhoto, plain_suffix, read_small
 from stylesplat.io.captures.posed_files import check_path
 from stylesplat.io.files import reason
 from stylesplat.io.json_files import PhotoName
-from stylesplat.io.kinds import HEIC, PHOTOS, VIDEOS, find_poses
+from stylesplat.io.kinds import HEIC, NO_PHOTOS, PHOTOS, VIDEOS, find_poses
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
 from stylesplat.structure_from_motion.image_measures import (
     ALL_BLURRED,
@@ -31,11 +30,6 @@ from stylesplat.structure_from_motion.image_measures import (
 from stylesplat.structure_from_motion.photo_files import map_photos
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
-# Folders of pictures that are no photos of the scene
-SKIPPED = (
-    *(OBJECT_MASK, EXACT, "object_masks", "mask", "masks"),
-    *("sparse", "depth", "depths", "thumbs"),
-)
 MAX_MASKED = 0.5  # share of photos without background; with more the user masked them on purpose
 MAX_NUMBERS = 4  # numbers from the first to the last photo, per photo; with more it is no series
 
@@ -84,12 +78,13 @@ def find_sources(folder: Path, *, skip: Path) -> SourceFiles:
 
 
 def _refuse_posed(folder: Path) -> None:
-    posed = find_poses(folder)
-    if posed:
+    found = find_poses(folder)
+    if found:
+        posed = some(path.relative_to(folder).as_posix() for path in found[0].paths)
         photos = f", or give {folder / 'images'} to find new ones" * (folder / "images").is_dir()
         raise StyleSplatError(
-            f"{folder} has its poses already ({posed[0].relative_to(folder)}). Use it as it is, "
-            f"with `stylesplat train {folder}`{photos}."
+            f"{folder} has its poses already ({posed}). Use it as it is, with "
+            f"`stylesplat train {folder}`{photos}."
         )
 
 
@@ -108,7 +103,7 @@ def _walk(folder: Path, skip: Path) -> Iterator[str]:
 
 def _is_skipped(name: str) -> bool:
     hidden = name.startswith((".", "__MACOSX", "@eaDir"))
-    return hidden or name.endswith(PARTIAL) or name.casefold() in SKIPPED
+    return hidden or name.endswith(PARTIAL) or name.casefold() in NO_PHOTOS
 
 
 def _unusable_file(name: str) -> str | None:

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap import check_complete, posed_images
+from stylesplat.io.captures.colmap import posed_images
+from stylesplat.io.captures.colmap_files import check_complete
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens, places_in
 from stylesplat.io.captures.photos import Photo

@@ -1,6 +1,7 @@
 """Captures as a whole: photos, cameras, label maps and points that fit each other."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -120,10 +121,16 @@ def test_photos_smaller_than_their_cameras(make_capture: MakeCapture):
     ],
     ids=["NaN", "scaled", "mirrored"],
 )
-def test_poses_that_are_none(make_capture: MakeCapture, tmp_path: Path, pose: list):
-    write_transforms(load(make_capture()).cameras, tmp_path)
-    content = json.loads((tmp_path / "transforms.json").read_text())
+def test_poses_that_are_none(make_capture: MakeCapture, said: list[str], pose: list):
+    folder = make_capture()
+    write_transforms(load(folder).cameras, folder)
+    shutil.rmtree(folder / "sparse")
+    content = json.loads((folder / "transforms.json").read_text())
     content["frames"][1]["transform_matrix"] = pose
-    (tmp_path / "transforms.json").write_text(json.dumps(content))
-    with pytest.raises(StyleSplatError, match=r"1 of the 3 poses .* NaN .* that of 002\.png"):
-        load(tmp_path)
+    (folder / "transforms.json").write_text(json.dumps(content))
+    assert load(folder).cameras.names == ("001.png", "003.png")
+    assert said[0].startswith("1 of the 3 poses") and said[0].endswith("left out: 002.png.")
+    content["frames"][2]["transform_matrix"] = pose
+    (folder / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(StyleSplatError, match=r"2 of the 3 poses .* NaN .* that of 002\.png"):
+        load(folder)

@@ -1,3 +1,4 @@
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -6,17 +7,17 @@ import pytest
 
 from capture_files import HEIGHT, PINHOLE, WIDTH, lenses_of, reconstruction
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap import check_complete, read_colmap, read_figures
+from stylesplat.io.captures.colmap import read_colmap, read_figures
+from stylesplat.io.captures.colmap_files import check_complete
 from stylesplat.io.captures.posed_files import PosedFiles
-from stylesplat.io.kinds import find_sparse
+from stylesplat.io.kinds import find_poses
 
-BINARIES = ["cameras", "images", "points3D", "rigs", "frames"]
+READ = ["cameras", "images", "points3D"]
+BINARIES = [*READ, "rigs", "frames"]
 
 
 def read(folder: Path) -> PosedFiles:
-    sparse = find_sparse(folder)
-    assert sparse is not None
-    return read_colmap(folder, sparse)
+    return read_colmap(folder, find_poses(folder)[0].paths)
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -34,15 +35,18 @@ def test_poses_points_and_names(make_capture: Callable[..., Path], text: bool, s
 
 def test_smaller_copies_stand_in_for_images(make_capture: Callable[..., Path]):
     folder = make_capture(images="images_4")
-    (folder / "images_8").mkdir()
-    assert read(folder).paths[0] == folder / "images_4" / "001.png"
+    shutil.copytree(folder / "images_4", folder / "images_8")
     (folder / "images_2").mkdir()
+    assert read(folder).paths[0] == folder / "images_4" / "001.png"
+    shutil.copytree(folder / "images_4", folder / "images_2", dirs_exist_ok=True)
     assert read(folder).paths[0] == folder / "images_2" / "001.png"
 
 
 def test_no_photos(make_capture: Callable[..., Path]):
-    with pytest.raises(StyleSplatError, match="no images/"):
-        read(make_capture(images="pictures"))
+    folder = make_capture(images="elsewhere")
+    shutil.rmtree(folder / "elsewhere")
+    with pytest.raises(StyleSplatError, match=r"none of the 3 photos .*003\.png.* images"):
+        read(folder)
 
 
 def test_no_posed_images(make_capture: Callable[..., Path]):
@@ -58,7 +62,7 @@ def test_every_truncation_is_noticed(make_capture: Callable[..., Path], name: st
     for content in [*(whole[:end] for end in range(len(whole))), whole + b"\0"]:
         path.write_bytes(content)
         with pytest.raises(StyleSplatError, match=rf"{name}\.bin is truncated or damaged"):
-            read(folder)
+            read(folder) if name in READ else check_complete(path.parent)
 
 
 @pytest.mark.parametrize("name", BINARIES)

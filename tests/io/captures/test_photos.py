@@ -69,6 +69,25 @@ def test_a_turned_photo_fits_its_camera_either_way(tmp_path: Path, size: tuple, 
     np.testing.assert_array_equal(photo.read().numpy(), expected)
 
 
+@pytest.mark.parametrize("orientation", range(2, 9))
+def test_poses_belong_to_the_pixels_as_stored(tmp_path: Path, orientation: int):
+    square = PIXELS[:, :6]
+    for pixels in (PIXELS, square):
+        path = save(tmp_path / "a.png", pixels, orientation)
+        for scale in (1, 2):
+            photo = fit_photo(path, pinhole(scale * pixels.shape[1], scale * pixels.shape[0]))
+            np.testing.assert_array_equal(photo.read().numpy(), pixels)
+            assert photo.as_stored
+
+
+@pytest.mark.parametrize("orientation", range(5, 9))
+def test_only_the_turned_photo_fits_a_turned_camera(tmp_path: Path, orientation: int):
+    path = save(tmp_path / "a.png", PIXELS, orientation)
+    photo = fit_photo(path, pinhole(6, 8))
+    np.testing.assert_array_equal(photo.read(), read_image(path))
+    assert not photo.as_stored
+
+
 @pytest.mark.parametrize("size", [(16, 12), (4, 3), (17, 13), (15, 11)], ids=str)
 def test_a_multiple_scales_the_camera(tmp_path: Path, size: tuple[int, int]):
     photo = fit_photo(save(tmp_path / "a.png", PIXELS), pinhole(*size))

@@ -1,6 +1,7 @@
 """Captures on disk: posed photos, their label maps and their sparse points."""
 
 import math
+import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -12,15 +13,22 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, some
-from stylesplat.io.captures.colmap import find_photos, read_colmap
+from stylesplat.io.captures.colmap import read_colmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.llff import read_llff
+from stylesplat.io.captures.photo_names import photo_files, photo_places
 from stylesplat.io.captures.photos import OPAQUE, Photo, fit_photo
-from stylesplat.io.captures.posed_files import PosedFiles, drop_missing, split_offset
+from stylesplat.io.captures.posed_files import (
+    PosedFiles,
+    drop_bad_points,
+    drop_bad_poses,
+    drop_missing,
+    split_offset,
+)
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.captures.transforms import read_transforms
 from stylesplat.io.captures.valid_pixels import check_masks, match_masks
-from stylesplat.io.kinds import PHOTOS, POSES_BOUNDS, find_poses, wrong_kind
+from stylesplat.io.kinds import find_poses, wrong_kind
 from stylesplat.io.label_maps import (
     DrawnLabels,
     FoundMasks,
@@ -30,7 +38,7 @@ from stylesplat.io.label_maps import (
 )
 from stylesplat.progress import say, track
 from stylesplat.scene.cache import Cache, Lazy
-from stylesplat.scene.cameras import Cameras, are_rigid
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.world_offset import ORIGIN, Offset, announced
@@ -111,16 +119,16 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     does not fit the others.
     """
     folder = Path(path)
-    posed = _read_poses(folder)
+    posed = drop_bad_points(drop_bad_poses(_read_poses(folder), folder), folder)
     posed, offset = split_offset(posed)
     if offset != ORIGIN:
         say(announced(folder, offset))
-    _check_poses(posed, folder)
     others = photos_besides(folder, posed.names)
     if others:
+        count = len(others) + len(posed.names) + len(posed.missing)
         say(
             f"Without a pose, so left out: {some(others)} "
-            f"({len(others)} of the {len(others) + len(posed.names)} photos in {folder})."
+            f"({len(others)} of the {count} photos in {folder})."
         )
     posed = drop_missing(posed, folder)
     lenses = [lens for lens in posed.lenses if lens is not None]  # every existing photo has one
@@ -128,6 +136,13 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     photos = [fit_photo(*pair) for pair in track(pairs, "reading photos", unit="photo")]
     if posed.masks is not None:
         check_masks(posed.masks, photos)
+    stored = [name for name, photo in zip(posed.names, photos, strict=True) if photo.as_stored]
+    if stored:
+        say(
+            f"Used as stored, not as their EXIF rotation shows them: {some(stored)} ({len(stored)} "
+            f"of the {len(photos)} photos in {folder}). Poses, boxes and label maps belong to the "
+            "stored pixels."
+        )
     pinholes = [photo.lens.pinhole() for photo in photos]
     cameras = Cameras(
         viewmats=posed.viewmats.float(),
@@ -153,16 +168,24 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
 
 
 def _read_poses(folder: Path) -> PosedFiles:
+    """The poses of a capture; a message names those that are there in other forms or places."""
     found = find_poses(folder)
     if not found:
         raise wrong_kind(folder, "capture")
-    used, *others = found
+    used, *others = (
+        (poses, some(path.relative_to(folder).as_posix() for path in poses.paths))
+        for poses in found
+    )
     if others:
-        rest = some([path.relative_to(folder) for path in others])
-        say(f"Poses are read from {used.relative_to(folder)}, and not from {rest}.")
-    if used.name == POSES_BOUNDS:
-        return read_llff(folder)
-    return read_transforms(folder) if used.suffix == ".json" else read_colmap(folder, used)
+        unused = ", ".join(paths for _, paths in others)
+        say(f"{folder} has poses in several places: those in {used[1]} are used, not {unused}.")
+    match used[0].form:
+        case "colmap":
+            return read_colmap(folder, used[0].paths)
+        case "transforms":
+            return read_transforms(folder)
+        case "llff":
+            return read_llff(folder)
 
 
 def exact_masks(folder: Path) -> Path | None:
@@ -186,15 +209,16 @@ def unposed_photos(folder: Path, posed: Collection[str]) -> tuple[dict[str, str]
 
 def photos_besides(folder: Path, posed: Collection[str]) -> list[str]:
     """The names of the other photos in the folder of a capture's posed photos, sorted."""
-    try:
-        photos = find_photos(folder)
-    except StyleSplatError:  # those of transforms.json may lie anywhere
+    places = [*photo_places(folder), *(path for path in sorted(folder.iterdir()) if path.is_dir())]
+    counts = {place: sum(os.path.lexists(place / name) for name in posed) for place in places}
+    place = max(counts, key=lambda each: counts[each])
+    if not counts[place]:  # those of transforms.json may lie anywhere
         return []
-    files = (path for path in sorted(photos.rglob("*")) if path.suffix.lower() in PHOTOS)
-    names = {path.relative_to(photos).as_posix() for path in files if path.is_file()}
-    if not names & set(posed):  # the posed photos are named within another folder
-        return []
-    return sorted(names - set(posed))
+    others = [name for name in photo_files(place) if name not in {*posed}]
+    if place == folder:  # which holds other pictures as well
+        parents = {Path(name).parent for name in posed}
+        others = [name for name in others if Path(name).parent in parents]
+    return others
 
 
 def with_drawn_maps(
@@ -226,20 +250,6 @@ def _photos_of(capture: Capture) -> dict[str, Photo]:
         name: Photo(Path(name), True, Lens("PINHOLE", w, h, (fx, fy, cx, cy)), (w, h))
         for name, ((fx, _, cx), (_, fy, cy), _), (w, h) in rows
     }
-
-
-def _check_poses(posed: PosedFiles, folder: Path) -> None:
-    rigid = are_rigid(posed.viewmats).tolist()
-    bad = [name for name, fits in zip(posed.names, rigid, strict=True) if not fits]
-    if bad:
-        raise StyleSplatError(
-            f"{len(bad)} of the {len(posed.names)} poses in {folder} are NaN or no rotation and "
-            f"shift, the first that of {bad[0]}. Pose the photos again."
-        )
-    if posed.points is not None and not posed.points.isfinite().all():
-        raise StyleSplatError(
-            f"Some points in {folder} are NaN or infinitely far. Pose the photos again."
-        )
 
 
 def _split_alpha(

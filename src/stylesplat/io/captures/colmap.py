@@ -1,65 +1,161 @@
-"""COLMAP reconstructions, binary or text."""
+"""COLMAP reconstructions as poses of photos, and how good they are."""
 
-import struct
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Float64, UInt8
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, some, within
+from stylesplat.io.captures.colmap_files import (
+    CameraRecord,
+    ImageRecord,
+    model_files,
+    read_cameras,
+    read_images,
+    read_points,
+)
 from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.photo_names import FoundPhotos, find_photos
+from stylesplat.io.captures.point_file import read_points as read_point_file
 from stylesplat.io.captures.posed_files import PosedFiles
-from stylesplat.io.files import is_there, open_binary, reading, require_regular
-from stylesplat.io.kinds import find_sparse
+from stylesplat.io.files import is_file
+from stylesplat.io.kinds import find_poses
+from stylesplat.progress import SILENCE, observed, say
 
 if TYPE_CHECKING:  # else each command would load it
     from stylesplat.io.captures.colmap_library import pycolmap
 
-
-def find_photos(folder: Path) -> Path:
-    """The folder of a capture's photos: `images`, or the least reduced of `images_2` and so on."""
-    folders = find_photo_folders(folder)
-    if not folders:
-        raise StyleSplatError(f"{folder} has a reconstruction but no images/. Add the photos.")
-    return folders[0]
+POINTS_PLY = "points3D.ply"
+IDENTITY = (0.0, 0.0, 0.0, 1.0)  # as a quaternion of scipy
 
 
-def find_photo_folders(folder: Path) -> list[Path]:
-    """`images`, `images_2` and so on, as far as they are there, the least reduced first."""
-    copies = [p for p in folder.glob("images_*") if p.is_dir() and p.name[7:].isdecimal()]
-    whole = [folder / "images"] if (folder / "images").is_dir() else []
-    return [*whole, *sorted(copies, key=lambda p: int(p.name[7:]))]
+@dataclass(frozen=True)
+class _Model:
+    files: dict[str, Path]
+    cameras: dict[int, CameraRecord]
+    images: list[ImageRecord]
+    photos: FoundPhotos
+
+    @property
+    def folder(self) -> Path:
+        return self.files["images"].parent
 
 
-def read_colmap(folder: Path, sparse: Path) -> PosedFiles:
-    """Read the poses, cameras and points of a capture; photos are sorted by name."""
-    with _opened_model(sparse) as model:
-        images = posed_images(model)
-        if not images:
-            raise StyleSplatError(
-                f"{sparse} has {model.num_cameras()} cameras and {model.num_images()} images, none "
-                "of them posed. Run the reconstruction again."
-            )
-        lenses = {key: Lens.from_colmap(camera) for key, camera in model.cameras.items()}
-        points = [point for _, point in sorted(model.points3D.items())]
-        means = np.array([point.xyz for point in points], np.float64)
-        colors = np.array([point.color for point in points], np.uint8)
-        photos = find_photos(folder)
-        return PosedFiles(
-            names=tuple(image.name for image in images),
-            paths=tuple(photos / image.name for image in images),
-            lenses=tuple(lenses[image.camera_id] for image in images),
-            viewmats=viewmats_of(images),
-            points=torch.from_numpy(means) if points else None,
-            point_colors=torch.from_numpy(colors) if points else None,
+def read_colmap(folder: Path, models: Sequence[Path]) -> PosedFiles:
+    """Read the poses, cameras and points of a capture; photos are sorted by name.
+
+    Args:
+        folder: The capture.
+        models: The folders of its reconstructions; that of most photos is used.
+    """
+    model = _largest(folder, models)
+    found, lenses = model.photos, _lenses(model)
+    if not model.images:
+        raise StyleSplatError(
+            f"{model.folder} has {len(model.cameras)} cameras and 0 images, none of them posed. "
+            "Run the reconstruction again."
         )
+    if not found.names:
+        names = some(sorted(image.name for image in model.images))
+        raise StyleSplatError(
+            f"{folder} has none of the {len(model.images)} photos that {model.folder} poses: "
+            f"{names}. Put them into its folder images, or give the folder that holds both."
+        )
+    if found.renamed:
+        pairs = some(f"{old} is {new}" for old, new in found.renamed.items())
+        say(f"Photos that are called otherwise in {model.folder}: {pairs}.")
+    images = sorted(
+        (image for image in model.images if image.name in found.names),
+        key=lambda image: found.names[image.name],
+    )
+    names = tuple(found.names[image.name] for image in images)
+    means, colors = _points(model)
+    return PosedFiles(
+        names=names,
+        paths=tuple(found.folder / name for name in names),
+        lenses=tuple(lenses[image.camera_id] for image in images),
+        viewmats=_viewmats(images),
+        points=means,
+        point_colors=colors,
+        missing=tuple(sorted(i.name for i in model.images if i.name not in found.names)),
+    )
+
+
+def _points(
+    model: _Model,
+) -> tuple[Float64[Tensor, "M 3"], UInt8[Tensor, "M 3"]] | tuple[None, None]:
+    """Positions and colours; those of a PLY file, as INRIA's code writes it, if there are no others."""
+    if "points3D" in model.files:
+        points = read_points(model.files["points3D"])
+        if len(points.means):
+            return torch.from_numpy(points.means), torch.from_numpy(points.colors)
+    elif is_file(model.folder / POINTS_PLY):
+        return read_point_file(model.folder / POINTS_PLY) or (None, None)
+    say(f"{model.folder} has no points: training starts from random ones.")
+    return None, None
+
+
+def _largest(folder: Path, models: Sequence[Path]) -> _Model:
+    read = [_read_model(folder, path) for path in models]
+    best = max(read, key=lambda model: len(model.photos.names))
+    if len(read) > 1:
+        others = (f"{m.folder.name} ({len(m.photos.names)})" for m in read if m is not best)
+        say(
+            f"Of the {len(read)} models in {best.folder.parent}, {best.folder.name} is used, which "
+            f"poses most photos ({len(best.photos.names)}); left out: {some(others)}."
+        )
+    return best
+
+
+def _read_model(folder: Path, path: Path) -> _Model:
+    """A model without its points; images without a camera, and second poses, are left out."""
+    files = model_files(path)
+    cameras, images = read_cameras(files["cameras"]), read_images(files["images"])
+    lost = [image for image in images if image.camera_id not in cameras]
+    if lost:
+        ids = some(sorted({image.camera_id for image in lost}))
+        fault = f"{files['cameras']} has no camera {ids}"
+        if len(lost) == len(images):
+            raise StyleSplatError(f"{fault}, which all images have. Copy it again.")
+        say(f"{fault}, so left out: {some(image.name for image in lost)}.")
+    images = [image for image in images if image.camera_id in cameras]
+    first = {image.name: image for image in reversed(images)}
+    if len(first) < len(images):
+        again = (name for name, n in Counter(i.name for i in images).items() if n > 1)
+        say(f"Posed more than once in {path}, so by the first pose: {some(again)}.")
+        images = [*reversed(first.values())]
+    return _Model(files, cameras, images, find_photos(folder, sorted(first), path))
+
+
+def _lenses(model: _Model) -> dict[int, Lens]:
+    """The lenses of the images by camera."""
+    lenses = dict[int, Lens]()
+    found = (image for image in model.images if image.name in model.photos.names)
+    for id in sorted({image.camera_id for image in found}):
+        camera = model.cameras[id]
+        with within(f"Camera {id} in {model.files['cameras']}"):
+            lenses[id] = Lens.create(camera.model, camera.width, camera.height, camera.params)
+    return lenses
+
+
+def _viewmats(images: Sequence[ImageRecord]) -> Float64[Tensor, "C 4 4"]:
+    """World to camera; NaN where a quaternion is no rotation."""
+    poses = np.array([image.pose for image in images]).reshape(-1, 7)
+    quats = poses[:, [1, 2, 3, 0]]  # scipy has w last
+    norms = np.linalg.norm(quats, axis=1, keepdims=True)
+    good = (norms > 0) & np.isfinite(norms)
+    viewmats = np.tile(np.eye(4), (len(poses), 1, 1))
+    viewmats[:, :3, :3] = Rotation.from_quat(np.where(good, quats, IDENTITY)).as_matrix()
+    viewmats[:, :3, 3] = poses[:, 4:]
+    viewmats[~good[:, 0]] = np.nan
+    return torch.from_numpy(viewmats)
 
 
 def posed_images(model: "pycolmap.Reconstruction") -> list["pycolmap.Image"]:
@@ -76,8 +172,8 @@ def viewmats_of(images: Sequence["pycolmap.Image"]) -> Float64[Tensor, "C 4 4"]:
 class ModelFigures:
     """How well the photos of a reconstruction hold together."""
 
-    error: float
-    """Mean reprojection error in pixels."""
+    error: float | None
+    """Mean reprojection error in pixels; None if unknown."""
     track_length: float
     """Mean number of photos that a point was found in."""
     shared: dict[str, int]
@@ -86,95 +182,26 @@ class ModelFigures:
 
 def read_figures(folder: Path) -> ModelFigures | None:
     """Read the figures of a capture; None without a COLMAP model, or if its points lack tracks."""
-    sparse = find_sparse(folder)
-    if sparse is None:
+    found = find_poses(folder)
+    if not found or found[0].form != "colmap":
         return None
-    with _opened_model(sparse) as model:
-        if not model.compute_num_observations():
+    with observed(SILENCE):  # `read_colmap` says what is left out
+        model = _largest(folder, found[0].paths)
+        if "points3D" not in model.files:
             return None
-        return ModelFigures(
-            error=model.compute_mean_reprojection_error(),
-            track_length=model.compute_mean_track_length(),
-            shared={i.name: i.num_points3D for i in model.images.values() if i.has_pose},
-        )
-
-
-@contextmanager
-def _opened_model(sparse: Path) -> Iterator["pycolmap.Reconstruction"]:
-    from stylesplat.io.captures.colmap_library import pycolmap
-
-    check_complete(sparse)
-    with reading(f"the reconstruction {sparse}", "Copy it again."):
-        yield pycolmap.Reconstruction(sparse)
-
-
-# pycolmap (4.2) does not notice where a binary file ends: it loads garbage from a truncated
-# `cameras.bin`, and takes gigabytes for other files before it fails. So the lengths of the records
-# (src/colmap/scene/reconstruction_io_binary.cc), and nothing else, are followed first.
-COUNT, COUNT_32 = struct.Struct("<Q"), struct.Struct("<I")
-CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters, float64
-IMAGE_HEAD = 4 + 7 * 8 + 4  # id, pose, camera id; then the name, ended by a zero byte
-POINT2D = 2 * 8 + 8  # x, y, point id
-POINT3D_HEAD = 8 + 3 * 8 + 3 + 8  # id, position, colour, error
-TRACK_ELEMENT = 4 + 4  # image id, index
-RIG_HEAD = struct.Struct("<II")  # id, number of sensors
-SENSOR = 4 + 4  # type, id
-RIG_POSE = 7 * 8
-FRAME_HEAD = 4 + 4 + 7 * 8  # id, rig id, pose
-DATA_ID = SENSOR + 8
-
-
-def check_complete(sparse: Path) -> None:
-    """Raise a StyleSplatError if the records of a binary file do not end where the file does."""
-    for kind in ("cameras", "images", "points3D", "rigs", "frames"):
-        path = sparse / f"{kind}.bin"
-        require_regular(path.with_suffix(".txt"))
-        if is_there(path) and not _is_complete(path, kind):
-            raise StyleSplatError(
-                f"{path} is truncated or damaged: its records do not end where the file does. "
-                "Copy it again."
-            )
-
-
-def _is_complete(path: Path, kind: str) -> bool:
-    with open_binary(path) as file:
-        try:
-            with mmap(file.fileno(), 0, access=ACCESS_READ) as content:
-                offset = COUNT.size
-                for _ in range(COUNT.unpack_from(content)[0]):
-                    offset = _end_of_record(kind, content, offset)
-                    if offset > len(content):  # perhaps by more than an offset can be
-                        return False
-                return offset == len(content)
-        except (struct.error, ValueError):  # the latter also of an empty file
-            return False
-
-
-def _end_of_record(kind: str, content: mmap, at: int) -> int:
-    from stylesplat.io.captures.colmap_library import pycolmap
-
-    count = COUNT  # of the list at the end of a record
-    match kind:
-        case "cameras":
-            _, model, width, height = CAMERA.unpack_from(content, at)
-            kind_of_lens = pycolmap.CameraModelId(model)
-            camera = pycolmap.Camera.create_from_model_id(0, kind_of_lens, 1.0, width, height)
-            return at + CAMERA.size + 8 * len(camera.params)
-        case "rigs":
-            _, sensors = RIG_HEAD.unpack_from(content, at)
-            at += RIG_HEAD.size + SENSOR * (sensors > 0)  # the reference sensor has no pose
-            for _ in range(sensors - 1):
-                has_pose = content[at + SENSOR] if at + SENSOR < len(content) else 0
-                at += SENSOR + 1 + RIG_POSE * (has_pose > 0)
-                if at > len(content):
-                    break
-            return at
-        case "images":
-            start, item = content.find(b"\0", at + IMAGE_HEAD) + 1, POINT2D
-            if not start:
-                raise ValueError("a name without end")
-        case "points3D":
-            start, item = at + POINT3D_HEAD, TRACK_ELEMENT
-        case _:  # frames
-            start, item, count = at + FRAME_HEAD, DATA_ID, COUNT_32
-    return start + count.size + item * count.unpack_from(content, start)[0]
+        points = read_points(model.files["points3D"], tracks=True)
+    ids = np.array([image.id for image in model.images if image.name in model.photos.names])
+    known = np.isin(points.images, ids)
+    if not known.any():
+        return None
+    counts = Counter(points.images[known].tolist())
+    errors = points.errors[points.errors >= 0]
+    return ModelFigures(
+        error=float(errors.mean()) if len(errors) else None,
+        track_length=int(known.sum()) / len(points.means),
+        shared={
+            model.photos.names[i.name]: counts[i.id]
+            for i in model.images
+            if i.name in model.photos.names
+        },
+    )

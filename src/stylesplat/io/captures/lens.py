@@ -1,5 +1,6 @@
 """Camera models with distortion, and how their photos become pinhole photos."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -10,7 +11,7 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.images import row_bands
 
 if TYPE_CHECKING:  # else each command would load it
@@ -52,6 +53,24 @@ class Lens:
         if min(camera.focal_length_x, camera.focal_length_y) < MIN_FOCAL:
             raise StyleSplatError(f"A {name} camera has no focal length. Pose the photos again.")
         return cls(name, camera.width, camera.height, tuple(map(float, camera.params)))
+
+    @classmethod
+    def create(cls, model: str, width: int, height: int, params: Sequence[float]) -> "Lens":
+        """A checked lens. Raises a StyleSplatError for what is none, as `from_colmap` does."""
+        from stylesplat.io.captures.colmap_library import pycolmap
+
+        known = {*pycolmap.CameraModelId.__members__} - {"INVALID"}
+        if model not in known:
+            raise StyleSplatError(
+                f"There is no camera model {brief(model)}. Convert it to one of COLMAP's, such as "
+                "OPENCV."
+            )
+        if not 1 <= min(width, height) <= max(width, height) <= MAX_SIDE:
+            raise StyleSplatError(
+                f"A photo cannot have {width}x{height} pixels. Pose the photos again."
+            )
+        camera = pycolmap.Camera(model=model, width=width, height=height, params=params)
+        return cls.from_colmap(camera)
 
     @property
     def size(self) -> tuple[int, int]:

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap import find_photo_folders
 from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.photo_names import photo_places
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.files import reading
 from stylesplat.io.kinds import PHOTOS, POSES_BOUNDS
@@ -46,7 +46,7 @@ def read_llff(folder: Path) -> PosedFiles:
 def _photos(folder: Path, count: int) -> list[Path]:
     """As many photos as there are poses: the full-size ones, or the least reduced."""
     found = dict[str, int]()
-    for place in find_photo_folders(folder):
+    for place in photo_places(folder):
         entries = (path for path in sorted(place.iterdir()) if not path.name.startswith("."))
         photos = [path for path in entries if path.suffix.lower() in PHOTOS]
         if len(photos) == count:

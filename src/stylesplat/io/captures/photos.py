@@ -19,7 +19,6 @@ from stylesplat.io.images import (
     composite,
     decode,
     decoding,
-    image_sizes,
     open_image,
     orientation,
     pixels_of,
@@ -35,11 +34,13 @@ class Photo:
 
     path: Path
     upright: bool
-    """Whether its EXIF rotation applies: some poses were found without it."""
+    """Whether its EXIF rotation applies: poses belong to the pixels as stored, few to these."""
     lens: Lens
     """The lens, in pixels of the file."""
     size: tuple[int, int]
     """Width and height of the undistorted photo."""
+    as_stored: bool = False
+    """Whether it has an EXIF rotation which does not apply."""
 
     def read(self) -> UInt8[Tensor, "H W 3"]:
         """Decode, rotate, undistort and shrink (by area averages); transparency becomes black."""
@@ -73,21 +74,25 @@ class Photo:
 def fit_photo(path: Path, lens: Lens) -> Photo:
     """Match a photo with its camera, from the header of the file.
 
-    Upright is preferred to as stored, and the camera's exact size to a multiple of it; for a
+    Poses belong to the pixels as stored, unless their size fits only the photo that the EXIF
+    rotation makes upright. The camera's exact size is preferred to a multiple of it; for a
     multiple, as in `images_2`, the camera is scaled. Raises a StyleSplatError if the shapes differ.
     """
-    stored, upright = image_sizes(path)
-    choices = ((upright, True), (stored, False))
+    with open_image(path) as image:
+        stored, turned = image.size, orientation(image)
+    upright = (stored[1], stored[0]) if turned in QUARTER_TURNS else stored
+    choices = ((stored, False), (upright, True))
     fits = [c for c in choices if c[0] == lens.size]
     fits += [c for c in choices if same_shape(c[0], lens.size)]
     if not fits:
         raise StyleSplatError(
-            f"The photo {path} is {upright[0]}x{upright[1]}, which is no multiple of its camera's "
+            f"The photo {path} is {stored[0]}x{stored[1]}, which is no multiple of its camera's "
             f"{lens.width}x{lens.height}. Put back the photos that were posed."
         )
     size, is_upright = fits[0]
     lens = lens if size == lens.size else lens.scaled(*size)
-    return Photo(path, is_upright, lens, lens.pinhole().size)
+    as_stored = turned in TURNS and not is_upright
+    return Photo(path, is_upright, lens, lens.pinhole().size, as_stored)
 
 
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:

@@ -16,6 +16,7 @@ from stylesplat.errors import StyleSplatError, brief, some
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.json_files import MAX_NAME
 from stylesplat.progress import say
+from stylesplat.scene.cameras import are_rigid
 from stylesplat.scene.world_offset import ORIGIN, Offset, choose_offset, from_world
 
 # Bytes of a file's or folder's name: systems take 255, and a draft's name has 14 more
@@ -45,11 +46,13 @@ class PosedFiles:
     """Pictures that are 0 where a photo's pixels are not to be used; None for a photo without."""
     held_out: frozenset[str] | None = None
     """Names of the photos that the files hold out of training; None if they say nothing."""
+    missing: tuple[str, ...] = ()
+    """Names of further photos with poses, which are nowhere in the capture."""
 
     def __post_init__(self) -> None:
         for name in self.names:
             check_path(name)
-            if _leaves(name):
+            if leaves(name):
                 raise StyleSplatError(
                     f"The photo {brief(name)!r} has a name that leaves the folder of the photos. "
                     "Pose the photos again, under names without '..' that are not absolute."
@@ -99,28 +102,65 @@ def _keep_existing(
     # Unlike Path's, lexists takes any name
     there = [path is None or os.path.lexists(path) for path in paths]
     missing = [name for name, found in zip(names, there, strict=True) if not found]
+    missing += posed.missing
     if not missing:
         return posed
     held_out, count = posed.held_out or frozenset(), sum(path is not None for path in paths)
+    count += len(posed.missing)
     pairs = zip(posed.names, there, strict=True)
     to_train = [found for name, found in pairs if name not in held_out]
-    if 2 * sum(to_train) < len(to_train):
+    if 2 * sum(to_train) < len(to_train) + len(posed.missing):
         raise StyleSplatError(
             f"Only {count - len(missing)} of the {count} {photos} in {folder} are there. "
             f"Missing: {some(missing)}. Put them back, or pose the photos again."
         )
     of = f"{len(missing)} of the {count} {photos} in {folder}"
     say(f"Missing, so left out: {some(missing)} ({of}).")
+    return replace(_only(posed, there), missing=())
+
+
+def drop_bad_poses(posed: PosedFiles, folder: Path) -> PosedFiles:
+    """Leave out poses that are none, with a message; more than half are an error."""
+    good = are_rigid(posed.viewmats).tolist()
+    bad = [name for name, fits in zip(posed.names, good, strict=True) if not fits]
+    if not bad:
+        return posed
+    said = f"{len(bad)} of the {len(good)} poses in {folder} are NaN or no rotation and shift"
+    if 2 * len(bad) > len(good):
+        raise StyleSplatError(f"{said}, the first that of {bad[0]}. Pose the photos again.")
+    say(f"{said}, so left out: {some(bad)}.")
+    return _only(posed, good)
+
+
+def drop_bad_points(posed: PosedFiles, folder: Path) -> PosedFiles:
+    """Leave out points that are nowhere, with a message."""
+    if posed.points is None:
+        return posed
+    good = posed.points.float().isfinite().all(dim=1)
+    if good.all():
+        return posed
+    say(
+        f"{int((~good).sum()):,} of the {len(good):,} points in {folder} are NaN or infinitely "
+        "far, so left out."
+    )
+    colors = posed.point_colors
+    return replace(
+        posed, points=posed.points[good], point_colors=None if colors is None else colors[good]
+    )
+
+
+def _only(posed: PosedFiles, kept: Sequence[bool]) -> PosedFiles:
+    """Some of the photos."""
     columns = zip(posed.names, posed.paths, posed.lenses, strict=True)
-    left, files, lenses = zip(*compress(columns, there), strict=True)
+    names, paths, lenses = zip(*compress(columns, kept), strict=True)
     return replace(
         posed,
-        names=left,
-        paths=files,
+        names=names,
+        paths=paths,
         lenses=lenses,
-        viewmats=posed.viewmats[torch.tensor(there)],
-        masks=None if posed.masks is None else (*compress(posed.masks, there),),
-        held_out=held_out & {*left} or None,
+        viewmats=posed.viewmats[torch.tensor(kept)],
+        masks=None if posed.masks is None else (*compress(posed.masks, kept),),
+        held_out=(posed.held_out or frozenset()) & {*names} or None,
     )
 
 
@@ -134,7 +174,7 @@ def check_path(text: str) -> None:
         )
 
 
-def _leaves(name: str) -> bool:
+def leaves(name: str) -> bool:
     """Whether a name leaves its folder, or names the folder itself, on any system."""
     windows = PureWindowsPath(name)
     return bool(

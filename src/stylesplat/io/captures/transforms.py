@@ -274,7 +274,7 @@ def _lens(frame: _Frame, photo: Path, model: str) -> Lens:
     from stylesplat.io.captures.colmap_library import pycolmap
 
     if frame.w is None:
-        width, height = image_sizes(photo)[1]
+        width, height = image_sizes(photo)[0]
     elif frame.h is None:
         raise ValueError("it has w, but lacks the key 'h'")
     else:
