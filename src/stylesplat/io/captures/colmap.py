@@ -91,7 +91,7 @@ def read_colmap(folder: Path, models: Sequence[Path]) -> PosedFiles:
 def _points(
     model: _Model,
 ) -> tuple[Float64[Tensor, "M 3"], UInt8[Tensor, "M 3"]] | tuple[None, None]:
-    """Positions and colours; those of a PLY file, as INRIA's code writes it, if there are no others."""
+    """Positions and colours; of a PLY file, as INRIA's code writes, if there are no others."""
     if "points3D" in model.files:
         points = read_points(model.files["points3D"])
         if len(points.means):
