@@ -38,22 +38,25 @@ def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
         @staticmethod
         def apply(means, covars, quats, scales, viewmats, Ks, width, height, *options):
             *cuts, compensate, camera_model, opacities = options
-            assert covars is None and not compensate and camera_model == "pinhole"
+            assert covars is None and camera_model == "pinhole"
             assert cuts == [EPS2D, NEAR_PLANE, FAR_PLANE, 0.0]
             assert len(means), "gsplat divides whole numbers by that of Gaussians: the process dies"
             calls.projections += 1
-            gaussians = Gaussians(means, quats, scales, opacities)
+            gaussians = Gaussians(means, quats, scales, opacities, compensate)
             each = [
                 project(gaussians, View(viewmat, K, width, height))
                 for viewmat, K in zip(viewmats, Ks, strict=True)
             ]
-            *places, radii = (torch.stack(tensors) for tensors in zip(*each, strict=True))
+            means2d, conics, seen_opacities, depths, radii = (
+                torch.stack(tensors) for tensors in zip(*each, strict=True)
+            )
             hidden = (radii == 0).any(dim=-1)
             means2d, conics, depths = (
                 each.masked_fill(hidden[(..., *[None] * (each.ndim - 2))], torch.nan)
-                for each in places
+                for each in (means2d, conics, depths)
             )  # memory that gsplat does not write
-            return radii, means2d, depths, conics, None
+            factors = seen_opacities / opacities.clamp(min=1e-30) if compensate else None
+            return radii, means2d, depths, conics, factors
 
     class Blending:
         @staticmethod
@@ -63,11 +66,9 @@ def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
             calls.blended_channels.append(colors.shape[-1])
             if quickly:
                 return blend_images(
-                    Projected(means2d, conics, *calls.sorted), opacities, colors, rest
+                    Projected(means2d, conics, opacities, *calls.sorted), colors, rest
                 )
-            return blend_tiles(
-                Projected(means2d, conics, means2d, means2d), opacities, colors, rest
-            )
+            return blend_tiles(means2d, conics, opacities, colors, rest)
 
     class Harmonics:
         @staticmethod
@@ -118,24 +119,24 @@ def intersect_offset(tiles: Tensor, images: int, columns: int, rows: int) -> Ten
     return torch.searchsorted(tiles, every).reshape(images, rows, columns)
 
 
-def blend_images(projected: Projected, opacities: Tensor, colors: Tensor, rest):
+def blend_images(projected: Projected, colors: Tensor, rest):
     """Image and coverage, by our CPU kernels."""
     padded = cpu.padded(colors)
     size, channels = rest[:2], padded.shape[-1]
     images = [
-        cpu.blend_projected(Projected(*each), opacities[index], padded[index], size, channels)
+        cpu.blend_projected(Projected(*each), padded[index], size, channels)
         for index, each in enumerate(zip(*projected, strict=True))
     ]
     image, alphas = (torch.stack(each) for each in zip(*images, strict=True))
     return image[..., : colors.shape[-1]], alphas
 
 
-def blend_tiles(projected: Projected, opacities: Tensor, colors: Tensor, rest):
+def blend_tiles(means2d: Tensor, conics: Tensor, opacities: Tensor, colors: Tensor, rest):
     """Image and coverage, by the tile lists alone."""
     width, height, tile, offsets, flatten_ids, absgrad = rest
     assert not absgrad
     images, channels = len(colors), colors.shape[-1]
-    means2d, conics = projected.means2d.flatten(0, 1), projected.conics.flatten(0, 1)
+    means2d, conics = means2d.flatten(0, 1), conics.flatten(0, 1)
     opacities, colors = opacities.flatten(), colors.flatten(0, 1)
     ends = torch.cat([offsets.flatten()[1:], offsets.new_tensor([len(flatten_ids)])])
     made = []

@@ -84,6 +84,22 @@ def near_plane() -> Splats:
     return replace(splats, means=0.02 * splats.means + depths - torch.tensor([0.2, 0.0, 2.0]))
 
 
+def smaller(*sizes: float) -> Splats:
+    """Antialiased Gaussians, about a pixel in size."""
+    splats = random_splats()
+    return replace(splats, scales=splats.scales + torch.tensor(sizes), antialiased=True)
+
+
+def limits() -> Splats:
+    """Flat, thin and endless Gaussians, opaque and transparent ones, as files of others have."""
+    splats = random_splats(24)
+    scales, opacities = splats.scales.clone(), splats.opacities.clone()
+    scales[:4, 2], scales[4:8, 1:], scales[8:10] = -23.0, -23.0, -23.0
+    scales[10], scales[11, :2] = 88.0, 30.0
+    opacities[10:12], opacities[12:16], opacities[16:20] = -3.0, 100.0, -100.0
+    return replace(splats, scales=scales, opacities=opacities)
+
+
 HARD: dict[str, tuple[Callable[[], Splats], Cameras]] = {
     "one pixel": (random_splats, view(1, 1)),
     "one column": (random_splats, view(1, 37)),
@@ -104,6 +120,12 @@ HARD: dict[str, tuple[Callable[[], Splats], Cameras]] = {
         ),
         view(40, 30),
     ),
+    "antialiased": (lambda: replace(random_splats(), antialiased=True), two_cameras()),
+    "antialiased points": (lambda: smaller(-2.0), view(40, 30)),
+    "antialiased discs": (lambda: smaller(-1.0, -1.0, -4.0), view(40, 30)),
+    "antialiased needles": (lambda: smaller(0.0, -3.0, -3.0), view(40, 30)),
+    "limits": (limits, view(40, 30)),
+    "antialiased limits": (lambda: replace(limits(), antialiased=True), view(40, 30)),
     "around the near plane": (near_plane, two_cameras()[1:]),
     "one depth": (
         lambda: replace(random_splats(), means=random_splats().means * torch.tensor([1, 1, 0])),

@@ -1,5 +1,7 @@
 """The GPU backend's way through gsplat, on any machine: see `native_gsplat.py`."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -28,8 +30,8 @@ def test_of_no_gaussians_nothing_is_drawn(backend: Backend):
     assert info["radii"].shape == (2, 0, 2) and features.grad is not None
 
 
-def drawn(backend: Backend, count: int, moves: bool):
-    splats = leaf(SPLATS, torch.float64)
+def drawn(backend: Backend, count: int, moves: bool, antialiased: bool):
+    splats = leaf(replace(SPLATS, antialiased=antialiased), torch.float64)
     features = randn(len(SPLATS), count, seed=count).double().requires_grad_() if count else None
     image, alphas, info = rasterize(
         splats, two_cameras(), features=features, features_move_geometry=moves, backend=backend
@@ -40,6 +42,7 @@ def drawn(backend: Backend, count: int, moves: bool):
     return image, alphas, info, gradients
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize(
     ("count", "moves", "passes"),
     [
@@ -50,16 +53,19 @@ def drawn(backend: Backend, count: int, moves: bool):
     ],
 )
 def test_images_and_gradients_are_the_references_and_each_channel_is_blended_once(
-    calls: Calls, count: int, moves: bool, passes: list[int]
+    calls: Calls, count: int, moves: bool, passes: list[int], antialiased: bool
 ):
-    *expected, projected, gradients = drawn("reference", count, moves)
-    *found, given_info, others = drawn("cuda", count, moves)
+    *expected, projected, gradients = drawn("reference", count, moves, antialiased)
+    *found, given_info, others = drawn("cuda", count, moves, antialiased)
     for wanted, given in zip(expected, found, strict=True):
         assert wanted.shape == given.shape
         assert (wanted - given).abs().max() < ROUNDING
     assert given_info.keys() == projected.keys()
     there = (projected["radii"] > 0).all(dim=-1)
-    assert all(torch.equal(given_info[name][there], projected[name][there]) for name in projected)
+    for name in projected:
+        torch.testing.assert_close(
+            given_info[name][there], projected[name][there], rtol=1e-14, atol=0
+        )
     for name, gradient in gradients.items():
         other = others[name]
         assert gradient is not None and other is not None, name

@@ -135,6 +135,25 @@ def test_a_point_is_as_wide_as_the_low_pass_filter(backend: Backend):
 
 
 @pytest.mark.parametrize("backend", ANY)
+@pytest.mark.parametrize("opacity", [0.9, 0.3])
+def test_an_antialiased_gaussian_fades_with_its_area(backend: Backend, opacity: float):
+    """Its light is that of the area in the image, where others become no smaller than a pixel."""
+    sums, areas = {True: [], False: []}, []
+    for sigma in (0.06, 0.03, 0.015):  # 2.4, 1.2 and 0.6 pixels
+        areas.append(2 * math.pi * (40 * sigma) ** 2)
+        for antialiased in sums:
+            ball = single((0.0125, 0.0125, 1.0), opacity=opacity, scale=sigma)
+            _, alphas = both(replace(ball, antialiased=antialiased), backend, standing())
+            sums[antialiased].append(float(alphas.sum()) / opacity)
+    # what is fainter than 1/255 is not drawn; at 0.6 pixels the area is no longer that alone
+    assert sums[True][:2] == pytest.approx(areas[:2], rel=0.1)
+    assert sums[False][-1] > 1.7 * areas[-1] > sums[True][-1]
+    tiny = single((0.0, 0.0, 1.0), opacity=0.9, scale=1e-4)
+    assert not both(replace(tiny, antialiased=True), backend, standing())[1].any()
+    assert both(tiny, backend, standing())[1].any()
+
+
+@pytest.mark.parametrize("backend", ANY)
 def test_the_image_is_linear_in_the_features(backend: Backend):
     splats = random_splats()
     one, other = randn(2, len(splats), 16, seed=2)

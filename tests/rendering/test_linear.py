@@ -21,6 +21,7 @@ CHOICES = {
     "none": torch.zeros_like(HALF),
     "all": torch.ones_like(HALF),
     "out of view": HALF,
+    "antialiased": HALF,
 }
 
 
@@ -45,6 +46,8 @@ def relative_error(found: torch.Tensor, expected: torch.Tensor) -> float:
 def test_image_and_coverage_match_the_reference(name: str):
     picked = CHOICES[name]
     splats = replace(SPLATS, means=SPLATS.means + 500) if name == "out of view" else SPLATS
+    if name == "antialiased":
+        splats = replace(splats, scales=splats.scales - 2, antialiased=True)
     view = contributions(splats, CAMERA, picked)
     image, covered = reference(leaf(splats, torch.float64), picked)
     torch.testing.assert_close(view.render(splats).double(), image.detach(), atol=TOLERANCE, rtol=0)

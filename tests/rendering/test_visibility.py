@@ -45,15 +45,20 @@ def test_renders_are_those_with_gradients(degree: int | None):
 
 
 @pytest.mark.usefixtures("part")
-def test_what_is_seen_is_what_has_a_radius():
-    _, _, info = rasterize(SPLATS, CAMERA)
-    found = in_view(SPLATS, CAMERA)
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_what_is_seen_is_what_has_a_radius(antialiased: bool):
+    splats = replace(SPLATS, scales=SPLATS.scales - 2, antialiased=antialiased)
+    image, _, info = rasterize(splats, CAMERA)
+    torch.testing.assert_close(render(splats, CAMERA)[0], image[0], atol=ROUNDING, rtol=ROUNDING)
+    found = in_view(splats, CAMERA)
     there = (info["radii"][0] > 0).all(dim=1)
     assert torch.equal(found.rows, there.nonzero()[:, 0]) and not there.all()
     means2d = info["means2d"][0, there]
     torch.testing.assert_close(found.projected.means2d, means2d, atol=1e-4, rtol=0)
-    opacities = activated(SPLATS).opacities[there]
-    torch.testing.assert_close(found.opacities, opacities, atol=ROUNDING, rtol=0)
+    opacities = (
+        activated(splats).opacities[there] if not antialiased else info["opacities"][0, there]
+    )
+    torch.testing.assert_close(found.projected.opacities, opacities, atol=ROUNDING, rtol=0)
 
 
 @pytest.mark.usefixtures("part")

@@ -102,6 +102,14 @@ def test_opacities_fade_by_the_factors_and_canvases_appear():
     torch.testing.assert_close(nearly[:COUNT], full[:COUNT], atol=1e-3, rtol=1e-3)
 
 
+def test_layers_keep_the_mode_that_their_base_is_rendered_in():
+    """Files of layers have no mode of their own."""
+    scene = with_layers(replace(SCENE, splats=replace(BASE, antialiased=True)), STACK)
+    without = (splats_without_paint(scene), without_layers(scene).splats)
+    assert all(each.antialiased for each in (scene.splats, scene.unpainted, *without))
+    assert not PAINTED.splats.antialiased
+
+
 def test_a_strength_between_changes_nothing_in_the_others():
     for strength in (0.4, 1.2):
         found = compose(BASE, [replace(FOX, strength=strength), POT])

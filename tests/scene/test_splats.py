@@ -1,6 +1,10 @@
+from dataclasses import replace
+
+import pytest
 import torch
 
 from scenes import random_splats
+from stylesplat.errors import StyleSplatError
 from stylesplat.scene.splats import Splats
 
 
@@ -22,6 +26,16 @@ def test_parts_put_together_are_the_whole():
     parts = [splats[:2], splats[torch.tensor([2, 3])], splats[torch.arange(6) > 3], splats[:0]]
     for name, tensor in Splats.cat(parts).tensors().items():
         assert torch.equal(tensor, splats.tensors()[name]), name
+
+
+def test_antialiased_splats_stay_so_and_are_not_joined_with_others():
+    splats = replace(random_splats(6), antialiased=True)
+    made = (splats[:2], splats.map(torch.clone), splats.detach(), splats.to("cpu"))
+    assert all(each.antialiased for each in (*made, Splats.cat([splats[:2], splats[2:]])))
+    assert "antialiased" in repr(splats)
+    with pytest.raises(StyleSplatError, match="anti-aliased"):
+        Splats.cat([splats, random_splats(6)])
+    assert not Splats.cat([splats[:0], random_splats(6)]).antialiased
 
 
 def test_map_reaches_every_tensor():

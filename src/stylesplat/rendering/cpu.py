@@ -26,7 +26,6 @@ from stylesplat.rendering.kernels import (
     vecs,
 )
 from stylesplat.rendering.kernels.blend import Picture
-from stylesplat.rendering.kernels.project import GeometryRows
 from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
 from stylesplat.rendering.kernels.vec import LANES, Rows
@@ -86,38 +85,42 @@ class _SphericalHarmonics(Function):
 
 class _Project(Function):
     @staticmethod
-    def forward(ctx, view, viewmat, *gaussians):
-        ctx.view = view
-        n, new = len(gaussians[0]), gaussians[0].new_empty
-        out = Projected(new(n, 2), new(n, 3), new(n, 1), torch.empty(n, 2, dtype=torch.int32))
-        inputs = arrays(Gaussians(*gaussians))
-        project.project_forward(inputs, arrays(view), arrays(out), get_num_threads())
-        out = out._replace(depths=out.depths[:, 0])
-        ctx.save_for_backward(viewmat, *gaussians[:3], *out)
+    def forward(ctx, view, viewmat, *fields):
+        gaussians = Gaussians(*fields)
+        ctx.view, ctx.antialiased = view, gaussians.antialiased
+        n, new = len(gaussians.means), gaussians.means.new_empty
+        opacities = new(n if gaussians.antialiased else 0, 1)
+        radii = torch.empty(n, 2, dtype=torch.int32)
+        out = Projected(new(n, 2), new(n, 3), opacities, new(n, 1), radii)
+        project.project_forward(arrays(gaussians), arrays(view), arrays(out), get_num_threads())
+        out = out._replace(opacities=opacities[:, 0], depths=out.depths[:, 0])
+        ctx.save_for_backward(viewmat, *gaussians[:4], *out)
         ctx.mark_non_differentiable(out.depths, out.radii)
         return tuple(out)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, *v_projected):
-        viewmat, *saved = ctx.saved_tensors
-        geometry, projected = GeometryRows(*saved[:3]), Projected(*saved[3:])
-        gradients = GeometryRows(*(t.new_empty(t.shape) for t in geometry))
+        viewmat, means, quats, scales, opacities, *projected = ctx.saved_tensors
+        gaussians, projected = (means, quats, scales), Projected(*projected)
+        v_means, v_quats, v_scales = (t.new_empty(t.shape) for t in gaussians)
+        v_opacities = means.new_empty(len(projected.opacities), 1)
         moves_view = ctx.needs_input_grad[1]
         sums = np.zeros((get_num_threads(), 12 if moves_view else 0, LANES))
         project.project_backward(
-            arrays(geometry),
+            arrays(Gaussians(*gaussians, opacities, ctx.antialiased)),
             arrays(ctx.view._replace(viewmat=viewmat)),
             arrays(projected),
             arrays(Projected(*v_projected)),
-            arrays(gradients),
+            arrays(Gaussians(v_means, v_quats, v_scales, v_opacities)),
             sums,
         )
         v_viewmat = None
         if moves_view:
             upper = torch.from_numpy(sums.sum(axis=(0, 2)).astype(np.float32)).view(3, 4)
             v_viewmat = torch.nn.functional.pad(upper, (0, 0, 0, 1))  # the last row is fixed
-        return None, v_viewmat, *gradients, None
+        v_opacities = v_opacities[:, 0] if ctx.antialiased else None
+        return None, v_viewmat, v_means, v_quats, v_scales, v_opacities, None
 
 
 class Tiled(NamedTuple):
@@ -141,16 +144,14 @@ class Raster(NamedTuple):
     """Coverage, [H, W, 1]."""
 
 
-def rasterize_to_pixels(
-    projected: Projected, opacities: Tensor, colors: Tensor, size: tuple[int, int]
-) -> Raster:
+def rasterize_to_pixels(projected: Projected, colors: Tensor, size: tuple[int, int]) -> Raster:
     """Blend projected Gaussians, without gradients, into an image of a width and height."""
     (width, height), channels = size, colors.shape[1]
     depths, radii = _as_arrays(projected.depths, projected.radii)
     order = tiles.depth_order(depths, radii)
     stride = tiles.row_stride(channels)
     rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
-    ellipses = Ellipses(projected.means2d, projected.conics, opacities, colors)
+    ellipses = Ellipses(*projected[:3], colors)
     tiles.pack_rows(order, arrays(ellipses), rows)
     lists = tiles.tile_lists(order, rows, radii, size, get_num_threads())
     image = colors.new_empty(height, width, channels)
@@ -177,9 +178,9 @@ def as_picture(image: Tensor, alphas: Tensor) -> Picture:
 
 class _Blend(Function):
     @staticmethod
-    def forward(ctx, raster, geometry_channels, opacities, colors, *projected):
+    def forward(ctx, raster, geometry_channels, colors, *projected):
         ctx.tiled, image, alphas = raster
-        ctx.geometry_channels, ctx.count = geometry_channels, len(opacities)
+        ctx.geometry_channels, ctx.count = geometry_channels, len(colors)
         ctx.save_for_backward(image, alphas)
         return image, alphas
 
@@ -200,8 +201,8 @@ class _Blend(Function):
         shapes = (ctx.count, 2), (ctx.count, 3), (ctx.count,), (ctx.count, channels)
         v_ellipses = Ellipses(*(image.new_zeros(shape) for shape in shapes))
         blend_backward.collect_gradients(order, rows, partial.numpy(), arrays(v_ellipses))
-        v_means2d, v_conics, v_opacities, v_colors = v_ellipses
-        return None, None, v_opacities, v_colors, v_means2d, v_conics, None, None
+        *v_projected, v_colors = v_ellipses
+        return None, None, v_colors, *v_projected, None, None
 
 
 def spherical_harmonics(
@@ -218,8 +219,11 @@ def spherical_harmonics(
 
 
 def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
-    """What one camera sees of Gaussians; gradients reach means2d and conics only."""
-    return Projected(*_Project.apply(view, view.viewmat, *gaussians))
+    """What one camera sees of Gaussians; gradients reach no depths."""
+    projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
+    if gaussians.antialiased:
+        return projected
+    return projected._replace(opacities=gaussians.opacities)
 
 
 def padded(colors: Float[Tensor, "*B N _"]) -> Float[Tensor, "*B N D"]:
@@ -240,14 +244,12 @@ def rasterize(
     wanted, colors = colors.shape[-1], padded(colors)
     if geometry_channels == wanted:
         geometry_channels = colors.shape[-1]
-    projections = [_Project.apply(view, view.viewmat, *gaussians) for view in views_of(cameras)]
+    projections = [project_gaussians(gaussians, view) for view in views_of(cameras)]
     info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))
     # The blended tensors are views of those in `info`, so gradients reach these, too
     unstacked = zip(*(_unstacked(each) for each in info), strict=True)
     images = [
-        blend_projected(
-            Projected(*each), gaussians.opacities, view_colors, cameras.size, geometry_channels
-        )
+        blend_projected(Projected(*each), view_colors, cameras.size, geometry_channels)
         for each, view_colors in zip(unstacked, colors, strict=True)
     ]
     render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
@@ -256,7 +258,6 @@ def rasterize(
 
 def blend_projected(
     projected: Projected,
-    opacities: Float[Tensor, " N"],
     colors: Float[Tensor, "N D"],
     size: tuple[int, int],
     geometry_channels: int,
@@ -265,8 +266,8 @@ def blend_projected(
 
     Gradients reach all; those of later channels than `geometry_channels` reach `colors` alone.
     """
-    raster = rasterize_to_pixels(projected, opacities, colors, size)
-    return _Blend.apply(raster, geometry_channels, opacities, colors, *projected)
+    raster = rasterize_to_pixels(projected, colors, size)
+    return _Blend.apply(raster, geometry_channels, colors, *projected)
 
 
 def _stacked(tensors: tuple[Tensor, ...]) -> Tensor:

@@ -43,10 +43,10 @@ def spherical_harmonics(
 @torch.no_grad()
 def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
     """What one camera sees of Gaussians, without gradients."""
-    means, quats, scales, opacities = gaussians
+    means, quats, scales, opacities, antialiased = gaussians
     if not len(means):
         return reference.project_gaussians(gaussians, view)
-    radii, means2d, depths, conics, _ = gsplat.fully_fused_projection(
+    radii, means2d, depths, conics, compensations = gsplat.fully_fused_projection(
         means,
         None,
         quats,
@@ -58,16 +58,18 @@ def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
         eps2d=EPS2D,
         near_plane=NEAR_PLANE,
         far_plane=FAR_PLANE,
+        calc_compensations=antialiased,
         opacities=opacities,
     )
-    return Projected(means2d[0], conics[0], depths[0], radii[0])
+    if antialiased:
+        opacities = opacities * compensations[0]
+    return Projected(means2d[0], conics[0], opacities, depths[0], radii[0])
 
 
-def reaching_pixels(
-    projected: Projected, opacities: Float[Tensor, " N"], size: tuple[int, int]
-) -> Bool[Tensor, " N"]:
+def reaching_pixels(projected: Projected, size: tuple[int, int]) -> Bool[Tensor, " N"]:
     """Which projected Gaussians reach a pixel of an image of a width and height."""
     width, height = size
+    opacities = projected.opacities
     columns, rows = -(-width // TILE), -(-height // TILE)
     places = projected.means2d[None], projected.radii[None], projected.depths[None]
     _, tiles, order = gsplat.isect_tiles(*places, TILE, columns, rows)
@@ -103,7 +105,7 @@ def rasterize(
     width, height = cameras.size
     moving, others = colors.tensor_split([geometry_channels], dim=-1)
     image, alphas, info = gsplat.rasterization(
-        *gaussians,
+        *gaussians[:4],
         colors=moving,
         viewmats=cameras.viewmats,
         Ks=cameras.Ks,
@@ -113,6 +115,7 @@ def rasterize(
         far_plane=FAR_PLANE,
         eps2d=EPS2D,
         packed=False,  # projections are [C, N, ...], which is what `Info` promises
+        rasterize_mode="antialiased" if gaussians.antialiased else "classic",
         channel_chunk=CHANNELS_AT_ONCE,
     )
     if others.shape[-1] > 0:

@@ -23,7 +23,9 @@ MIN_ALPHA = 1 / 255  # fainter contributions are skipped
 MAX_ALPHA = 0.999  # the clamp of version 1.5; the backward pass divides by 1 - alpha
 MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before it becomes darker than this
 MAX_EXTENT = 3.33  # standard deviations at which a Gaussian of opacity 1 falls below MIN_ALPHA
+MAX_RADIUS = 1 << 30  # pixels: radii are int32
 FOV_MARGIN = 0.3  # how far outside the image, in half fields of view, the Jacobian is exact
+LARGEST_SCALE = 23.0  # logarithm: squares of a standard deviation of 1e10 in pixels fit float32
 
 
 class Gaussians(NamedTuple):
@@ -36,6 +38,8 @@ class Gaussians(NamedTuple):
     """Standard deviations along the axes."""
     opacities: Float[Tensor, " N"]
     """From 0 to 1."""
+    antialiased: bool = False
+    """Whether projection scales opacities by how much the low-pass filter enlarges a Gaussian."""
 
 
 class View(NamedTuple):
@@ -51,6 +55,8 @@ class Projected(NamedTuple):
     means2d: Float[Tensor, "N 2"]
     conics: Float[Tensor, "N 3"]
     """Inverse covariances: xx, xy, yy."""
+    opacities: Float[Tensor, " N"]
+    """Those of the Gaussians; of antialiased ones as this camera sees them."""
     depths: Float[Tensor, " N"]
     radii: Int[Tensor, "N 2"]
     """Whole pixels in x and y; 0 for Gaussians out of view."""
@@ -64,8 +70,10 @@ def views_of(cameras: Cameras) -> list[View]:
 
 def activated(splats: Splats, part: slice = EVERYONE) -> Gaussians:
     """The Gaussians of splats, or of a part of them, as renderers take them."""
-    scales, opacities = splats.scales[part].exp(), torch.sigmoid(splats.opacities[part])
-    return Gaussians(splats.means[part], splats.quats[part], scales, opacities)
+    scales = splats.scales[part].clamp(max=LARGEST_SCALE).exp()
+    opacities = torch.sigmoid(splats.opacities[part])
+    places = splats.means[part], splats.quats[part]
+    return Gaussians(*places, scales, opacities, splats.antialiased)
 
 
 def with_matrices_of(splats: Splats, cameras: Cameras) -> Cameras:

@@ -166,7 +166,7 @@ def contributions(
     colors = mine[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
     origin = with_matrices_of(splats, camera).positions
     colors[others, :3] = colors_of(splats, near.rows[others], origin)
-    tiled, image, _ = cpu.rasterize_to_pixels(near.projected, near.opacities, colors, camera.size)
+    tiled, image, _ = cpu.rasterize_to_pixels(near.projected, colors, camera.size)
     drawn = cpu.reaching(tiled) & mine.numpy()[tiled.order]
     numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
     background, coverage = image.split((3, 1), dim=2)

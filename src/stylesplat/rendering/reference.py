@@ -1,7 +1,7 @@
 """The rasteriser's specification: plain torch, any dtype, autograd for the gradients.
 
 Slow by design; every other backend is tested against it. Semantics are those of gsplat 1.5.3
-(`rasterization`, classic mode).
+(`rasterization`, in its classic mode and, for antialiased Gaussians, its antialiased one).
 """
 
 import torch
@@ -14,6 +14,7 @@ from stylesplat.rendering.gaussians import (
     FOV_MARGIN,
     MAX_ALPHA,
     MAX_EXTENT,
+    MAX_RADIUS,
     MIN_ALPHA,
     MIN_TRANSMITTANCE,
     NEAR_PLANE,
@@ -26,6 +27,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import sh_basis
 
 PIXELS_AT_ONCE = 4096  # bounds the pixels x Gaussians matrix
+FLAT = 1e-12  # share of an area, whose root makes all opacities invisible: a root has no slope at 0
 
 Info = dict[str, Tensor]
 
@@ -84,7 +86,7 @@ def perspective_jacobian(means_c: Float[Tensor, "N 3"], view: View) -> Float[Ten
 
 def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
     """Elliptical weighted average projection of one camera's Gaussians."""
-    means, quats, scales, opacities = gaussians
+    means, quats, scales, opacities, antialiased = gaussians
     viewmat, K, width, height = view
     rotation = viewmat[:3, :3]
     means_c = means @ rotation.T + viewmat[:3, 3]
@@ -92,10 +94,17 @@ def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
     depths = means_c[:, 2]
     in_range = (depths > NEAR_PLANE) & (depths < FAR_PLANE)
     means_c = torch.where(in_range[:, None], means_c, means_c.new_tensor([0.0, 0.0, 1.0]))
-    axes2d = perspective_jacobian(means_c, view) @ axes  # [N, 2, 3]
-    eye = torch.eye(2, dtype=means.dtype, device=means.device)
-    covars2d = axes2d @ axes2d.mT + EPS2D * eye
-    conics = torch.linalg.inv(covars2d).flatten(1)[:, [0, 1, 3]]
+    x_axes, y_axes = (perspective_jacobian(means_c, view) @ axes).unbind(dim=1)  # [N, 3]
+    xx, xy, yy = (
+        (a * b).sum(-1) for a, b in ((x_axes, x_axes), (x_axes, y_axes), (y_axes, y_axes))
+    )
+    # The determinant xx yy - xy xy, which cancels for long Gaussians
+    sharp = torch.linalg.cross(x_axes, y_axes).square().sum(-1)
+    det = sharp + EPS2D * (xx + yy + EPS2D)
+    xx, yy = xx + EPS2D, yy + EPS2D
+    if antialiased:
+        opacities = opacities * (sharp / det).clamp(min=FLAT).sqrt()
+    conics = torch.stack([yy, -xy, xx], dim=-1) / det[:, None]
     means2d = torch.stack(
         [
             K[0, 0] * means_c[:, 0] / means_c[:, 2] + K[0, 2],
@@ -103,25 +112,24 @@ def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
         ],
         dim=-1,
     )
-    radii = _radii(covars2d, opacities)
+    radii = _radii(torch.stack([xx, yy], dim=-1), opacities)
     low, high = means2d - radii, means2d + radii
     size = means2d.new_tensor([width, height])
     on_screen = ((high > 0) & (low < size)).all(dim=-1)
     visible = in_range & on_screen & (opacities >= MIN_ALPHA)
     radii = torch.where(visible[:, None], radii, 0).to(torch.int32)
-    return Projected(means2d, conics, depths, radii)
+    return Projected(means2d, conics, opacities, depths, radii)
 
 
 @torch.no_grad()
-def _radii(covars2d: Tensor, opacities: Tensor) -> Tensor:
+def _radii(variances: Float[Tensor, "N 2"], opacities: Float[Tensor, " N"]) -> Tensor:
     fade = 2 * torch.log(opacities.clamp(min=MIN_ALPHA) / MIN_ALPHA)
     extent = fade.sqrt().clamp(max=MAX_EXTENT)[:, None]
-    return (extent * covars2d.diagonal(dim1=-2, dim2=-1).sqrt()).ceil()
+    return (extent * variances.sqrt()).ceil().clamp(max=MAX_RADIUS)
 
 
 def blend(
     projected: Projected,
-    opacities: Float[Tensor, " N"],
     colors: Float[Tensor, "N D"],
     size: tuple[int, int],
     *,
@@ -131,12 +139,12 @@ def blend(
     width, height = size
     visible = (projected.radii > 0).all(dim=-1).nonzero()[:, 0]
     order = visible[torch.argsort(projected.depths[visible], stable=True)]
-    means2d, conics = projected.means2d[order], projected.conics[order]
+    means2d, conics, opacities = (each[order] for each in projected[:3])
     ys, xs = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(means2d) + 0.5  # [P, 2]
     parts = []
     for chunk in pixels.split(PIXELS_AT_ONCE):
-        weights = _blend_weights(chunk, means2d, conics, opacities[order])  # [P, M]
+        weights = _blend_weights(chunk, means2d, conics, opacities)  # [P, M]
         alphas = weights.sum(dim=1, keepdim=True)
         moving, other = colors[order].tensor_split([geometry_channels], dim=1)
         parts.append(torch.cat([weights @ moving, weights.detach() @ other, alphas], dim=1))
@@ -174,7 +182,6 @@ def rasterize(
         projected = project_gaussians(gaussians, view)
         image, alpha = blend(
             projected,
-            gaussians.opacities,
             view_colors,
             (view.width, view.height),
             geometry_channels=geometry_channels,

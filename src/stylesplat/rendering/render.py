@@ -73,7 +73,8 @@ def rasterize(
 
     Returns:
         The image, linear in the features and not clamped above 1; the coverage; and gsplat's
-        `means2d` [C,N,2], `conics` [C,N,3], `depths` [C,N] and `radii` [C,N,2] (0 = out of view).
+        `means2d` [C,N,2], `conics` [C,N,3], `opacities` [C,N] (as rendered: smaller for small
+        Gaussians of antialiased splats), `depths` [C,N] and `radii` [C,N,2] (0 = out of view).
 
     Raises:
         StyleSplatError: If the cameras differ in size or gsplat is not installed.
@@ -158,9 +159,7 @@ def render(
     colors = colors_of(
         splats, near.rows, with_matrices_of(splats, camera).positions, sh_degree, features
     )
-    raster = cpu.rasterize_to_pixels(
-        near.projected, near.opacities, cpu.padded(colors), camera.size
-    )
+    raster = cpu.rasterize_to_pixels(near.projected, cpu.padded(colors), camera.size)
     image, alphas = raster.image[..., : colors.shape[1]], raster.alphas
     return over_background(image, alphas, background), alphas
 

@@ -32,12 +32,10 @@ class InView(NamedTuple):
     rows: Int[Tensor, " M"]
     """Rows of the scene, in order."""
     projected: Projected
-    opacities: Float[Tensor, " M"]
-    """From 0 to 1."""
 
     def some(self, places: Int[Tensor, " L"]) -> "InView":
         projected = Projected(*(each[places] for each in self.projected))
-        return InView(self.rows[places], projected, self.opacities[places])
+        return InView(self.rows[places], projected)
 
     def box(self, camera: Cameras) -> Bool[Tensor, "H W"]:
         """The rectangle of the camera's pixels that they may reach."""
@@ -61,21 +59,19 @@ def in_view(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None 
     starts = range(0, max(1, len(splats)), PART)
     parts = [_part_in_view(splats, camera, start, pixels) for start in starts]
     columns = parts[0] if len(parts) == 1 else map(torch.cat, zip(*parts, strict=True))
-    rows, opacities, *projected = columns
-    return InView(rows, Projected(*projected), opacities)
+    rows, *projected = columns
+    return InView(rows, Projected(*projected))
 
 
 def _part_in_view(
     splats: Splats, camera: Cameras, start: int, pixels: Bool[Tensor, "H W"] | None
 ) -> tuple[Tensor, ...]:
-    gaussians = activated(splats, slice(start, start + PART))
-    projected = _project(gaussians, camera)
+    projected = _project(activated(splats, slice(start, start + PART)), camera)
     rows = (projected.radii[:, 0] > 0).nonzero()[:, 0]
     if pixels is not None:
         low, high = (corner.index_select(0, rows) for corner in bounds(projected))
         rows = rows[touching(low, high, pixels)]
-    found = (gaussians.opacities, *projected)
-    return start + rows, *(each.index_select(0, rows) for each in found)
+    return start + rows, *(each.index_select(0, rows) for each in projected)
 
 
 def _project(gaussians: Gaussians, camera: Cameras) -> Projected:
@@ -111,12 +107,12 @@ def visible(near: InView, camera: Cameras) -> InView:
     if near.rows.device.type != "cpu":
         from stylesplat.rendering import cuda
 
-        reached = cuda.reaching_pixels(near.projected, near.opacities, camera.size)
+        reached = cuda.reaching_pixels(near.projected, camera.size)
         return near.some(reached.nonzero()[:, 0])
     from stylesplat.rendering import cpu
 
-    colors = near.opacities.new_zeros(len(near.rows), 3)
-    tiled = cpu.rasterize_to_pixels(near.projected, near.opacities, colors, camera.size).tiled
+    colors = near.projected.means2d.new_zeros(len(near.rows), 3)
+    tiled = cpu.rasterize_to_pixels(near.projected, colors, camera.size).tiled
     places = np.sort(tiled.order[cpu.reaching(tiled)])
     return near.some(torch.from_numpy(places.astype(np.int64)))
 

@@ -215,6 +215,7 @@ def _appended(splats: Splats, base: Splats, layer: Layer) -> Splats:
         opacities=_appeared(canvas.opacities, layer.strength),
         identities=None if base.identities is None else base.identities[parents],
         confidence=None if base.confidence is None else base.confidence[parents],
+        antialiased=base.antialiased,
     )
     return Splats.cat([splats, canvas])
 

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.world_offset import ORIGIN, Offset, from_world, to_world
 
@@ -96,6 +97,7 @@ class Splats:
             self,
             counted(len(self), "Gaussian"),
             f"SH degree {self.sh_degree}",
+            "antialiased" if self.antialiased else None,
             None if self.identities is None else "with identities",
             None if self.device.type == "cpu" else self.device,
         )
@@ -112,8 +114,17 @@ class Splats:
 
     @staticmethod
     def cat(parts: "Sequence[Splats]") -> "Splats":
-        """The Gaussians of splats that have the same fields; the classifier is the first's."""
+        """The Gaussians of splats that have the same fields; the classifier is the first's.
+
+        Raises:
+            StyleSplatError: If some are antialiased and others are not.
+        """
         parts = [part for part in parts if len(part)] or parts[:1]
+        if len({part.antialiased for part in parts}) > 1:
+            raise StyleSplatError(
+                "Cannot join anti-aliased Gaussians with others: a picture has one mode. Join "
+                "splats that were trained in the same mode."
+            )
         every = [part.tensors() for part in parts]
         tensors = {name: torch.cat([each[name] for each in every]) for name in every[0]}
         return replace(parts[0], **tensors)

@@ -10,26 +10,18 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from torch import Tensor
 
 from stylesplat.rendering.gaussians import (
     EPS2D,
     FAR_PLANE,
     FOV_MARGIN,
     MAX_EXTENT,
+    MAX_RADIUS,
     MIN_ALPHA,
     NEAR_PLANE,
 )
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel
-
-
-class GeometryRows(NamedTuple):
-    """What of Gaussians is differentiated here, or the gradients of that."""
-
-    means: Tensor
-    quats: Tensor
-    scales: Tensor
 
 
 class Gaussian(NamedTuple):
@@ -38,13 +30,6 @@ class Gaussian(NamedTuple):
     mean: tuple
     quat: tuple
     scale: tuple
-
-
-class Ellipse(NamedTuple):
-    """What a Gaussian looks like, or the gradients of that; again sixteen."""
-
-    mean2d: tuple
-    conic: tuple
 
 
 class Lanes(NamedTuple):
@@ -200,20 +185,44 @@ def image_axes(gaussian, view):
 
 
 @inner
+def determinants(a0, a1):
+    """That of the covariance of an ellipse with these axes, and what the low-pass filter adds."""
+    area = cross_product(a0, a1)
+    # |a0 x a1|^2: positive by construction where xx yy - xy xy cancels
+    cov_xx, cov_yy = dot(a0, a0) + EPS2D, dot(a1, a1) + EPS2D
+    return dot(area, area), EPS2D * (cov_xx + cov_yy - EPS2D)
+
+
+@inner
+def compensation(a0, a1):
+    """The factor of antialiased opacities: the root of the share of area that was there before."""
+    sharp, added = determinants(a0, a1)
+    return 1 / vec.sqrt(1 + added / sharp)  # right for 0 and infinity, too
+
+
+@inner
 def ellipse(a0, a1):
     """The standard deviations in x and y of an ellipse with these axes, and its conic."""
     cov_xx, cov_xy, cov_yy = dot(a0, a0) + EPS2D, dot(a0, a1), dot(a1, a1) + EPS2D
-    area = cross_product(a0, a1)
-    # |a0 x a1|^2 + ...: positive by construction where xx yy - xy xy cancels
-    det = dot(area, area) + EPS2D * (cov_xx + cov_yy - EPS2D)
+    sharp, added = determinants(a0, a1)
+    det = sharp + added
     return vec.sqrt(cov_xx), vec.sqrt(cov_yy), (cov_yy / det, 0 - cov_xy / det, cov_xx / det)
 
 
 @inner
-def read_extents(opacities, first, count, buffer):
-    """How many standard deviations out 16 Gaussians are visible; negative for faint ones."""
+def read_numbers(array, first, count, buffer):
+    """The numbers of up to 16 rows."""
     for lane in range(count):
-        fade = 2 * log(max(opacities[first + lane], 1e-30) / MIN_ALPHA)
+        buffer[lane] = array[first + lane]
+    return vec.load(buffer, 0)
+
+
+@inner
+def extents(opacity, count, buffer):
+    """How many standard deviations out 16 Gaussians are visible; negative for faint ones."""
+    vec.store(buffer, 0, opacity)
+    for lane in range(count):
+        fade = 2 * log(max(buffer[lane], 1e-30) / MIN_ALPHA)
         buffer[lane] = min(MAX_EXTENT, sqrt(fade)) if fade >= 0 else -1
     return vec.load(buffer, 0)
 
@@ -225,9 +234,12 @@ def between(low, value, high):
 
 @kernel
 def project_forward(gaussians, view, out, threads):
-    """Fill `out` (depths as [N,1]) with what one camera sees: 0 for Gaussians that it does not."""
-    means, quats, scales, opacities = gaussians
-    means2d, conics, depths, radii = out
+    """Fill `out` with what one camera sees: 0 for Gaussians that it does not.
+
+    Depths are [N,1] there, and opacities, which are filled for antialiased Gaussians only.
+    """
+    means, quats, scales, opacities, antialiased = gaussians
+    means2d, conics, out_opacities, depths, radii = out
     _, K, width, height = view
     for thread in numba.prange(threads):
         buffer = np.zeros(4 * vec.LANES, np.float32)
@@ -239,8 +251,12 @@ def project_forward(gaussians, view, out, threads):
             sigma_x, sigma_y, conic = ellipse(a0, a1)
             u = K[0, 0] * p[0] / p[2] + K[0, 2]
             v = K[1, 1] * p[1] / p[2] + K[1, 2]
-            extent = read_extents(opacities, first, count, buffer)
-            radius_x, radius_y = vec.ceil(extent * sigma_x), vec.ceil(extent * sigma_y)
+            opacity = read_numbers(opacities, first, count, buffer)
+            if antialiased:
+                opacity = opacity * compensation(a0, a1)
+            extent = extents(opacity, count, buffer)
+            radius_x = vec.minimum(vec.ceil(extent * sigma_x), MAX_RADIUS)
+            radius_y = vec.minimum(vec.ceil(extent * sigma_y), MAX_RADIUS)
             inside = vec.both(
                 between(0 - radius_x, u, width + radius_x),
                 between(0 - radius_y, v, height + radius_y),
@@ -251,6 +267,8 @@ def project_forward(gaussians, view, out, threads):
             write_column(means2d, 0, lanes, u)
             write_column(means2d, 1, lanes, v)
             write_three(conics, lanes, conic)
+            if antialiased:
+                write_column(out_opacities, 0, lanes, opacity)
             write_column(depths, 0, lanes, p[2])
             write_column(radii, 0, lanes, radius_x)
             write_column(radii, 1, lanes, radius_y)
@@ -321,11 +339,25 @@ def axes_backward(v_axes, unit, rows, scale, viewmat):
 
 
 @inner
-def camera_gradients(gaussian, view, conic, v_ellipse):
-    """Gradients of `camera_axes` and of the mean in the camera; unit quaternion and rotation."""
-    _, K, _, _ = view
-    a0, a1, slopes, p, axes, unit, rows = image_axes(gaussian, view)
-    g_xx, g_xy, g_yy = covariance_gradient(conic, v_ellipse.conic)
+def compensation_gradient(a0, a1, conic, v_compensation):
+    """Gradient of the 2D covariance (xx, xy, yy) from that of the factor of its opacity."""
+    sharp, added = determinants(a0, a1)
+    det = sharp + added
+    lost = added / det  # of the area's square, by the low-pass filter
+    v_square = 0.5 * v_compensation / compensation(a0, a1)
+    own = EPS2D / det
+    return (
+        v_square * (lost * conic[0] - own),
+        v_square * lost * conic[1],
+        v_square * (lost * conic[2] - own),
+    )
+
+
+@inner
+def camera_gradients(image, K, v_covar, v_mean2d):
+    """Gradients of `camera_axes` and of the mean in the camera; `image` is from `image_axes`."""
+    a0, a1, slopes, p, axes, _, _ = image
+    g_xx, g_xy, g_yy = v_covar
     v_a0 = plus(scaled(a0, 2 * g_xx), scaled(a1, 2 * g_xy))
     v_a1 = plus(scaled(a0, 2 * g_xy), scaled(a1, 2 * g_yy))
     fx, fy, inverse_z = K[0, 0], K[1, 1], 1 / p[2]
@@ -338,9 +370,9 @@ def camera_gradients(gaussian, view, conic, v_ellipse):
         ),
     )
     v_x, v_y, v_z = jacobian_backward(p, K, slopes, (v_a0, v_a1), axes)
-    v_u, v_v = fx * inverse_z * v_ellipse.mean2d[0], fy * inverse_z * v_ellipse.mean2d[1]
+    v_u, v_v = fx * inverse_z * v_mean2d[0], fy * inverse_z * v_mean2d[1]
     v_z = v_z - (v_u * p[0] + v_v * p[1]) * inverse_z
-    return v_axes, (v_x + v_u, v_y + v_v, v_z), unit, rows
+    return v_axes, (v_x + v_u, v_y + v_v, v_z)
 
 
 @inner
@@ -357,20 +389,20 @@ def add_view_gradient(sums, row, lanes, v_p, v_axes, mean, world_axes):
 
 
 @kernel
-def project_backward(geometry, view, projected, v_projected, out, v_view):
+def project_backward(gaussians, view, projected, v_projected, out, v_view):
     """Fill the gradients of the Gaussians that one camera sees, and 0 for the others.
 
-    Of `v_projected` only means2d and conics count: depths and radii are not differentiated.
+    Depths and radii are not differentiated; opacities, [N,1] in `out`, of antialiased ones only.
 
     `v_view` [threads, 12, 16] holds float64 zeros. It takes the gradient of the first three rows of
     the world-to-camera matrix, unless it is [threads, 0, 16]. Threads and lanes add up apart: what
     single Gaussians add cancels to a large part, and the order of the sums must not vary.
     """
-    means, quats, scales = geometry
-    _, conics, _, radii = projected
-    v_means2d, v_conics, _, _ = v_projected
-    v_means, v_quats, v_scales = out
-    viewmat, _, _, _ = view
+    means, quats, scales, opacities, antialiased = gaussians
+    _, conics, _, _, radii = projected
+    v_means2d, v_conics, v_projected_opacities, _, _ = v_projected
+    v_means, v_quats, v_scales, v_opacities, _ = out
+    viewmat, K, _, _ = view
     threads = v_view.shape[0]
     for thread in numba.prange(threads):
         buffer = np.zeros(4 * vec.LANES, np.float32)
@@ -381,11 +413,17 @@ def project_backward(geometry, view, projected, v_projected, out, v_view):
             lanes = Lanes(first, count, vec.greater(radius, 0), buffer)
             gaussian = read_gaussian(means, quats, scales, first, count, buffer)
             conic = read_columns(conics, first, count, 3, buffer)[:3]
-            v_ellipse = Ellipse(
-                read_columns(v_means2d, first, count, 2, buffer)[:2],
-                read_columns(v_conics, first, count, 3, buffer)[:3],
-            )
-            v_axes, v_p, unit, rows = camera_gradients(gaussian, view, conic, v_ellipse)
+            v_mean2d = read_columns(v_means2d, first, count, 2, buffer)[:2]
+            v_conic = read_columns(v_conics, first, count, 3, buffer)[:3]
+            image = image_axes(gaussian, view)
+            a0, a1, _, _, _, unit, rows = image
+            v_covar = covariance_gradient(conic, v_conic)
+            if antialiased:
+                v_opacity = read_numbers(v_projected_opacities, first, count, buffer)
+                write_column(v_opacities, 0, lanes, v_opacity * compensation(a0, a1))
+                v_factor = v_opacity * read_numbers(opacities, first, count, buffer)
+                v_covar = plus(v_covar, compensation_gradient(a0, a1, conic, v_factor))
+            v_axes, v_p = camera_gradients(image, K, v_covar, v_mean2d)
             v_scale, v_quat = axes_backward(v_axes, unit, rows, gaussian.scale, viewmat)
             v_mean = combine(v_p, viewmat[0], viewmat[1], viewmat[2])
             write_three(v_means, lanes, v_mean)

@@ -22,6 +22,7 @@ BLOCK = 4
 HALF = np.float32(0.5)
 ROW_COLORS = 8  # where the colours start in a packed row
 RADIX_BITS = 11
+ENDLESS = np.float32(1e-30)  # factor of an exponent that is constant: one is not divided by 0
 SLACK = np.float32(1e-4)  # widens the block test: rounding must not lose a pixel
 
 
@@ -116,7 +117,8 @@ def side_slopes(row):
     `slope_x` y.
     """
     lean = np.float32(-0.5) * row.flat[row.first + 3]
-    return lean / row.flat[row.first + 2], lean / row.flat[row.first + 4]
+    a, c = row.flat[row.first + 2], row.flat[row.first + 4]
+    return lean / min(a, -ENDLESS), lean / min(c, -ENDLESS)
 
 
 @inner
