@@ -248,6 +248,7 @@ def read(page: str) -> Read:
         opacities=_tensor(opacities).logit(),
         sh0=sh0_from_rgb(_tensor(after.T))[:, None],
         shN=_tensor(sum(palettes[level][:, entries[level]] for level in (0, 1))).transpose(0, 1),
+        antialiased=about["antialiased"],
     )
     shN = _tensor(sum(palettes[level][:, earlier[level]] for level in (0, 1))).transpose(0, 1)
     earlier_splats = replace(

@@ -170,6 +170,25 @@ def test_a_browser_shows_what_our_rasteriser_does(shown: Page):
     assert shown.complaints() == []
 
 
+def test_pages_say_whether_splats_are_antialiased():
+    for antialiased in (False, True):
+        page = page_of(replace(SPLATS, antialiased=antialiased), title="")
+        assert read(page).splats.antialiased == antialiased
+
+
+@needs_chromium
+def test_a_browser_fades_antialiased_splats_as_our_rasteriser_does(browser: Page, tmp_path: Path):
+    file, view = tmp_path / "far.html", far(VIEWS[0])
+    splats = replace(SPLATS, antialiased=True)
+    export(splats, file)
+    held = read(page_of(splats, title="")).splats
+    browser.open(as_url(file))
+    assert message(browser) == ""
+    found = picture(browser, view, 0)
+    assert psnr(found, drawn(held, view)) > 48
+    assert psnr(found, drawn(replace(held, antialiased=False), view)) < 47, "they differ"
+
+
 @needs_chromium
 def test_hands(shown: Page):
     def looks() -> list[float]:

@@ -6,7 +6,12 @@ import pytest
 import torch
 
 from scenes import leaf, randn, random_splats, two_cameras
-from stylesplat.rendering.linear import Contributions, contributions
+from stylesplat.rendering.linear import (
+    Contributions,
+    RasterizedContributions,
+    contributions,
+    linear_view,
+)
 from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.splats import SH_C0, Splats
 
@@ -98,6 +103,18 @@ def test_weights_are_the_sums_over_pixels(half: Contributions):
         assert float(half.weights(pixels)[number]) == pytest.approx(above, abs=near)
     assert float(half.weights().sum()) == pytest.approx(float(half.coverage.sum()), rel=TOLERANCE)
     assert not half.weights(torch.zeros_like(half.coverage, dtype=torch.bool)).any()
+
+
+def test_weights_that_would_not_fit_are_not_kept(half: Contributions):
+    assert isinstance(linear_view(SPLATS, CAMERA, HALF), Contributions)
+    view = linear_view(SPLATS, CAMERA, HALF, max_bytes=half.nbytes / 10)
+    assert isinstance(view, RasterizedContributions)
+    torch.testing.assert_close(view.coverage, half.coverage, atol=TOLERANCE, rtol=0)
+    torch.testing.assert_close(view.render(SPLATS), half.render(SPLATS), atol=TOLERANCE, rtol=0)
+    sums = torch.zeros(2, len(SPLATS))
+    for row, each in enumerate((half, view)):
+        sums[row, each.gaussians] = each.weights()
+    assert relative_error(sums[1], sums[0].double()) < TOLERANCE
 
 
 def test_matte_views_give_the_same_image(half: Contributions):

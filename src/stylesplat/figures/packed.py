@@ -81,7 +81,7 @@ def pack(splats: Splats, before: Splats, *, sh_degree: int, level: int = 9) -> P
         painted |= differs[:, None].flatten(1).any(dim=1)
     before = before[painted]
     about: dict[str, Any] = {"count": len(splats), "painted": len(before)}
-    about["bands"] = splats.shN.shape[1]
+    about |= {"bands": splats.shN.shape[1], "antialiased": splats.antialiased}
     columns = [
         *_shapes(splats, about),
         *_looks(splats, before, painted, about),

@@ -153,12 +153,35 @@ def rasterize_to_pixels(projected: Projected, colors: Tensor, size: tuple[int, i
     rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
     ellipses = Ellipses(*projected[:3], colors)
     tiles.pack_rows(order, arrays(ellipses), rows)
-    lists = tiles.tile_lists(order, rows, radii, size, get_num_threads())
     image = colors.new_empty(height, width, channels)
     alphas = colors.new_empty(height, width, 1)
-    picture = as_picture(image, alphas)
-    blend.blend_forward(vecs.channels(channels), rows, lists, picture, get_num_threads())
+    lists = _blend_groups(order, rows, radii, as_picture(image, alphas), channels)
     return Raster(Tiled(order, rows, lists), image, alphas)
+
+
+def _blend_groups(
+    order: np.ndarray, rows: Rows, radii: np.ndarray, picture: Picture, channels: int
+) -> TileLists:
+    """Fill a picture from ranks, as many at a time as memory has room for; see `tiles`."""
+    size, threads = (picture.width, picture.height), get_num_threads()
+    groups = tiles.rank_groups(order, rows, radii, size)
+    channel_vecs, parts, first = vecs.channels(channels), list[TileLists](), 0
+    blocks = tiles.tile_count(size) * blend.BLOCKS if len(groups) > 1 else 0
+    states = np.zeros(blocks * blend.state_length(channel_vecs), np.float32)
+    for totals in groups:
+        some = slice(first, first + len(totals) - 1)
+        some_rows = rows._replace(
+            flat=rows.flat[some.start * rows.stride : some.stop * rows.stride]
+        )
+        lists = tiles.tile_lists(order[some], some_rows, radii, size, totals, threads)
+        blend.blend_forward(channel_vecs, some_rows, lists, picture, states, not parts, threads)
+        if len(groups) == 1:
+            return lists
+        parts.append(tiles.kept_entries(lists, first))
+        if blend.is_finished(channel_vecs, states):
+            break
+        first = some.stop
+    return tiles.joined_lists(parts)
 
 
 def reaching(tiled: Tiled) -> Bool[np.ndarray, " R"]:

@@ -3,7 +3,7 @@
 `I = B + W c`: W holds what each picked Gaussian contributes to each pixel (alpha times
 transmittance), B is the image of everything else. One pass of the CPU rasteriser yields both;
 after that an image costs a sparse product. On a GPU W stays implicit: rasterising the Gaussians
-that reach the image reads fewer bytes than W has (docs/scale.md).
+that reach the image reads fewer bytes than W has (docs/scale.md); and where W would not fit.
 """
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
@@ -28,6 +28,8 @@ from stylesplat.rendering.visibility import in_view, visible
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layer import without_identities
 from stylesplat.scene.splats import SH_C0, Splats
+
+LARGEST_VIEW = 1e9  # bytes of kept weights; a photo of 4K that is all object has half of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,7 @@ class Contributions:
 
 @dataclass(frozen=True, eq=False)
 class RasterizedContributions:
-    """The same on a GPU, where it is rasterised again for every question."""
+    """The same without weights: on a GPU it is rasterised again for every question."""
 
     scene: Splats
     """Whose geometry and opacities stay."""
@@ -160,6 +162,19 @@ def contributions(
         pixels: The pixels wanted, which have to contain all that picked Gaussians may reach; others
             need not be right. All by default.
     """
+    view = _kept(splats, camera, picked, pixels, np.inf)
+    assert view is not None, "all weights fit"
+    return view
+
+
+def _kept(
+    splats: Splats,
+    camera: Cameras,
+    picked: Bool[Tensor, " N"],
+    pixels: Bool[Tensor, "H W"] | None,
+    max_bytes: float,
+) -> Contributions | None:
+    """The `contributions`, unless the weights take more bytes."""
     near = in_view(splats, camera, pixels)
     mine = picked[near.rows]
     others = (~mine).nonzero()[:, 0]
@@ -170,12 +185,15 @@ def contributions(
     drawn = cpu.reaching(tiled) & mine.numpy()[tiled.order]
     numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
     background, coverage = image.split((3, 1), dim=2)
+    blocks = _block_weights(tiled, numbers, camera.size, max_bytes)
+    if blocks is None:
+        return None
     return Contributions(
         gaussians=near.rows[torch.from_numpy(tiled.order[drawn].astype(np.int64))],
         background=background.contiguous(),
         coverage=coverage[:, :, 0].contiguous(),
         origin=camera.positions.to(splats.means),
-        blocks=_block_weights(tiled, numbers, camera.size),
+        blocks=blocks,
     )
 
 
@@ -189,19 +207,30 @@ def linear_view(
     camera: Cameras,
     picked: Bool[Tensor, " N"],
     pixels: Bool[Tensor, "H W"] | None = None,
+    *,
+    max_bytes: float = LARGEST_VIEW,
 ) -> LinearView:
-    """The `contributions` of some Gaussians to one camera's image, on the splats' device."""
+    """The `contributions` of some Gaussians to one camera's image, on the splats' device.
+
+    Weights that take more bytes are not kept.
+    """
     if splats.device.type == "cpu":
-        return contributions(splats, camera, picked, pixels)
+        view = _kept(splats, camera, picked, pixels, max_bytes)
+        if view is not None:
+            return view
     camera = with_matrices_of(splats, camera)  # once, not in every step
     near = visible(in_view(splats, camera), camera).rows
     covered = coverage(splats, camera, picked)
     return RasterizedContributions(splats, camera, near, picked[near], covered)
 
 
-def _block_weights(tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int]) -> BlockWeights:
+def _block_weights(
+    tiled: cpu.Tiled, numbers: np.ndarray, size: tuple[int, int], max_bytes: float
+) -> BlockWeights | None:
     starts, firsts = np.zeros((2, len(tiled.lists.starts)), np.int64)
     linear_blocks.count_pairs(tiled.lists, numbers, starts, firsts)
+    if 2 * vec.LANES * int(firsts[-1]) > max_bytes:  # float16
+        return None
     gaussians, masks = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint16)
     weights = np.empty(firsts[-1] * vec.LANES, np.uint16)
     blocks = BlockWeights(starts, firsts[:-1].copy(), gaussians, masks, weights)

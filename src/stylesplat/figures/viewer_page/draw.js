@@ -25,6 +25,7 @@ export function drawer(canvas, splats, about, sources, background = [0, 0, 0]) {
   gl.uniform1i(at("bands"), about.bands);
   gl.uniform2fv(at("strongest"), about.strongest);
   gl.uniform2fv(at("colors"), about.colors);
+  gl.uniform1i(at("antialiased"), about.antialiased);
   gl.uniform1i(at("order"), 2);
   corners(gl);
   gl.enable(gl.BLEND);

@@ -13,6 +13,7 @@ uniform vec2 colors; // what the smallest and the largest byte of a colour mean
 uniform mat3 axes; // from the world to the camera
 uniform vec3 eye;
 uniform vec2 focal, centre, size; // pixels
+uniform bool antialiased; // whether a Gaussian fades by how much the low pass enlarges it
 
 out vec2 offset; // in standard deviations
 flat out vec4 after, before;
@@ -71,12 +72,15 @@ void main() {
   mat3x2 flat_axes = jacobian(place) * axes;
   mat2 spread2d = flat_axes * spread * transpose(flat_axes);
   float a = spread2d[0][0] + LOW_PASS, b = spread2d[0][1], c = spread2d[1][1] + LOW_PASS;
+  float area = max(spread2d[0][0] * spread2d[1][1] - b * b, 0.0); // squared
+  float factor = antialiased ? sqrt(area / (area + LOW_PASS * (a + c - LOW_PASS))) : 1.0;
   float root = length(vec2(0.5 * (a - c), b)), longest = 0.5 * (a + c) + root;
   float shortest = max((a * c - b * b) / longest, 1e-6);
   vec2 along = a >= c ? vec2(longest - c, b) : vec2(b, longest - a);
   along = root > 0.0 ? normalize(along) : vec2(1, 0);
 
-  float opacity = float(three.y >> 24) / 255.0, earlier = float(three.z >> 24) / 255.0;
+  float opacity = factor * float(three.y >> 24) / 255.0;
+  float earlier = factor * float(three.z >> 24) / 255.0;
   float reach = sqrt(2.0 * log(max(255.0 * max(opacity, earlier), 1.0)));
   offset = reach * (2.0 * vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) - 1.0);
   vec2 shift = offset.x * sqrt(longest) * along + offset.y * sqrt(shortest) * vec2(-along.y, along.x);

@@ -12,7 +12,7 @@ import numpy as np
 
 from stylesplat.rendering.gaussians import MAX_ALPHA, MIN_TRANSMITTANCE
 from stylesplat.rendering.kernels import vec, vecs
-from stylesplat.rendering.kernels.jit import inner, kernel
+from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
 from stylesplat.rendering.kernels.tiles import BLOCK, ROW_COLORS, TILE
 from stylesplat.rendering.kernels.vec import RowPlace, spread_row
 
@@ -126,17 +126,25 @@ def block_pixels(x, y):
     return vec.columns() + left, vec.rows() + top
 
 
+@serial_kernel
+def state_length(channels):
+    """Length of the state of a block: its pixels' coverage, colours and transmittance."""
+    return PIXELS * (len(channels) + 2)
+
+
 @inner
 def blend_block(channels, rows, ranks, entries, pixels, state):
     """Composite the entries over one block, front to back, until its pixels are finished.
 
-    `state` holds the pixels' transmittance, and takes their coverage and colours. Returns how many
-    entries were visited.
+    Returns how many entries were visited.
     """
-    transmittance, coverage = vec.load(state, 0), vec.zero()
-    sums = vecs.zeros(channels)
+    light = PIXELS * (len(channels) + 1)
+    transmittance, coverage = vec.load(state, light), vec.load(state, 0)
+    sums = vecs.load_vecs(state, PIXELS, channels)
     pixel_x, pixel_y = pixels
     visited = 0
+    if vec.bits(vec.greater(transmittance, 0)) == 0:
+        return visited
     for entry in entries:
         visited += 1
         row = RowPlace(rows.flat, ranks[entry] * rows.stride)
@@ -147,16 +155,24 @@ def blend_block(channels, rows, ranks, entries, pixels, state):
         sums = vecs.add_scaled_row(sums, step.weight, row.flat, row.first + ROW_COLORS)
         if vec.bits(step.live) == 0:
             break
+    vec.store(state, light, transmittance)
     vec.store(state, 0, coverage)
     vecs.store_vecs(state, PIXELS, sums)
     return visited
 
 
 @inner
-def open_block(state, columns, rows):
+def open_block(light, columns, rows):
     """Transmittance 1 in the columns and rows inside the image, 0 outside."""
     for lane in range(PIXELS):
-        state[lane] = 1 if (lane & 3) < columns and (lane >> 2) < rows else 0
+        light[lane] = 1 if (lane & 3) < columns and (lane >> 2) < rows else 0
+
+
+@inner
+def strike(masks, entries, block):
+    """Take a block from the masks of some entries."""
+    for entry in entries:
+        masks[entry] &= ~np.uint16(1 << block)
 
 
 @inner
@@ -171,13 +187,26 @@ def close_block(channels, state, block, picture):
                 image[pixel * len(channels) + c] = state[lane + (c + 1) * PIXELS]
 
 
+@serial_kernel
+def is_finished(channels, states):
+    """Whether no pixel of the blocks of some states has light left."""
+    length = state_length(channels)
+    for first in range(0, states.shape[0], length):
+        if vec.bits(vec.greater(vec.load(states, first + length - PIXELS), 0)) != 0:
+            return False
+    return True
+
+
 @kernel
-def blend_forward(channels, rows, lists, picture, threads):
+def blend_forward(channels, rows, lists, picture, states, begins, threads):
     """Fill the picture.
 
     Block by block, so that a block's colours stay in registers. Blocks that are finished are
-    struck from the masks of the entries behind, so that the backward pass visits just what this
-    one has drawn.
+    struck from the masks of the entries behind, and blocks outside the image from all, so that the
+    backward pass visits just what this one has drawn.
+
+    `states` [tiles * BLOCKS * state_length] is for lists that come in groups, else empty: what a
+    group leaves the next goes on from. `begins` says that this is the first.
     """
     starts, ranks, masks = lists
     width, height = picture.width, picture.height
@@ -185,18 +214,24 @@ def blend_forward(channels, rows, lists, picture, threads):
     for tile in range(starts.shape[0] - 1):
         room = max(room, starts[tile + 1] - starts[tile])
     for thread in numba.prange(threads):
-        state = aligned(PIXELS * (len(channels) + 1))
+        length = state_length(channels)
+        state = aligned(length)
         entries, counts = np.empty((BLOCKS, room), np.int32), np.empty(BLOCKS, np.int64)
         for tile in range(thread, starts.shape[0] - 1, threads):
             list_blocks(lists, tile, rows, entries, counts)
             corner = tile_corner(tile, width)
             for block in range(BLOCKS):
+                mine = entries[block, : counts[block]]
                 x, y = block_corner(corner, block)
                 if x >= width or y >= height:
+                    strike(masks, mine, block)
                     continue
-                open_block(state, width - x, height - y)
-                mine = entries[block, : counts[block]]
+                if states.shape[0] > 0:
+                    place = (tile * BLOCKS + block) * length
+                    state = states[place : place + length]
+                if begins:
+                    state[:] = 0
+                    open_block(state[length - PIXELS :], width - x, height - y)
                 done = blend_block(channels, rows, ranks, mine, block_pixels(x, y), state)
-                for entry in mine[done:]:
-                    masks[entry] &= ~np.uint16(1 << block)
+                strike(masks, mine[done:], block)
                 close_block(channels, state, Patch(y * width + x, width - x, height - y), picture)

@@ -3,8 +3,13 @@
 A tile is 16 x 16 pixels, cut into 16 blocks of 4 x 4. Every entry of a tile's list carries a
 16-bit mask of the blocks that the Gaussian's ellipse truly touches, so that the blending kernels
 never look at the others.
+
+Where Gaussians are so large that lists would take much memory, they are listed and blended a group
+at a time, the nearest first; entries that blending has struck are dropped in between. What is left
+is bounded, whatever the number of Gaussians: the light of a pixel lasts for some hundred.
 """
 
+from collections.abc import Sequence
 from math import ceil, floor, log
 from typing import NamedTuple
 
@@ -22,6 +27,7 @@ BLOCK = 4
 HALF = np.float32(0.5)
 ROW_COLORS = 8  # where the colours start in a packed row
 RADIX_BITS = 11
+ENTRIES_AT_ONCE = 1 << 22  # of 16 bytes while they are sorted; half a million Gaussians have fewer
 ENDLESS = np.float32(1e-30)  # factor of an exponent that is constant: one is not divided by 0
 SLACK = np.float32(1e-4)  # widens the block test: rounding must not lose a pixel
 
@@ -182,18 +188,16 @@ def list_entries(order, rows, radii, grid, starts, entries, counts, written):
 
 
 @serial_kernel
-def entry_bounds(order, rows, radii, size, starts):
-    """Fill where each chunk may start to write its entries: the tiles under the bounding boxes."""
-    n, chunks, total = order.shape[0], starts.shape[0] - 1, 0
+def count_tiles(order, rows, radii, size, totals):
+    """Fill how many tiles the bounding boxes of all ranks before each cover: [M + 1]."""
     columns, lines = -(-size[0] // TILE), -(-size[1] // TILE)
-    starts[0] = 0
-    for chunk in range(chunks):
-        for rank in range(chunk * n // chunks, (chunk + 1) * n // chunks):
-            row, i = rank * rows.stride, order[rank]
-            first_x, last_x = tile_span(rows.flat[row], radii[i, 0], columns)
-            first_y, last_y = tile_span(rows.flat[row + 1], radii[i, 1], lines)
-            total += max(last_x - first_x, 0) * max(last_y - first_y, 0)
-        starts[chunk + 1] = total
+    totals[0] = 0
+    for rank in range(order.shape[0]):
+        row, i = rank * rows.stride, order[rank]
+        first_x, last_x = tile_span(rows.flat[row], radii[i, 0], columns)
+        first_y, last_y = tile_span(rows.flat[row + 1], radii[i, 1], lines)
+        covered = max(last_x - first_x, 0) * max(last_y - first_y, 0)
+        totals[rank + 1] = totals[rank] + covered
 
 
 @kernel
@@ -232,15 +236,90 @@ def list_tiles(order, rows, radii, size, starts, lists):
     return place
 
 
+def tile_count(size: tuple[int, int]) -> int:
+    width, height = size
+    return -(-width // TILE) * -(-height // TILE)
+
+
+def rank_groups(
+    order: np.ndarray, rows: Rows, radii: np.ndarray, size: tuple[int, int]
+) -> list[np.ndarray]:
+    """Cut the ranks into groups, mostly one, whose lists take bounded memory.
+
+    Returns:
+        For each group the `count_tiles` of its ranks, from the first on, and of the one behind.
+    """
+    totals = np.empty(len(order) + 1, np.int64)
+    count_tiles(order, rows, radii, size, totals)
+    if totals[-1] <= ENTRIES_AT_ONCE:
+        return [totals]
+    groups, first = [], 0
+    while first < len(order):
+        end = np.searchsorted(totals, totals[first] + ENTRIES_AT_ONCE, side="right") - 1
+        end = max(int(end), first + 1)
+        groups.append(totals[first : end + 1])
+        first = end
+    return groups
+
+
 def tile_lists(
-    order: np.ndarray, rows: Rows, radii: np.ndarray, size: tuple[int, int], chunks: int
+    order: np.ndarray,
+    rows: Rows,
+    radii: np.ndarray,
+    size: tuple[int, int],
+    totals: np.ndarray,
+    chunks: int,
 ) -> TileLists:
-    """The list of every tile of an image of a width and height, made by `chunks` threads."""
-    starts = np.empty(chunks + 1, np.int64)
-    entry_bounds(order, rows, radii, size, starts)
-    columns, lines = (-(-side // TILE) for side in size)
+    """The list of every tile of an image of a width and height, made by `chunks` threads.
+
+    `totals` are the `count_tiles` of these ranks.
+    """
+    starts = totals[np.arange(chunks + 1) * len(order) // chunks] - totals[0]
     room = starts[-1]
-    tile_starts = np.empty(columns * lines + 1, np.int64)
+    tile_starts = np.empty(tile_count(size) + 1, np.int64)
     lists = TileLists(tile_starts, np.empty(room, np.int32), np.empty(room, np.uint16))
     count = list_tiles(order, rows, radii, size, starts, lists)
     return TileLists(tile_starts, lists.ranks[:count], lists.masks[:count])
+
+
+@serial_kernel
+def drop_struck(lists, first):
+    """Move entries that touch blocks to the front and add `first` to ranks; return their number."""
+    starts, ranks, masks = lists
+    place, entry = 0, 0
+    for tile in range(starts.shape[0] - 1):
+        starts[tile] = place
+        while entry < starts[tile + 1]:
+            if masks[entry] != 0:
+                ranks[place], masks[place] = first + ranks[entry], masks[entry]
+                place += 1
+            entry += 1
+    starts[-1] = place
+    return place
+
+
+def kept_entries(lists: TileLists, first: int) -> TileLists:
+    """The entries of a group that blending has not struck, by ranks of all groups."""
+    count = drop_struck(lists, first)
+    return TileLists(lists.starts, lists.ranks[:count].copy(), lists.masks[:count].copy())
+
+
+@serial_kernel
+def add_group(group, places, lists):
+    """Copy a group's entries to the tiles' `places` [tiles], which move on."""
+    starts, ranks, masks = group
+    for tile in range(starts.shape[0] - 1):
+        for entry in range(starts[tile], starts[tile + 1]):
+            place = places[tile]
+            lists.ranks[place], lists.masks[place] = ranks[entry], masks[entry]
+            places[tile] = place + 1
+
+
+def joined_lists(groups: Sequence[TileLists]) -> TileLists:
+    """The lists of groups, the nearest first, as one."""
+    starts = np.sum([group.starts for group in groups], axis=0)
+    lists = TileLists(starts, np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint16))
+    places = starts[:-1].copy()
+    for group in groups:
+        add_group(group, places, lists)
+    return lists
