@@ -9,7 +9,17 @@ from functools import wraps
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, ParamSpec, TypeVar, Union, cast, get_args, get_origin
+from typing import (
+    Any,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import msgspec
 
@@ -75,6 +85,8 @@ def _is_instance(value: Any, kind: Any) -> bool:
         return isinstance(value, type(plain))
     if isinstance(value, str) and plain is Sequence:
         return False  # else its characters would be taken for what it names
+    if isinstance(value, bool) and plain in (int, float):
+        return False  # for Python it is 0 or 1
     if not isinstance(value, WIDER.get(plain, plain)):
         return False
     if isinstance(value, dict) and len(items) == 2:
@@ -84,27 +96,43 @@ def _is_instance(value: Any, kind: Any) -> bool:
     return all(any(_is_instance(each, kind) for kind in _alternatives(items[0])) for each in value)
 
 
-def _refuse(verb: str, name: str, value: Any, kinds: list[Any]) -> None:
-    names = [
+def _names(kinds: list[Any]) -> list[str]:
+    return [
         "None" if each in (None, types.NoneType) else getattr(_plain(each), "__name__", str(each))
         for each in kinds
     ]
+
+
+def _either(kinds: list[Any]) -> str:
+    return " or ".join(dict.fromkeys(_names(kinds)))
+
+
+def _refuse(verb: str, name: str, value: Any, kinds: list[Any]) -> None:
     given = type(value).__name__
     if isinstance(value, dict | list | tuple):
         items = value.values() if isinstance(value, dict) else value
         given += f" of {some(dict.fromkeys(type(each).__name__ for each in items))}"
     elif isinstance(value, str | int | float | PathLike):
         given += f", {brief(repr(value))}"
-    remedies = [REMEDIES[each] for each in reversed(names) if each in REMEDIES]
+    remedies = [REMEDIES[each] for each in reversed(_names(kinds)) if each in REMEDIES]
     remedies.append(f"`help(stylesplat.{verb})` says what it takes.")
     raise StyleSplatError(
-        f"Cannot call {verb} with this `{name}`: it must be {' or '.join(dict.fromkeys(names))}, "
+        f"Cannot call {verb} with this `{name}`: it must be {_either(kinds)}, "
         f"and is {given}. {remedies[0]}"
     )
 
 
-def check_limits(config: Any, verb: str, limits: Mapping[str, tuple[Any, Any]]) -> None:
-    """Refuse settings beyond their least and most values; None is no value."""
+def check_settings(config: Any, verb: str, limits: Mapping[str, tuple[Any, Any]]) -> None:
+    """Refuse settings of other types than declared, or beyond their least and most values.
+
+    None is no value.
+    """
+    for name, kind in get_type_hints(type(config)).items():
+        value, kinds = getattr(config, name), _alternatives(kind)
+        if not any(_is_instance(value, each) for each in kinds):
+            raise StyleSplatError(
+                f"Cannot {verb} with {name} {brief(repr(value))}: it must be {_either(kinds)}."
+            )
     for name, (least, most) in limits.items():
         value = getattr(config, name)
         if value is not None and not least <= value <= most:

@@ -1,4 +1,9 @@
+import math
+import os
+import subprocess
+import sys
 from dataclasses import asdict, replace
+from typing import get_type_hints
 
 import pytest
 
@@ -12,12 +17,19 @@ from stylesplat.training.train_config import (
     means_decay,
 )
 
+NAN = math.nan
 WRONG = {
     **dict.fromkeys(("steps", "max_gaussians", "refine_every", "sh_degree_every"), (0, -1)),
-    "max_seconds": (0.0, -1.0, float("nan")),
-    "max_memory": (-1.0, float("nan")),
+    "max_seconds": (0.0, -1.0, NAN),
+    "max_memory": (-1.0, NAN),
     "test_every": (-1,),
     "sh_degree": (-1, 4),
+    "growth_end": (0.0, 1.5, NAN),
+    "refine_end": (-0.1, 1.5),
+    "object_growth": (-1.0, 0.0, math.inf),
+    **dict.fromkeys(("means_rate", "bands_rate", "classifier_rate"), (-1e-3, NAN, math.inf)),
+    "photos_at_once": (0,),
+    "seed": (10**30,),
 }
 
 
@@ -26,6 +38,39 @@ def test_settings_out_of_range_are_refused(name: str):
     for value in WRONG[name]:
         with pytest.raises(StyleSplatError, match=f"Cannot train with {name} {value}"):
             replace(TrainConfig(), **{name: value})
+
+
+KINDS_PROGRAM = """
+from math import nan
+import numpy as np
+from stylesplat.errors import StyleSplatError
+from stylesplat.training.train_config import TrainConfig
+wrong = [(name, value) for name in COUNTS for value in (True, 1.5, "10", nan)]
+wrong += [("growth_end", True), ("growth_end", None), ("growth_end", "1"), ("max_seconds", True)]
+wrong += [("coarse_to_fine", 1), ("coarse_to_fine", None), ("color_correction", True)]
+for name, value in wrong:
+    try:
+        TrainConfig(**{name: value})
+        print(name, repr(value), "passed")
+    except StyleSplatError as error:
+        if f"Cannot train with {name} {value!r}: it must be" not in str(error):
+            print(error)
+TrainConfig(steps=np.int64(5), growth_end=np.float32(0.5), means_rate=0)
+"""
+
+
+def test_settings_of_other_kinds_are_refused():
+    counts = [n for n, kind in get_type_hints(TrainConfig).items() if kind in (int, int | None)]
+    assert "steps" in counts and "photos_at_once" in counts
+    # On its own: in this process beartype checks the types before the code does
+    program = KINDS_PROGRAM.replace("COUNTS", repr(counts))
+    ended = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+    )
+    assert (ended.returncode, ended.stdout) == (0, ""), ended.stderr
 
 
 GAUSSIANS = "3D Gaussian splatting, arguments/__init__.py"

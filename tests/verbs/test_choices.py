@@ -44,7 +44,11 @@ def test_lifting_refuses_settings_of_identities(preset: str):
 
 
 CALLS = {
-    "ss.train(capture, steps=1.5)": "steps 1.5: give a whole number",
+    "ss.train(capture, steps=1.5)": "steps 1.5: it must be int",
+    "ss.train(capture, steps=True)": "steps True: it must be int",
+    "ss.train(capture, means_rate=float('nan'))": "means_rate nan: use 0 to 10",
+    "ss.train(capture, config=TrainConfig(), preset='paper')": "preset paper and a config",
+    "ss.train(capture, steps=9, max_seconds=9)": "steps 9 and max_seconds 9",
     "ss.train(capture, stepz=3)": "no setting 'stepz'",
     "ss.train(capture, preset='best')": "no preset 'best'. Use default, paper",
     "ss.train(capture, segment='lifted')": "no way to segment 'lifted'. Use joint, lift",
@@ -63,6 +67,7 @@ def test_choices_are_named():
     program = f"""
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
+from stylesplat.training.train_config import TrainConfig
 scene, photos = ss.Scene(SPLATS, CAMERAS), [SPLATS.means.new_zeros(36, 48, 3).byte()] * 8
 capture = ss.Capture(CAMERAS, photos)
 for call in {[*CALLS]}:

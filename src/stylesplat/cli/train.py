@@ -22,7 +22,13 @@ from stylesplat.io.files import is_there
 from stylesplat.progress import Observer, observed, say
 from stylesplat.signals import WHOLE
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished
-from stylesplat.training.train_config import PRESETS, SEGMENTS, Segment, TrainConfig
+from stylesplat.training.train_config import (
+    PRESETS,
+    SEGMENTS,
+    Segment,
+    TrainConfig,
+    refuse_two_lengths,
+)
 
 SETTINGS = from_config(
     TrainConfig,
@@ -92,6 +98,7 @@ class Train(MakingCommand):
         from stylesplat.training.checkpoint import require_checkpoint
         from stylesplat.training.state import Ranks
 
+        refuse_two_lengths(self.settings)
         config = replace(PRESETS[self.preset], **self.settings)
         train = partial(
             ss.train,

@@ -7,7 +7,7 @@ from typing import Any, get_type_hints
 
 from PIL import ImageColor
 
-from stylesplat.argument_kinds import check_limits, convert_settings
+from stylesplat.argument_kinds import check_settings, convert_settings
 from stylesplat.errors import StyleSplatError, brief
 
 RECOLOR_LIMITS = {  # of settings; with larger factors hardly anything but clipped colours is left
@@ -39,7 +39,7 @@ class RecolorConfig:
     """Factor on their distance from mid-grey, 0 to 4."""
 
     def __post_init__(self) -> None:
-        check_limits(self, "recolor", RECOLOR_LIMITS)
+        check_settings(self, "recolor", RECOLOR_LIMITS)
         if self.tint is not None:
             parse_color(self.tint)
 

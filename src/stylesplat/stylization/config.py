@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from itertools import accumulate, pairwise
 from typing import Any, Literal, get_type_hints
 
-from stylesplat.argument_kinds import check_limits, convert_settings
+from stylesplat.argument_kinds import check_settings, convert_settings
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
 from stylesplat.scene.arguments import MAX_INTENSITY
@@ -126,7 +126,7 @@ class StyleConfig:
     full, at the photos' size, in a quarter of the views, at a constant rate."""
 
     def __post_init__(self) -> None:
-        check_limits(self, "stylise", LIMITS)
+        check_settings(self, "stylise", LIMITS)
         if self.published and self.quality != StyleConfig.quality:
             raise StyleSplatError(
                 f"Cannot stylise with quality {self.quality} as the paper does: its method has one "

@@ -1,8 +1,10 @@
 """Settings of training, and what they say about each point of a run."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
+from stylesplat.argument_kinds import check_settings
 from stylesplat.errors import StyleSplatError, check_choice
 
 ColorCorrection = Literal["auto", "on", "off"]
@@ -10,24 +12,32 @@ Segment = Literal["joint", "lift"]
 Background = Literal["random", "black", "white"]
 
 LEVELS = {"black": 0.0, "white": 1.0}  # of backgrounds that are not random
-SH_DEGREES = range(4)
 COARSE_UNTIL = ((0.12, 4), (0.35, 2))  # until this share of the run, photos this much smaller
 MIN_SIZE = 64  # pixels; photos are not made smaller than this
 SH_DEGREE_EVERY = 0.1  # share of the run per band, unless the settings give a number of steps
 MEANS_DECAY = 0.01  # last learning rate of the means over the first (official)
 
-POSITIVE = (
-    "steps",
-    "max_seconds",
-    "max_gaussians",
-    "refine_every",
-    "identity_every",
-    "identity_stride",
-    "photos_at_once",
-    "sh_degree_every",
-)
-NOT_NEGATIVE = ("test_every", "max_memory")
-FRACTIONS = ("max_seconds", "max_memory")  # the others are whole numbers
+MOST = 10**9  # what is beyond is a slip of the keyboard
+LIMITS = {  # of settings, the least and the most
+    "steps": (1, MOST),
+    "max_seconds": (1e-6, MOST),
+    "max_gaussians": (1, MOST),
+    "test_every": (0, MOST),
+    "sh_degree": (0, 3),
+    "sh_degree_every": (1, MOST),
+    "seed": (-(10**18), 10**18),
+    "growth_end": (0.001, 1),
+    "refine_end": (0, 1),
+    "object_growth": (0.001, 1000),  # a factor on chances, one of which has to remain
+    "refine_every": (1, MOST),
+    "identity_every": (1, MOST),
+    "identity_stride": (1, MOST),
+    "means_rate": (0, 10),
+    "bands_rate": (0, 10),
+    "classifier_rate": (0, 10),
+    "photos_at_once": (1, MOST),
+    "max_memory": (0, MOST),
+}
 IDENTITY_SETTINGS = (
     "object_growth",
     "identity_every",
@@ -136,18 +146,7 @@ class TrainConfig:
         return int(first * (max(self.max_gaussians, first) / first) ** share)
 
     def __post_init__(self) -> None:
-        for name in (*POSITIVE, *NOT_NEGATIVE, "seed"):
-            value, remedy = getattr(self, name), None
-            if name in POSITIVE and value is not None and not value > 0:
-                remedy = "it must exceed 0"
-            elif name in NOT_NEGATIVE and value is not None and not value >= 0:
-                remedy = "it must not be less than 0"
-            elif name not in FRACTIONS and not isinstance(value, int | None):
-                remedy = "give a whole number"
-            if remedy is not None:
-                raise StyleSplatError(f"Cannot train with {name} {value}: {remedy}.")
-        if self.sh_degree not in SH_DEGREES:
-            raise StyleSplatError(f"Cannot train with sh_degree {self.sh_degree}: use 0 to 3.")
+        check_settings(self, "train", LIMITS)
         check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
         check_choice(self.background, "background", get_args(Background))
 
@@ -182,6 +181,16 @@ PRESETS = {
 
 SEGMENTS: dict[str, Segment] = {"default": "lift", "paper": "joint"}
 """How Gaussians come to their objects by each preset; `benchmarks/paper.py` compares the ways."""
+
+
+def refuse_two_lengths(settings: Mapping[str, Any]) -> None:
+    """Raise a StyleSplatError if a run is given a number of steps and a time, which replaces it."""
+    steps, seconds = settings.get("steps"), settings.get("max_seconds")
+    if steps is not None and seconds is not None:
+        raise StyleSplatError(
+            f"Cannot train with steps {steps} and max_seconds {seconds}: a run ends after either. "
+            "Leave out one of them."
+        )
 
 
 def refuse_identity_settings(config: TrainConfig) -> None:

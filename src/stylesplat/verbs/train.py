@@ -1,7 +1,7 @@
 """`train`: posed photos in, a scene out."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -27,6 +27,7 @@ from stylesplat.training.train_config import (
     Segment,
     TrainConfig,
     refuse_identity_settings,
+    refuse_two_lengths,
 )
 from stylesplat.training.training_views import learned_ids, split_views
 
@@ -38,7 +39,7 @@ def train(
     capture: Capture,
     config: TrainConfig | None = None,
     *,
-    preset: str = "default",
+    preset: str | None = None,
     segment: Segment | None = None,
     device: str = "auto",
     checkpoint: Path | None = None,
@@ -51,7 +52,7 @@ def train(
 
     Args:
         capture: Posed photos; with label maps if objects are wanted.
-        config: How to train; by default as the preset says.
+        config: How to train, in place of a preset.
         preset: `default`, or `paper` for 30,000 steps at the rates of the paper.
         segment: Whether Gaussians learn their objects along with their colours (`joint`), or the
             label maps are lifted onto them afterwards (`lift`, the default but for `paper`).
@@ -65,13 +66,15 @@ def train(
 
     Returns:
         The scene, its objects called what the capture calls them. Its metrics are `psnr` and
-        `ssim` of the held-out views, `seconds`, `steps`, `gaussians`, `steps_per_second`. Where
-        photos' colours or poses were learned, these views are measured half by half, each half
-        fitted on the other (`psnr_unfitted` is without), and the splat has the typical photo's
-        colours. With `refine_poses` the training views' cameras are the refined ones.
+        `ssim` of the held-out views, `seconds`, `steps`,
+        `gaussians`, `steps_per_second`. Where photos' colours or poses were learned, the views are
+        measured half by half, each half fitted on the other (`psnr_unfitted` is without), and the
+        splat has the typical photo's colours. With `refine_poses` the training views' cameras are
+        the refined ones.
 
     Raises:
-        StyleSplatError: If the capture leaves nothing to train on, `lift` would ignore a setting,
+        StyleSplatError: If the capture leaves nothing to train on, a setting is out of range, one
+            of two (`config` and `preset`, `steps` and `max_seconds`) or `lift` would ignore one,
             there is no checkpoint to finish, or it is of other photos or settings.
         KeyboardInterrupt: After Ctrl-C, once the checkpoint is written.
 
@@ -79,12 +82,9 @@ def train(
         >>> import stylesplat as ss
         >>> scene = ss.train(ss.load("garden/"), max_seconds=120)  # doctest: +SKIP
     """
-    check_choice(preset, "preset", PRESETS)
+    config, preset = _chosen(config, preset, settings)
     segment = segment or SEGMENTS[preset]
     check_choice(segment, "way to segment", get_args(Segment))
-    for name in settings:
-        check_choice(name, "setting", [field.name for field in fields(TrainConfig)])
-    config = replace(config or PRESETS[preset], **settings)
     if segment == "lift":
         refuse_identity_settings(config)
     if capture.label_maps is None:
@@ -128,6 +128,23 @@ def train(
         },
     )
     return with_names(scene, capture.object_names)
+
+
+def _chosen(
+    config: TrainConfig | None, preset: str | None, settings: Mapping[str, Any]
+) -> tuple[TrainConfig, str]:
+    """The config with the settings, and the preset whose way to segment goes with it."""
+    if config is not None and preset is not None:
+        raise StyleSplatError(
+            f"Cannot train with preset {preset} and a config, which has all settings: leave out "
+            "one of them."
+        )
+    preset = preset or "default"
+    check_choice(preset, "preset", PRESETS)
+    for name in settings:
+        check_choice(name, "setting", [field.name for field in fields(TrainConfig)])
+    refuse_two_lengths(settings)
+    return replace(config or PRESETS[preset], **settings), preset
 
 
 def _lifted(splats: Splats, capture: Capture, rows: Sequence[int]) -> Splats:
