@@ -26,8 +26,8 @@ import tyro
 from bench import capture, machine, table
 
 from stylesplat.rendering.at_once import RenderPool
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.densification import MCMCStrategy
-from stylesplat.training.initialize import scene_extent
 from stylesplat.training.loop import MOST_AT_ONCE, fit
 from stylesplat.training.state import Ranks, Run, State
 from stylesplat.training.step import train_step

@@ -220,8 +220,8 @@ def step_of_colors(fox: "Capture", splats: "Splats") -> Callable[[], object]:
     """A function that takes a step of ours on splats, without identities and growth."""
     import torch
 
+    from stylesplat.scene.outliers import scene_extent
     from stylesplat.training.densification import MCMCStrategy
-    from stylesplat.training.initialize import scene_extent
     from stylesplat.training.state import Run, first_state
     from stylesplat.training.step import train_step
     from stylesplat.training.train_config import TrainConfig

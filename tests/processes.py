@@ -21,8 +21,9 @@ from stylesplat.batch_jobs.job_process import JobRecord, RunJob, ended_job
 from stylesplat.cli import main
 from stylesplat.cli.batch import batch_verbs
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.densification import MCMCStrategy
-from stylesplat.training.initialize import first_splats, scene_extent
+from stylesplat.training.initialize import first_splats
 from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import Run, State, first_state

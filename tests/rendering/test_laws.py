@@ -100,6 +100,24 @@ def test_one_gaussian_has_the_peak_that_its_opacity_says(backend: Backend):
 
 
 @pytest.mark.parametrize("backend", ANY)
+@pytest.mark.parametrize("rgb", [(0.0, -0.3, 0.4)])
+def test_a_clamped_colour_has_the_gradients_that_raise_it_alone(backend: Backend, rgb: tuple):
+    splats = single((0.0, 0.0, 2.0), opacity=0.6, scale=0.1, rgb=rgb)
+    for sign in (-1.0, 1.0):
+        sh0 = splats.sh0.clone().requires_grad_()
+        image = render(replace(splats, sh0=sh0), backend, standing())
+        assert (image >= 0).all() and image[..., 2].max() > 0.1
+        (sign * image.sum()).backward()
+        assert sh0.grad is not None
+        red, green, blue = sh0.grad.flatten().tolist()
+        assert blue == pytest.approx(sign * abs(blue)) and blue
+        if sign < 0:
+            assert red == pytest.approx(blue) and green == pytest.approx(blue)
+        else:
+            assert red == green == 0
+
+
+@pytest.mark.parametrize("backend", ANY)
 @pytest.mark.parametrize("corner", [(0, 0), (17, 9), (-8, 30)])
 def test_a_crop_is_a_part_of_the_whole(backend: Backend, corner: tuple[int, int]):
     # Small Gaussians: of larger ones beside the image the shape is approximate, by its size.

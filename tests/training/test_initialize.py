@@ -14,6 +14,7 @@ from stylesplat.training.initialize import (
     first_splats,
     neighbor_distances,
 )
+from stylesplat.training.training_views import TrainingView
 
 
 def begun(capture: Capture, *, cap: int = 1000, sh_degree: int = 3) -> Splats:
@@ -39,6 +40,72 @@ def test_of_too_many_points_some_are_taken(capture: Capture):
     splats = begun(capture, cap=50)
     assert len(splats) == 50 == len(splats.means.unique(dim=0))
     assert (splats.means[:, None] == capture.points).all(-1).any(1).all()
+
+
+def views_of(capture: Capture) -> list[TrainingView]:
+    photos = [photo.float() / 255 for photo in capture.photos]
+    return [
+        TrainingView(camera, photo, None, None, None)
+        for camera, photo in zip(capture.cameras, photos, strict=True)
+    ]
+
+
+def colors_of(capture: Capture, views: list[TrainingView]) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(0)
+    options = {"sh_degree": 0, "max_gaussians": 1000, "generator": generator}
+    return rgb_from_sh0(first_splats(capture, **options, views=views).sh0[:, 0])
+
+
+@pytest.mark.parametrize("level", [0, 1, 255, None], ids=str)
+def test_colours_that_no_photo_shows_are_those_of_the_photos(
+    capture: Capture, said: list[str], level: int | None
+):
+    assert capture.points is not None
+    colors = None if level is None else torch.full((len(capture.points), 3), level).byte()
+    views = views_of(capture)
+    for view in views:
+        view.photo[:] = torch.tensor([0.8, 0.4, 0.2])
+    for view in views[:3]:
+        view.photo[:] = 0.5  # something hides the points in these
+    visible = torch.stack([is_in_image(capture.points, view.camera) for view in views]).all(dim=0)
+    found = colors_of(replace(capture, point_colors=colors), views)[visible]
+    assert len(found) > 50
+    assert torch.allclose(found, torch.tensor([0.8, 0.4, 0.2]), atol=1e-6)
+    assert any("No photo shows" in line for line in said) == (level is not None)
+
+
+def test_colours_that_photos_show_are_kept(capture: Capture, said: list[str]):
+    assert capture.points is not None
+    views, colors = views_of(capture), torch.full((len(capture.points), 3), 102).byte()
+    for view in views:
+        view.photo[:] = 0.9
+    views[0].photo[:] = 0.45
+    found = colors_of(replace(capture, point_colors=colors), views)
+    visible = is_in_image(capture.points, views[0].camera)
+    assert torch.allclose(found[visible], torch.tensor(0.4)) and visible.sum() > 50
+    assert not said, "one photo is enough"
+
+
+def test_transparent_pixels_show_no_colours(capture: Capture):
+    assert capture.points is not None
+    views = [
+        view._replace(photo=torch.zeros(64, 72, 3), alpha=torch.zeros(64, 72, 1))
+        for view in views_of(capture)
+    ]
+    views[0] = views[0]._replace(photo=torch.full((64, 72, 3), 0.7), alpha=torch.ones(64, 72, 1))
+    found = colors_of(replace(capture, point_colors=None), views)
+    visible = is_in_image(capture.points, views[0].camera)
+    assert torch.allclose(found[visible], torch.tensor(0.7)) and visible.sum() > 50
+
+
+@pytest.mark.parametrize("points", [None, torch.zeros(0, 3), torch.zeros(2, 3)])
+def test_without_points_random_ones_are_taken_and_a_line_says_so(
+    capture: Capture, said: list[str], points
+):
+    bare = replace(capture, points=points, point_colors=None)
+    splats = begun(bare, cap=500)
+    assert len(splats) == 500 and len(said) == 1 and "random" in said[0]
+    assert splats.means.norm(dim=1).max() < 9
 
 
 def test_distances_to_neighbours_by_hand():

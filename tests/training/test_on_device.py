@@ -8,8 +8,8 @@ import torch
 from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
 from processes import begun
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.densification import MCMCStrategy
-from stylesplat.training.initialize import scene_extent
 from stylesplat.training.loop import GPU_STEPS, fit
 from stylesplat.training.state import State
 from stylesplat.training.step import train_step

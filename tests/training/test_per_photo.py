@@ -11,7 +11,7 @@ from scenes import rand, randn
 from stylesplat.evaluation.photos import NO_FITS, Fits, evaluate_views
 from stylesplat.scene.cameras import Cameras, are_rigid
 from stylesplat.scene.capture import Capture
-from stylesplat.training.initialize import scene_extent
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import (
     BLOWN_OUT,

@@ -11,8 +11,8 @@ from processes import begun
 from scenes import random_splats
 from stylesplat.rendering.at_once import RenderPool
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.densification import MCMCStrategy
-from stylesplat.training.initialize import scene_extent
 from stylesplat.training.state import Run, State, first_state
 from stylesplat.training.step import (
     NEIGHBORS,

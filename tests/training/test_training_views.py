@@ -48,6 +48,10 @@ def views(capture: Capture, memory: float = 1.0) -> TrainingViews:
 
 def test_every_nth_photo_is_held_out_and_whole_photos_are_what_the_capture_holds():
     assert split_views(WHOLE, 3) == ([1, 2, 4, 5, 7], [0, 3, 6])
+    viewmats = WHOLE.cameras.viewmats.clone()
+    viewmats[1, :3, 3] = torch.tensor([-500.0, 300, 800])
+    moved = replace(WHOLE, cameras=replace(WHOLE.cameras, viewmats=viewmats)).without_outliers()
+    assert len(moved) == 7 and split_views(moved, 3) == ([1, 3, 4, 6], [0, 2, 5]), "the same photos"
     camera, photo, alpha, classes, _ = views(WHOLE)(3, 1)
     assert camera.names == LARGE[3].names and camera.size == (96, 72)
     assert torch.equal(photo, PHOTOS[3] / 255)

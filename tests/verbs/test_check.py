@@ -72,3 +72,18 @@ def test_a_capture_in_memory(tmp_path: Path):
     assert finding(report, "points")[0] == "poor"
     none = check(replace(whole, points=None, point_colors=None))
     assert finding(none, "points")[1].startswith("there are no points. Training starts from random")
+
+
+def test_what_lies_far_from_all_else_is_named(posed: Path, tmp_path: Path):
+    assert "outliers" not in {each.what for each in check(load(posed)).findings}
+    model = pycolmap.Reconstruction(posed / "sparse" / "0")
+    image = next(each for each in model.images.values() if each.name == "002.png")
+    far = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([-5e4, 3e4, 8e4]))
+    image.frame.set_cam_from_world(image.camera_id, far)
+    model.write(posed / "sparse" / "0")
+    in_file = load(posed)
+    for capture in (in_file, in_file.without_outliers()):
+        report = check(capture)
+        verdict, line = finding(report, "outliers")
+        assert verdict == "fair" and "002.png" in line
+        assert finding(report, "posed") == ("good", "4 of 4 photos have a pose.")

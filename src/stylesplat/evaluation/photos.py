@@ -16,12 +16,12 @@ from stylesplat.rendering.render import rasterize, render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.labels import BACKGROUND, Labels
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.identities import render_labels
 from stylesplat.training.adam import Moments, adam_step
-from stylesplat.training.initialize import scene_extent
 from stylesplat.training.losses import photometric_loss
 from stylesplat.training.per_photo import (
     apply_color_map,

@@ -3,6 +3,8 @@
 `rasterize` is differentiable and takes several cameras; `render` takes one, without gradients, in
 the memory of what is in view.
 """
+# pyright: reportIncompatibleMethodOverride=false
+# (torch's own signature of `backward` is (*args))
 
 from importlib import import_module
 from importlib.util import find_spec
@@ -11,6 +13,8 @@ from typing import Literal
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.autograd import Function
+from torch.autograd.function import once_differentiable
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.gaussians import activated, with_matrices_of
@@ -58,7 +62,8 @@ def rasterize(
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
     """Render splats from cameras of one size, differentiably.
 
-    Gradients reach the cameras' `viewmats`, too, if these require them.
+    Gradients reach the cameras' `viewmats`, too, if these require them. A colour that is clamped
+    has the gradients that would raise it, and no others: with none, black would stay black.
 
     Args:
         splats: The Gaussians, as stored; they are activated here.
@@ -86,9 +91,11 @@ def rasterize(
     for origin in cameras.positions:
         dirs = splats.means - origin
         views.append(
-            backend_module.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=clamp)
+            backend_module.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=False)
         )
     colors = torch.stack(views)  # [C, N, 3]
+    if clamp:
+        colors = _ColorClamp.apply(colors)
     if features is not None:
         colors = torch.cat([colors, features.expand(len(cameras), -1, -1)], dim=-1)
     render_colors, render_alphas, info = backend_module.rasterize(
@@ -98,6 +105,19 @@ def rasterize(
         geometry_channels=colors.shape[-1] if features_move_geometry else 3,
     )
     return over_background(render_colors, render_alphas, background), render_alphas, info
+
+
+class _ColorClamp(Function):
+    @staticmethod
+    def forward(ctx, colors):
+        ctx.save_for_backward(colors > 0)
+        return colors.clamp(min=0)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_colors):
+        (is_inside,) = ctx.saved_tensors
+        return v_colors.where(is_inside | (v_colors < 0), 0)
 
 
 def over_background(

@@ -13,10 +13,12 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, some
+from stylesplat.progress import say
 from stylesplat.scene.cache import GIB, Cache, Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.labels import OwnLabels, resize_labels, shrink_mask
 from stylesplat.scene.one_line import counted, one_line, pixels
+from stylesplat.scene.outliers import Outliers, find_outliers
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.world_offset import ORIGIN, Offset
 
@@ -43,6 +45,8 @@ class Capture:
     """The cameras at the photos' full size, if the photos are smaller here."""
     downscale: float = 1.0
     """The factor by which the photos are smaller than at full size."""
+    outliers: Outliers = field(default_factory=Outliers)
+    """Photos and points that were left out, as they lay far from all others."""
     alphas: Sequence[UInt8[Tensor, "_ _"] | None] | None = None
     """Opacities of the pixels of cut-out photos, 255 = opaque; None for a photo without alpha."""
     world_offset: Offset = ORIGIN
@@ -92,9 +96,25 @@ class Capture:
             photos=some(self.photos),
             label_maps=some(self.label_maps),
             full=None if self.full is None else self.full[[*rows]],
+            outliers=Outliers(),
             alphas=some(self.alphas),
             valid_masks=some(self.valid_masks),
         )
+
+    def without_outliers(self) -> "Capture":
+        """The capture without cameras and points that lie far from all others; a line names them.
+
+        `load` has left them out.
+        """
+        near, points, found = find_outliers(self.cameras, self.points)
+        if not found:
+            return self
+        say(f"Left out: {found}.")
+        capture = self.only(near.nonzero()[:, 0].tolist())
+        if points is not None and self.points is not None:
+            colors = None if self.point_colors is None else self.point_colors[points]
+            capture = replace(capture, points=self.points[points], point_colors=colors)
+        return replace(capture, outliers=found)
 
     @property
     def full_cameras(self) -> Cameras:

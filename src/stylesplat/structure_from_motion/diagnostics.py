@@ -11,6 +11,7 @@ from stylesplat.errors import some
 from stylesplat.io.captures.colmap import ModelFigures
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.one_line import counted, one_line
+from stylesplat.scene.outliers import Outliers
 from stylesplat.structure_from_motion.capture_statistics import Coverage, PhotoStatistics
 from stylesplat.structure_from_motion.image_measures import BLURRED
 
@@ -77,6 +78,14 @@ def diagnose_poses(posed: int, unposed: Mapping[str, str], left_out: int) -> Fin
         "them again."
     )
     return _graded("posed", posed / total, (0.95, 0.8), says, advice)
+
+
+def diagnose_outliers(outliers: Outliers) -> Finding:
+    """What lies so far from all else that it is left out."""
+    count = len(outliers.photos) + outliers.points
+    advice = "They are left out"
+    advice += "; pose these photos again if they matter." if outliers.photos else "."
+    return Finding("outliers", "fair", count, str(outliers), advice)
 
 
 def diagnose_model(figures: ModelFigures) -> list[Finding]:

@@ -1,22 +1,31 @@
 """The Gaussians that training starts from."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from math import log
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.projection import is_in_image
+from stylesplat.scene.projection import is_in_image, project
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb, sh_bases
+from stylesplat.training.training_views import TrainingView
 
 OPACITY = 0.1  # of every first Gaussian (official)
 NEIGHBORS = 3  # their mean distance is the first radius (official)
+# A photo's colour, which is an average, is within this of 95 % of the colours that COLMAP gives the
+# points of the fox and the desk, and of 10 % where all are black or white
+SAME_COLOR = 0.1
+MEDIAN_OF = 16  # views at most, which bounds the memory
+OPAQUE = 0.99  # opacity from which on a transparent photo's colours are its own
+UNKNOWN = 0.5  # grey
 RANDOM_POINTS = 20_000  # where a capture has no points
 MIN_VIEWS = 0.3  # share of the cameras that see a random point
 
@@ -27,12 +36,14 @@ def first_splats(
     sh_degree: int,
     max_gaussians: int,
     generator: torch.Generator,
+    views: Iterable[TrainingView] = (),
     ids: tuple[int, ...] = (),
 ) -> Splats:
     """One small round Gaussian per point of the capture, or per random point if it has none.
 
-    Of more than `max_gaussians` points some are taken at random. With label ids, background first,
-    the Gaussians get random identities and an untrained classifier.
+    Colours that none of the `views` shows are replaced; see `photo_colors`. Of more than
+    `max_gaussians` points some are taken at random. With label ids, background first, the Gaussians
+    get random identities and an untrained classifier.
 
     Raises:
         StyleSplatError: If there are no points and no space that several cameras see.
@@ -41,13 +52,14 @@ def first_splats(
     if len(points) > max_gaussians:
         keep = torch.randperm(len(points), generator=generator)[:max_gaussians]
         points, colors = points[keep], colors[keep]
+    colors = photo_colors(points, colors, views, generator)
     n = len(points)
     splats = Splats(
         means=points,
         quats=torch.nn.functional.normalize(torch.randn(n, 4, generator=generator), dim=-1),
         scales=neighbor_distances(points).log()[:, None].repeat(1, 3),
         opacities=torch.full((n,), log(OPACITY / (1 - OPACITY))),
-        sh0=sh0_from_rgb(colors.float() / 255)[:, None],
+        sh0=sh0_from_rgb(colors)[:, None],
         shN=torch.zeros(n, sh_bases(sh_degree) - 1, 3),
         world_offset=capture.world_offset,
     )
@@ -74,19 +86,75 @@ def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
     return torch.from_numpy(distances.mean(axis=1).clip(1e-3 * typical)).float()
 
 
-def scene_extent(cameras: Cameras) -> float:
-    """Radius of the cameras around their mean, the official code's unit of length."""
-    centred = cameras.positions - cameras.positions.mean(dim=0)
-    return 1.1 * float(centred.norm(dim=-1).max()) or 1.0
-
-
-def _points(capture: Capture, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+def _points(
+    capture: Capture, generator: torch.Generator
+) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
+    """Points and their colours, which are NaN where they are not known."""
     colors = None
     if capture.points is not None and len(capture.points) > NEIGHBORS:
         points, colors = capture.points.float(), capture.point_colors
     else:
         points = commonly_visible_points(capture.cameras, RANDOM_POINTS, generator)
-    return points, torch.full_like(points, 128, dtype=torch.uint8) if colors is None else colors
+        count = 0 if capture.points is None else len(capture.points)
+        say(
+            f"The capture has {f'only {count}' if count else 'no'} sparse points: training starts "
+            f"from {len(points):,} random ones in the space that the photos share."
+        )
+    return points, torch.full_like(points, torch.nan) if colors is None else colors.float() / 255
+
+
+def photo_colors(
+    points: Float[Tensor, "N 3"],
+    colors: Float[Tensor, "N 3"],
+    views: Iterable[TrainingView],
+    generator: torch.Generator,
+) -> Float[Tensor, "N 3"]:
+    """The colours of points, in 0..1, each replaced unless some view shows it at its point.
+
+    All are where most would be. Then a colour is the median of what the views show at the point,
+    whatever hides it in some of them; so are unknown colours, which are NaN. What lies in no view
+    stays, or is grey.
+    """
+    kept = torch.full((MEDIAN_OF, *points.shape), torch.nan)
+    counts = torch.zeros(len(points), dtype=torch.long)
+    closest = torch.full((len(points),), torch.inf)
+    for view in views:
+        rows, shown = _shown(points, view)
+        error = (shown - colors[rows]).abs().amax(dim=1)
+        closest[rows] = torch.fmin(closest[rows], error)
+        # Any of the views' colours is kept with the same chance (reservoir sampling)
+        slots, counts[rows] = counts[rows], counts[rows] + 1
+        drawn = (torch.rand(len(rows), generator=generator) * counts[rows]).long()
+        slots = slots.where(slots < MEDIAN_OF, drawn)
+        taken = slots < MEDIAN_OF
+        kept[slots[taken], rows[taken]] = shown[taken]
+    seen, wrong = counts > 0, ~(closest <= SAME_COLOR)
+    count = int((seen & wrong & ~colors.isnan().any(dim=1)).sum())
+    if 2 * count > len(points):  # then the others agree by chance
+        wrong = torch.ones_like(wrong)
+        say(
+            f"No photo shows {count:,} of the {len(points):,} points in the colours that the "
+            "capture gives them: training starts from what the photos show there."
+        )
+    medians = kept.nanmedian(dim=0).values
+    return medians.where((seen & wrong)[:, None], colors).nan_to_num(UNKNOWN)
+
+
+def _shown(
+    points: Float[Tensor, "N 3"], view: TrainingView
+) -> tuple[Int[Tensor, " M"], Float[Tensor, "M 3"]]:
+    """The points in a view's picture, hidden or not, and what it shows there, if not nothing."""
+    rows = is_in_image(points, view.camera).nonzero()[:, 0]
+    x, y = project(points[rows], view.camera)[0].long().unbind(dim=1)
+    height, width, _ = view.photo.shape
+    x, y = x.clamp(max=width - 1), y.clamp(max=height - 1)
+    used = torch.ones_like(rows, dtype=torch.bool)
+    if view.alpha is not None:
+        used &= view.alpha[y, x, 0] > OPAQUE
+    if view.valid is not None:
+        used &= view.valid[y, x]
+    rows, x, y = rows[used], x[used], y[used]
+    return rows, view.photo[y, x]
 
 
 def commonly_visible_points(

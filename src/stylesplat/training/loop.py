@@ -16,6 +16,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.progress import Task, say, task
 from stylesplat.rendering.at_once import RenderPool
 from stylesplat.scene.capture import Capture, fingerprint
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.signals import TAKEN
 from stylesplat.training.checkpoint import (
     Checkpoint,
@@ -25,7 +26,7 @@ from stylesplat.training.checkpoint import (
 )
 from stylesplat.training.densification import MCMCStrategy, Strategy, accepted
 from stylesplat.training.estimate import say_estimate
-from stylesplat.training.initialize import first_splats, scene_extent
+from stylesplat.training.initialize import first_splats
 from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
@@ -169,15 +170,7 @@ def _begin(
     continued: State | None,
     strategy: Strategy | None,
 ) -> tuple[Run, State]:
-    state = continued or first_state(
-        first_splats(
-            capture,
-            sh_degree=config.sh_degree,
-            max_gaussians=config.max_gaussians,
-            generator=torch.Generator().manual_seed(config.seed),
-            ids=learned_ids(capture, rows),
-        ).to(device)
-    )
+    ids = learned_ids(capture, rows) if continued is None else continued.ids
     ranks = Ranks.here()
     most = max(1, MOST_AT_ONCE // ranks.count)
     photos = config.photos_at_once if strategy is None else 1
@@ -188,9 +181,7 @@ def _begin(
     run = Run(
         config=config,
         rows=tuple(rows),
-        views=TrainingViews(
-            capture, rows, ids=state.ids, device=device, max_memory=config.max_memory
-        ),
+        views=TrainingViews(capture, rows, ids=ids, device=device, max_memory=config.max_memory),
         cameras=capture.cameras,
         extent=extent,
         device=device,
@@ -198,6 +189,16 @@ def _begin(
         batch=photos or (most if same else pool.size),
         ranks=ranks,
         pool=pool,
+    )
+    state = continued or first_state(
+        first_splats(
+            capture,
+            sh_degree=config.sh_degree,
+            max_gaussians=config.max_gaussians,
+            generator=torch.Generator().manual_seed(config.seed),
+            views=run.first_views("comparing colours of points"),
+            ids=ids,
+        ).to(device)
     )
     begin = run.strategy.initialize_state
     state = replace(state, strategy_state=begin(**accepted(begin, scene_scale=extent)))

@@ -8,20 +8,21 @@ INRIA's code and gsplat, for exposure and white balance. It matches gains of 0.6
 light, with a tint, to 58 dB, as measured on photos; except for what is blown out.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stylesplat.progress import say, track
+from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.exposure import photo_gains
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.adam import Moments, adam_step
-from stylesplat.training.initialize import scene_extent
 from stylesplat.training.state import PER_PHOTO, Run, State
+from stylesplat.training.training_views import TrainingView
 
 # First learning rates: a gain of 1.6 in light is a change of 0.24, and half a degree is 0.009
 RATES = {"color_maps": 5e-3, "pose_shifts": 2e-3}
@@ -48,7 +49,9 @@ def initial_photo_params(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[
         return first
     gains = torch.zeros(len(run.rows), 3)
     if points is not None and has_points:
-        gains = photo_gains(points, _first_photos(run)).nan_to_num()
+        views = run.first_views("comparing exposures")
+        photos = ((_valid_photo(view), view.camera) for view in views)
+        gains = photo_gains(points, photos).nan_to_num()
     if wanted == "auto":
         if gains.std(dim=0, correction=0).max() < VARIED:  # of the channel that differs most
             return first
@@ -61,13 +64,9 @@ def initial_photo_params(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[
     return {"color_maps": maps.to(run.device)} | first
 
 
-def _first_photos(run: Run) -> Iterator[tuple[Float[Tensor, "H W 3"], Cameras]]:
-    """The photos to train on, of the size that training begins with."""
-    for row in track(run.rows, "comparing exposures"):
-        view = run.views(row, run.config.photo_downscale(0.0, run.cameras[row].size))
-        # Black says nothing about exposure
-        photo = view.photo if view.valid is None else view.photo * view.valid[..., None]
-        yield photo.cpu(), view.camera
+def _valid_photo(view: TrainingView) -> Float[Tensor, "H W 3"]:
+    """The photo, black where pixels are not to be used: black says nothing about exposure."""
+    return view.photo if view.valid is None else view.photo * view.valid[..., None]
 
 
 def per_photo_regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, ""] | float:

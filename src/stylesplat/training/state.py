@@ -14,6 +14,7 @@ import torch.distributed as dist
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.progress import track
 from stylesplat.rendering.at_once import RenderPool
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
@@ -22,7 +23,7 @@ from stylesplat.scene.world_offset import ORIGIN, Offset
 from stylesplat.training.adam import Moments
 from stylesplat.training.densification import Optimizers, Params, Strategy
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import TrainingViews
+from stylesplat.training.training_views import TrainingView, TrainingViews
 
 PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
 CLASSIFIER = ("weight", "bias")
@@ -225,6 +226,13 @@ class Run:
         epoch, place = divmod(step, len(self.rows))
         shuffle = _generator(self.config.seed, EPOCHS, epoch, torch.device("cpu"))
         return self.rows[int(torch.randperm(len(self.rows), generator=shuffle)[place])]
+
+    def first_views(self, what: str) -> Iterator[TrainingView]:
+        """The photos to train on, of the size that training begins with, in main memory."""
+        for row in track(self.rows, what):
+            view = self.views(row, self.config.photo_downscale(0.0, self.cameras[row].size))
+            alpha, valid = (None if t is None else t.cpu() for t in (view.alpha, view.valid))
+            yield view._replace(photo=view.photo.cpu(), alpha=alpha, valid=valid)
 
     def generator(self, step: int, purpose: int = NUMBERS) -> torch.Generator:
         """Randomness of one step, on the device; it follows from seed and step alone."""

@@ -51,13 +51,18 @@ class Pixels(NamedTuple):
 def split_views(capture: Capture, test_every: int) -> tuple[list[int], list[int]]:
     """Rows to train on and rows held out: every `test_every`-th, none if that is 0.
 
-    By default the photos that the capture's files hold out, if they say so.
+    By default the photos that the capture's files hold out, if they say so. Outliers that were left
+    out are counted too, so that the others are split as with them.
     """
-    rows, declared = range(len(capture)), capture.held_out
+    rows, declared, left_out = range(len(capture)), capture.held_out, capture.outliers.rows
     if declared is not None and test_every == TrainConfig.test_every:
         held_out = [row for row in rows if capture.cameras.names[row] in declared]
+    elif test_every == 0 or len(rows) < 2:
+        held_out = []
     else:
-        held_out = list(rows[::test_every]) if test_every > 0 and len(rows) > 1 else []
+        places = [place for place in range(len(rows) + len(left_out)) if place not in left_out]
+        every = [row for row in rows if places[row] % test_every == 0]
+        held_out = every or [*rows[::test_every]]
     return [row for row in rows if row not in held_out], held_out
 
 

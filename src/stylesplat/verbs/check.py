@@ -27,6 +27,7 @@ def check(capture: Capture) -> CaptureReport:
     Raises:
         StyleSplatError: If a photo or the reconstruction is damaged.
     """
+    capture = capture.without_outliers()
     cameras, points = capture.cameras, capture.points
     frame = working_frame(cameras, torch.zeros(0, 3) if points is None else points)
     outward = find_centre(cameras, points).outward
@@ -63,8 +64,11 @@ def advices(report: CaptureReport, *, known: Collection[str] = ()) -> list[str]:
 def _on_reconstruction(capture: Capture, figures: ModelFigures | None) -> list[Finding]:
     found = []
     if capture.path is not None:
-        unposed, left_out = unposed_photos(capture.path, capture.cameras.names)
-        found.append(diagnostics.diagnose_poses(len(capture), unposed, left_out))
+        posed = {*capture.cameras.names, *capture.outliers.photos}
+        unposed, left_out = unposed_photos(capture.path, posed)
+        found.append(diagnostics.diagnose_poses(len(posed), unposed, left_out))
+    if capture.outliers:
+        found.append(diagnostics.diagnose_outliers(capture.outliers))
     found += diagnostics.diagnose_model(figures) if figures else []
     points = capture.points
     return [*found, diagnostics.diagnose_points(0 if points is None else len(points))]

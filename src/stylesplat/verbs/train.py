@@ -13,10 +13,10 @@ from stylesplat.evaluation.photos import Fits, evaluate_views
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.objects import with_names
-from stylesplat.training.initialize import scene_extent
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import with_refined_cameras
@@ -70,7 +70,7 @@ def train(
         `gaussians`, `steps_per_second`. Where photos' colours or poses were learned, the views are
         measured half by half, each half fitted on the other (`psnr_unfitted` is without), and the
         splat has the typical photo's colours. With `refine_poses` the training views' cameras are
-        the refined ones.
+        the refined ones. Cameras and points that lie far from all others are left out.
 
     Raises:
         StyleSplatError: If the capture leaves nothing to train on, a setting is out of range, one
@@ -90,6 +90,7 @@ def train(
     if capture.label_maps is None:
         say("No label maps: training without identities, so objects cannot be selected by id.")
     torch_device = pick_device(device)
+    capture = capture.without_outliers()
     rows, held_out = split_views(capture, config.test_every)
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
     state = fit(learned, config, device=torch_device, checkpoint=checkpoint, finish=finish)

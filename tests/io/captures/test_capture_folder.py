@@ -112,6 +112,31 @@ def test_photos_smaller_than_their_cameras(make_capture: MakeCapture):
     assert cameras.Ks[0].tolist() == [[30, 0, 15.5], [0, 31, 12.5], [0, 0, 1]]
 
 
+def test_what_lies_far_from_all_else_is_left_out(
+    make_capture: MakeCapture, tmp_path: Path, said: list[str]
+):
+    folder = make_capture(count=6)
+    plain, model = load(folder), pycolmap.Reconstruction(folder / "sparse/0")
+    image = next(each for each in model.images.values() if each.name == "003.png")
+    far = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([-500.0, 300, 800]))
+    image.frame.set_cam_from_world(image.camera_id, far)
+    for number in range(3):
+        model.add_point3D(
+            np.array([1e5, 10.0 * number, -1e4]), pycolmap.Track(), np.zeros(3, np.uint8)
+        )
+    model.write(folder / "sparse/0")
+    capture = load(folder)
+    assert plain.cameras.names[2] == "003.png" and len(capture) == 5
+    assert capture.cameras.names == (*plain.cameras.names[:2], *plain.cameras.names[3:])
+    assert torch.equal(capture.photos[2], plain.photos[3])
+    assert plain.points is not None and capture.points is not None
+    assert torch.equal(capture.points, plain.points) and capture.point_colors is not None
+    assert len(capture.point_colors) == len(plain.points)
+    (line,) = said
+    assert "003.png" in line and "3 points" in line
+    assert [*capture.outliers.photos] == ["003.png"] and capture.outliers.points == 3
+
+
 @pytest.mark.parametrize(
     "pose",
     [

@@ -5,6 +5,7 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import compress
 from pathlib import Path
 from typing import Literal
 
@@ -40,6 +41,7 @@ from stylesplat.progress import say, track
 from stylesplat.scene.cache import Cache, Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.outliers import Outliers, find_outliers
 from stylesplat.scene.sampling import evenly
 from stylesplat.scene.world_offset import ORIGIN, Offset, announced
 
@@ -73,6 +75,8 @@ class CaptureFiles:
     """The files of the photos' masks, 0 where pixels are not to be used."""
     held_out: frozenset[str] | None = None
     """Names of the photos that the files hold out of training; None if they do not say."""
+    outliers: Outliers
+    """Photos and points that were left out, as they lay far from all others."""
 
     def at(self, downscale: float | int) -> Capture:
         """The capture with photos, label maps and cameras that are `downscale` times smaller."""
@@ -98,6 +102,7 @@ class CaptureFiles:
             point_colors=self.point_colors,
             path=self.path,
             object_names=names,
+            outliers=self.outliers,
             alphas=alphas,
             valid_masks=None if self.valid_masks is None else match_masks(self.valid_masks, files),
             held_out=self.held_out,
@@ -150,6 +155,15 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
         sizes=torch.tensor([pinhole.size for pinhole in pinholes]),
         names=posed.names,
     )
+    points, point_colors, valid_masks = posed.points, posed.point_colors, posed.masks
+    near, near_points, outliers = find_outliers(cameras, points)
+    if outliers:
+        say(f"Left out: {outliers}.")
+        cameras, photos = cameras[near.nonzero()[:, 0].tolist()], [*compress(photos, near)]
+        valid_masks = None if valid_masks is None else tuple(compress(valid_masks, near))
+    if points is not None and near_points is not None:
+        points = points[near_points]
+        point_colors = None if point_colors is None else point_colors[near_points]
     if masks is None and (folder / OBJECT_MASK).is_dir():
         masks = folder / OBJECT_MASK
     with_alpha = evenly([photo for photo in photos if photo.has_alpha()], CUT_OUT_SAMPLE)
@@ -158,12 +172,13 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
         cameras=cameras,
         photos=photos,
         masks=masks if masks is None or masks is False else Path(masks),
-        points=posed.points,
-        point_colors=posed.point_colors,
+        points=points,
+        point_colors=point_colors,
         cut_out=any(photo.is_cut_out() for photo in with_alpha),
         world_offset=offset,
-        valid_masks=posed.masks,
+        valid_masks=valid_masks,
         held_out=posed.held_out,
+        outliers=outliers,
     )
 
 
