@@ -61,6 +61,23 @@ def test_what_is_loaded_is_what_was_saved(place: Checkpoint):
     assert all(tensor.requires_grad for tensor in after.params.values())
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("means", 1e10), ("means", torch.nan), ("scales", 30.0), ("sh0", torch.inf), ("quats", 0.0)],
+)
+def test_gaussians_that_ran_away_cost_no_checkpoint(place: Checkpoint, name: str, value: float):
+    state = some_state()
+    with torch.no_grad():
+        state.params[name][3] = value
+    state.moments.second["means"][5] = torch.inf
+    save_checkpoint(place, state)
+    kept = torch.tensor([row not in (3, 5) for row in range(20)])
+    loaded = load_checkpoint(place, CPU)
+    for each in state.names:
+        assert torch.equal(loaded.params[each], state.params[each][kept]), each
+        assert torch.equal(loaded.moments.first[each], state.moments.first[each][kept]), each
+
+
 def test_other_settings_but_those_of_memory_are_named(place: Checkpoint):
     other = {
         name: (not value) if isinstance(value, bool) else (value or 0) + 1

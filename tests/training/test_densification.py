@@ -62,6 +62,16 @@ def test_grows_to_the_count_by_copies_of_living_gaussians():
         assert (moments.first[name][:50][alone] == 1).all(), name
 
 
+def test_gaussians_that_ran_away_move_to_living_ones():
+    splats = random_splats(50)
+    splats.means[:4], splats.opacities[4:6] = 1e12, torch.nan
+    splats.scales[6], splats.quats[7] = 50.0, 0.0
+    params, moments = refined(splats, 50)
+    rows = rows_of(params, splats)
+    assert (rows[:8] >= 8).all() and all(params[name].isfinite().all() for name in NAMES)
+    assert not moments.second["means"][:8].any()
+
+
 def test_dead_gaussians_move_to_living_ones():
     splats = random_splats(50)
     splats.opacities[:10] = -9.0

@@ -10,8 +10,9 @@ import torch
 import fake_gsplat
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.io.splats.splat_ply import splat_fault
 from stylesplat.scene.capture import Capture
-from stylesplat.training.initialize import scene_extent
+from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
@@ -82,6 +83,26 @@ def test_a_strategy_has_its_turn_before_and_after_each_photo(capture: Capture, c
         assert state.step == 6 and len(state.splats) == state.first_count
         losses.append(torch.tensor(reported))
     torch.testing.assert_close(losses[1] - losses[0], torch.full((6,), 2.0))
+
+
+class Chaser(Recorder):
+    """Throws Gaussians out of all bounds after the third step."""
+
+    def step_post_backward(self, params, optimizers, state, step, info, lr) -> None:
+        if step == 2:
+            with torch.no_grad():
+                params["means"][:7] = 1e12
+                params["sh0"][7:9] = torch.nan
+
+
+def test_gaussians_that_ran_away_are_left_out_of_what_is_finished(
+    capture: Capture, config: TrainConfig, said: list[str]
+):
+    state = fit(capture, replace(config, steps=3), strategy=Chaser())
+    splats = state.splats.detach()
+    assert len(splats) == state.first_count - 9 and splat_fault(splats) is None
+    assert all(len(state.moments.second[name]) == len(splats) for name in state.names)
+    assert [line for line in said if "9 Gaussians ran away" in line]
 
 
 def held_out_psnr(state: State, capture: Capture, config: TrainConfig) -> float:

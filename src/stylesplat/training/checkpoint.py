@@ -15,6 +15,7 @@ from stylesplat.io.files import reason
 from stylesplat.io.tensors import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
 from stylesplat.progress import say
 from stylesplat.training.adam import Moments
+from stylesplat.training.runaways import without_runaways
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
 
@@ -38,7 +39,8 @@ class Checkpoint:
 
 
 def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
-    """Write everything that `load_checkpoint` needs; whole or not at all."""
+    """Write everything that `load_checkpoint` needs, without runaways; whole or not at all."""
+    state = without_runaways(state)
     content = {
         "params": {name: t.detach() for name, t in state.params.items()},
         "first": state.moments.first,

@@ -13,9 +13,11 @@ from typing import Any, Protocol, runtime_checkable
 
 import numba
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from stylesplat.io.splats.splat_ply import SMALLEST_QUAT
+from stylesplat.io.tensors import GAUSSIANS, IDENTITIES
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import TensorOptimizer
@@ -28,6 +30,7 @@ NOISE_RATE = 5000.0  # official: 80, 5e5 times the rate of the means, at an exte
 NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
 OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
+DECLARED = GAUSSIANS | {"identities": IDENTITIES}
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
 
 Params = dict[str, Tensor]
@@ -104,7 +107,7 @@ class MCMCStrategy:
         first, end, every = info["round"].start, info["round"].stop, config.refine_every
         is_due = step + photos == end and end // every > first // every
         if is_due and progress < config.refine_end:
-            splats = Splats(**params, classifier=info["classifier"])
+            splats = Splats(**dict[str, Any](params), classifier=info["classifier"])
             relocate_and_grow(
                 params,
                 optimizers,
@@ -178,6 +181,16 @@ def _add_noise(arrays, rate):
         means[i, 2] += c + double * (w * f + x * e - y * d)
 
 
+def sound_rows(params: Params) -> Bool[Tensor, " N"]:
+    """Which Gaussians can be drawn and saved: their numbers are finite and in range."""
+    sound = params["quats"].detach().abs().amax(dim=1) >= SMALLEST_QUAT
+    for name, tensor in params.items():
+        if name in DECLARED:
+            values, declared = tensor.detach()[:, None].flatten(1), DECLARED[name]
+            sound = sound & ((values >= declared.low) & (values <= declared.high)).all(dim=1)
+    return sound
+
+
 @torch.no_grad()
 def relocate_and_grow(
     params: Params,
@@ -189,12 +202,13 @@ def relocate_and_grow(
 ) -> None:
     """Move the dead Gaussians to living ones, and add copies until there are `count`, in place.
 
+    Those that have run away are dead, too: no photo shows them, so none brings them back.
     The chance of being copied is the opacity times the preference. Rows that were moved or copied
     start from zero moments.
     """
     opacities = torch.sigmoid(params["opacities"])
-    alive = (opacities > DEAD_OPACITY).nonzero()[:, 0]
-    dead = (opacities <= DEAD_OPACITY).nonzero()[:, 0]
+    lives = (opacities > DEAD_OPACITY) & sound_rows(params)
+    alive, dead = lives.nonzero()[:, 0], (~lives).nonzero()[:, 0]
     n = len(opacities)
     needed = len(dead) + max(count - n, 0)
     if needed == 0 or len(alive) == 0:

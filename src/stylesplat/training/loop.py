@@ -28,6 +28,7 @@ from stylesplat.training.densification import MCMCStrategy, Strategy, accepted
 from stylesplat.training.estimate import say_estimate
 from stylesplat.training.initialize import first_splats
 from stylesplat.training.per_photo import initial_photo_params
+from stylesplat.training.runaways import finished
 from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
 from stylesplat.training.step import train_step
 from stylesplat.training.train_config import LEVELS, TrainConfig
@@ -142,6 +143,8 @@ def fit(
                 state, stopped = _agree(run, state, interrupted=interrupted())
             if meter.scores:
                 meter.report(state, meter.means())
+            if not stopped:
+                state = finished(state)
             checkpointer.save(state, f"The run was at step {state.step:,}.", always=stopped)
         if stopped:  # and the program's own handler has let it pass
             raise KeyboardInterrupt
