@@ -13,6 +13,7 @@ from balls import CAMERAS
 from processes import complaint, result, run
 from stylesplat.cli.train import Train
 from stylesplat.training.loop import fit
+from stylesplat.training.train_config import TrainConfig
 
 STOP = 5  # steps after which Ctrl-C is pressed
 
@@ -53,12 +54,21 @@ def test_train_writes_a_scene(capture: Path, tmp_path: Path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("psnr", "steps", "verdict"),
-    [(31.0, 40, "good"), (22.3, 40, "fair.*train longer"), (18.0, 9000, "poor.*stylesplat check")],
+    ("psnr", "trained", "steps", "gaussians", "photos", "verdict"),
+    [
+        (31.0, 40.0, 40, 5, 12, "That is good.$"),
+        (22.3, 23.5, 40, 5, 12, "fair: .*[Tt]rain longer.*--steps 5000"),
+        (22.3, 29.8, 40, 5, 12, "fair: .*29.8 dB.*these 12"),
+        (18.0, 29.8, 9000, 5, 90, "poor: .*29.8 dB.*--refine-poses.*`stylesplat check photos`"),
+        (18.0, 19.0, 9000, 100_000, 90, "poor: .*--max-gaussians 200000"),
+        (18.0, 19.0, 9000, 5, 90, "poor: .*`stylesplat check photos`"),
+    ],
 )
-def test_the_result_is_judged(psnr: float, steps: int, verdict: str):
-    found = {"psnr": psnr, "steps": steps, "gaussians": 5}
-    lines = Train(Path("photos"), Path("scene")).outcome(found)
+def test_the_advice_follows_from_what_happened(
+    psnr: float, trained: float, steps: int, gaussians: int, photos: int, verdict: str
+):
+    found = {"psnr": psnr, "train_psnr": trained, "steps": steps, "gaussians": gaussians}
+    lines = Train(Path("photos"), Path("scene")).outcome(found, TrainConfig(), photos)
     assert f"{psnr} dB" in next(lines) and re.search(verdict, next(lines))
 
 

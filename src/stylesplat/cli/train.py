@@ -22,6 +22,7 @@ from stylesplat.io.files import is_there
 from stylesplat.progress import Observer, observed, say
 from stylesplat.signals import WHOLE
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished
+from stylesplat.training.advice import judge
 from stylesplat.training.train_config import (
     PRESETS,
     SEGMENTS,
@@ -42,8 +43,6 @@ SETTINGS = from_config(
     "seed",
     "max_memory",
 )
-GOOD, FAIR = 27.0, 22.0  # dB of photos held out: sharp as photos are; soft, with objects in place
-ENOUGH = TrainConfig.steps  # shorter runs gain most by more steps
 LARGE = 1600  # pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
 BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
 FINISHES = "`--finish` makes the scene of what there is."
@@ -127,25 +126,22 @@ class Train(MakingCommand):
                     _mention_load()
                 save(scene)
                 self._delete_checkpoints()
+                photos = len(scene.cameras) - len(scene.held_out)
                 about = describe_scene(scene, capture, self.output, device=self.device)
-        lines = (*self.outcome(scene.metrics), *about.lines)
+        lines = (*self.outcome(scene.metrics, config, photos), *about.lines)
         return Answer({**scene.metrics, **about.values}, lines, about.following)
 
-    def outcome(self, metrics: Mapping[str, Any]) -> Iterator[str]:
+    def outcome(
+        self, metrics: Mapping[str, Any], config: TrainConfig, photos: int
+    ) -> Iterator[str]:
         """How far it came; what the PSNR of photos held out means, and what to do about it."""
         psnr, steps = metrics.get("psnr"), metrics["steps"]
         close = "" if psnr is None else f", {psnr:.1f} dB from photos held out"
         yield f"{self.output}: {metrics['gaussians']:,} Gaussians after {steps:,} steps{close}."
-        if psnr is None:
-            return
-        worth = "good" if psnr >= GOOD else "fair" if psnr >= FAIR else "poor"
-        if worth == "good":
-            yield "That is good."
-        elif steps < ENOUGH:
-            yield f"That is {worth}, and the run was short: train longer, up to --steps {ENOUGH}."
-        else:
-            check = pasted("check", self.capture)
-            yield f"That is {worth}: `{check}` says whether other photos would help."
+        if psnr is not None:
+            worth, advice = judge(metrics, config, photos)
+            advice = advice.replace("CHECK", f"`{pasted('check', self.capture)}`")
+            yield f"That is {worth}: {advice}" if advice else f"That is {worth}."
 
     def _capture(self) -> "ss.Capture":
         folder = find_photos_capture(self.capture, beside=self.output)

@@ -14,6 +14,7 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
+from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.objects import with_names
@@ -24,6 +25,7 @@ from stylesplat.training.state import Ranks
 from stylesplat.training.train_config import (
     PRESETS,
     SEGMENTS,
+    Background,
     Segment,
     TrainConfig,
     refuse_identity_settings,
@@ -31,6 +33,7 @@ from stylesplat.training.train_config import (
 )
 from stylesplat.training.training_views import learned_ids, split_views
 
+COMPARED = 8  # photos trained on that are compared with their renders
 LIBRARIES = ("stylesplat", "torch", "numba")
 
 
@@ -66,7 +69,7 @@ def train(
 
     Returns:
         The scene, its objects called what the capture calls them. Its metrics are `psnr` and
-        `ssim` of the held-out views, `seconds`, `steps`,
+        `ssim` of the held-out views, `train_psnr` of some of the others, `seconds`, `steps`,
         `gaussians`, `steps_per_second`. Where photos' colours or poses were learned, the views are
         measured half by half, each half fitted on the other (`psnr_unfitted` is without), and the
         splat has the typical photo's colours. With `refine_poses` the training views' cameras are
@@ -104,11 +107,11 @@ def train(
     fits = Fits(
         "color_maps" in state.params, "pose_shifts" in state.params, scene_extent(capture.cameras)
     )
-    measures = held_out and Ranks.here().number == 0  # of processes that train together, one
     metrics = {}
-    if measures:
-        background = config.background
-        metrics = evaluate_views(splats, capture, held_out, fits=fits, background=background)
+    if held_out and Ranks.here().number == 0:  # of processes that train together, one measures
+        options = {"fits": fits, "background": config.background}
+        metrics = evaluate_views(splats, capture, held_out, **options)
+        metrics["train_psnr"] = _train_psnr(splats, capture, rows, **options)
     scene = Scene(
         splats=splats.to("cpu"),
         cameras=capture.full_cameras,
@@ -129,6 +132,15 @@ def train(
         },
     )
     return with_names(scene, capture.object_names)
+
+
+def _train_psnr(
+    splats: Splats, capture: Capture, rows: Sequence[int], fits: Fits, background: Background
+) -> float:
+    """Of some photos trained on, whose cameras are refined already."""
+    unlabelled, fits = replace(splats, identities=None, classifier=None), replace(fits, pose=False)
+    some = evenly(rows, COMPARED)
+    return evaluate_views(unlabelled, capture, some, fits=fits, background=background)["psnr"]
 
 
 def _chosen(
