@@ -23,8 +23,8 @@ def read_dot_splat(path: Path | str) -> Splats:
         raise ValueError(f"{fault}: it is cut off, or no .splat")
     rows = np.frombuffer(content, ROW)
     sh0, opacities = from_rgba(rows["rgba"])
-    quats = (to_floats(rows["quat"]) - 128) / 128
-    quats[~rows["quat"].any(axis=1)] = 0  # rows of zeros: no unit quaternion has such bytes
+    codes = to_floats(rows["quat"])
+    quats = ((codes - 128) / 128).where(codes.any(dim=1, keepdim=True), 0.0)  # of rows of zeros
     return Splats(
         means=to_floats(rows["mean"]),
         quats=quats,
