@@ -47,7 +47,9 @@ HALVES, SMALLEST_THREE, TABLES = 1, 3, 4  # versions of half floats, good rotati
 DEGREES = range(5)  # of colour that a file may have
 ANTIALIASED, EXTENDED = 1, 2  # flags
 FLAGS = 14  # their byte
-AXES = 0xADBE0003  # the record of SPZ_ADOBE_coordinate_system, and its numbers from 1 on
+# The record of SPZ_ADOBE_coordinate_system, and the axes of its numbers from 1 on. Letters count:
+# Niantic's library of July 2026 turns LFD, RFD, LBU and RBU by half about x from what theirs say
+AXES = 0xADBE0003
 NAMES = (
     *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
     *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
