@@ -111,9 +111,8 @@ def photo_colors(
 ) -> Float[Tensor, "N 3"]:
     """The colours of points, in 0..1, each replaced unless some view shows it at its point.
 
-    All are where most would be. Then a colour is the median of what the views show at the point,
-    whatever hides it in some of them; so are unknown colours, which are NaN. What lies in no view
-    stays, or is grey.
+    Then a colour is the median of what the views show at the point, whatever hides it in some of
+    them; so are unknown colours, which are NaN. What lies in no view stays, or is grey.
     """
     kept = torch.full((MEDIAN_OF, *points.shape), torch.nan)
     counts = torch.zeros(len(points), dtype=torch.long)
@@ -130,8 +129,7 @@ def photo_colors(
         kept[slots[taken], rows[taken]] = shown[taken]
     seen, wrong = counts > 0, ~(closest <= SAME_COLOR)
     count = int((seen & wrong & ~colors.isnan().any(dim=1)).sum())
-    if 2 * count > len(points):  # then the others agree by chance
-        wrong = torch.ones_like(wrong)
+    if 2 * count > len(points):
         say(
             f"No photo shows {count:,} of the {len(points):,} points in the colours that the "
             "capture gives them: training starts from what the photos show there."

@@ -199,7 +199,7 @@ def _begin(
             sh_degree=config.sh_degree,
             max_gaussians=config.max_gaussians,
             generator=torch.Generator().manual_seed(config.seed),
-            views=run.first_views("comparing colours of points"),
+            views=run.all_views("comparing colours of points", 1.0),
             ids=ids,
         ).to(device)
     )

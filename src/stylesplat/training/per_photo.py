@@ -49,7 +49,7 @@ def initial_photo_params(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[
         return first
     gains = torch.zeros(len(run.rows), 3)
     if points is not None and has_points:
-        views = run.first_views("comparing exposures")
+        views = run.all_views("comparing exposures", 0.0)
         photos = ((_valid_photo(view), view.camera) for view in views)
         gains = photo_gains(points, photos).nan_to_num()
     if wanted == "auto":

@@ -227,10 +227,10 @@ class Run:
         shuffle = _generator(self.config.seed, EPOCHS, epoch, torch.device("cpu"))
         return self.rows[int(torch.randperm(len(self.rows), generator=shuffle)[place])]
 
-    def first_views(self, what: str) -> Iterator[TrainingView]:
-        """The photos to train on, of the size that training begins with, in main memory."""
+    def all_views(self, what: str, progress: float) -> Iterator[TrainingView]:
+        """The photos to train on, of the size at that point of the run, in main memory."""
         for row in track(self.rows, what):
-            view = self.views(row, self.config.photo_downscale(0.0, self.cameras[row].size))
+            view = self.views(row, self.config.photo_downscale(progress, self.cameras[row].size))
             alpha, valid = (None if t is None else t.cpu() for t in (view.alpha, view.valid))
             yield view._replace(photo=view.photo.cpu(), alpha=alpha, valid=valid)
 

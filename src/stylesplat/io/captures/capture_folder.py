@@ -71,12 +71,12 @@ class CaptureFiles:
     """Whether the photos are transparent around the object."""
     world_offset: Offset
     """What cameras and points are relative to."""
+    outliers: Outliers
+    """Photos and points that were left out, as they lay far from all others."""
     valid_masks: tuple[Path | None, ...] | None = None
     """The files of the photos' masks, 0 where pixels are not to be used."""
     held_out: frozenset[str] | None = None
     """Names of the photos that the files hold out of training; None if they do not say."""
-    outliers: Outliers
-    """Photos and points that were left out, as they lay far from all others."""
 
     def at(self, downscale: float | int) -> Capture:
         """The capture with photos, label maps and cameras that are `downscale` times smaller."""
