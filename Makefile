@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo check test docs wheel clean
+.PHONY: demo check pytest test docs wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/stylesplat demo -o demo-output
@@ -14,8 +14,13 @@ check: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 
-test: check
-	$(BIN)/pytest -q -n 2
+# Processes that tests start import what the first of them has compiled
+pytest: $(VENV)/installed-dev
+	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -q -n 2 --dist worksteal
+
+# Both at once: basedpyright has one thread
+test: $(VENV)/installed-dev
+	+$(MAKE) --no-print-directory --jobs=2 check pytest
 
 # Builds the documentation site into site/: a dead link or an unknown name fails, and nothing is downloaded
 docs: $(VENV)/installed-docs

@@ -1,20 +1,67 @@
 """Set-up of the whole suite."""
 
+import os
+import random
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import stylesplat  # noqa: F401  (first: it sets up threading before torch loads)
 
 import pytest  # isort: skip
 import torch  # isort: skip
 
+from filelock import FileLock
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
+
 from stylesplat.progress import Observer, observed
 from tiny_models import network, stripes  # noqa: F401  (fixtures)
+
+
+def pytest_configure() -> None:
+    # Shells start background jobs with Ctrl-C ignored, which the processes that tests start would
+    # inherit: they would not hear the Ctrl-C that they are sent
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """In the order that TEST_ORDER stands for, a number or a word.
+
+    Folders are shuffled, files in their folders and tests in their files, so that what they share
+    is made once. pytest-xdist needs the same order in all its workers.
+    """
+    if order := os.environ.get("TEST_ORDER"):
+        drawn = random.Random(order)
+        groups = {
+            group: drawn.random() for item in items for group in (item.path.parent, item.path)
+        }
+        drawn.shuffle(items)
+        items.sort(key=lambda item: (groups[item.path.parent], groups[item.path]))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("cuda") and not torch.cuda.is_available():
         pytest.skip("needs an NVIDIA GPU, and torch sees none")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def each_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Workers of pytest-xdist wait for one that compiles a kernel, and find it in numba's cache."""
+    compile, shared = Dispatcher.compile, tmp_path_factory.getbasetemp().parent
+
+    def compile_alone(self: Dispatcher, signature: Any) -> Any:
+        name = f"{self.py_func.__module__}.{self.py_func.__qualname__}.lock"
+        # numba's own lock first, as for kernels that this one calls: threads wait in one order
+        with global_compiler_lock, FileLock(shared / name, is_singleton=True):
+            return compile(self, signature)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Dispatcher, "compile", compile_alone)
+        yield
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from bench import machine, processor_seconds
+from bench import machine
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
@@ -97,11 +97,11 @@ class Book:
     def keep(self, cell: Cell) -> None:
         """Compute a cell and write what it found; its numbers last, which say that it is whole."""
         torch.manual_seed(0)
-        start, taken = time.perf_counter(), processor_seconds()
+        start, taken = time.perf_counter(), time.process_time()
         outcome = cell.compute()
         spent = {
             "seconds": time.perf_counter() - start,
-            "processor_seconds": processor_seconds() - taken,
+            "processor_seconds": time.process_time() - taken,
         }
         file, pictures = self._file(cell.figure, cell.key), {}
         for name, picture in outcome.pictures.items():

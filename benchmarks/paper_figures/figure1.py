@@ -1,8 +1,7 @@
 """Figures 1 and 4: one object in three styles."""
 
 from functools import partial
-
-from bench import processor_seconds
+from time import process_time
 
 from paper_figures.book import Cell, Outcome, Results
 from paper_figures.figure2 import leakage
@@ -42,9 +41,9 @@ def _initial(subject: Subject) -> Outcome:
 def _styled(subject: Subject, style: str, way: str) -> Outcome:
     id, picture, config = subject.ids[0], subject.styles[style], WAYS[way](subject)
     picked = subject.picked(id)
-    start = processor_seconds()
+    start = process_time()
     styled = painted(subject, {id: picture}, config).splats
-    spent = processor_seconds() - start
+    spent = process_time() - start
     numbers = {"painting": spent} | leakage(subject, subject.splats, styled, id)
     numbers["content_ssim"] = content_ssim(subject.splats, styled, subject.held_out, picked)
     job = PaintTarget(subject.called(id), picked, (picture,), config)

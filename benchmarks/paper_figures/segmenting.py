@@ -9,11 +9,11 @@ import sys
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from time import process_time
 from typing import Any
 from unittest import mock
 
 import torch
-from bench import processor_seconds
 from fox_outlines import FOX, outline_mask
 
 from paper_figures.book import Cell, Outcome, Results
@@ -87,17 +87,17 @@ def fitted(subject: Subject, way: Way, config: TrainConfig) -> tuple[Splats, flo
     photos, marks = subject.capture, []
 
     def mark(_state: State, _loss: float, _psnr: float) -> None:
-        marks.append(processor_seconds())
+        marks.append(process_time())
 
     config = replace(config, identity_geometry=way.geometry)
     learned = replace(photos, label_maps=None) if way.lifted else photos
     with way.switched():
         splats = fit(learned, config, on_progress=mark).splats.detach()
     training = (marks[-1] - marks[0]) * config.steps / (config.steps - 1)  # the first is warm-up
-    start = processor_seconds()
+    start = process_time()
     if way.lifted:
         splats = lift(splats, photos, rows=split_views(photos, config.test_every)[0])
-    return splats, training, processor_seconds() - start
+    return splats, training, process_time() - start
 
 
 def affordable(subject: Subject, way: Way, config: TrainConfig) -> int:

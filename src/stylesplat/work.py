@@ -61,7 +61,7 @@ class Worker:
                 job = self._jobs.pop(0)[-1]
             self._do(job)
 
-    def settle(self, seconds: float = 60.0) -> bool:
+    def settle(self, seconds: float = 240.0) -> bool:
         """Wait until there is nothing more to do; return whether that was in time."""
         end = time.monotonic() + seconds
         with self._changed:

@@ -9,9 +9,9 @@ from capture_files import write_ball_capture
 from processes import complaint, result, run
 
 
-@pytest.fixture(scope="module")
-def posed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_ball_capture(tmp_path_factory.mktemp("check") / "balls", masks=False)
+@pytest.fixture
+def posed(tmp_path: Path) -> Path:
+    return write_ball_capture(tmp_path / "balls", masks=False)
 
 
 def test_a_line_for_each_finding(posed: Path, capsys: pytest.CaptureFixture[str]):

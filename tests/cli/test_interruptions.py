@@ -2,11 +2,9 @@
 
 import gc
 import os
-import pty
 import signal
 import subprocess
 import sys
-import termios
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -15,7 +13,7 @@ from threading import Thread
 import pytest
 
 import stylesplat
-from processes import run, wait_until
+from processes import LIMIT, run, wait_until
 from stylesplat.__main__ import main as process
 from stylesplat.cli.options import CONTINUES
 from stylesplat.cli.train import FINISHES
@@ -24,15 +22,12 @@ from stylesplat.signals import WHOLE, kept_signals
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
-pytestmark = pytest.mark.skipif(
-    signal.getsignal(signal.SIGINT) is signal.SIG_IGN, reason="processes started here ignore Ctrl-C"
-)
-
 
 class Begun:
     """A process of the command line in a terminal, with what it has said so far."""
 
     def __init__(self, folder: Path, *arguments: object) -> None:
+        pty, termios = (pytest.importorskip(name) for name in ("pty", "termios"))
         self.said, self.out = folder / "stderr", folder / "stdout"
         self.said.touch()
         command = [sys.executable, "-m", "stylesplat", *map(str, arguments)]
@@ -62,7 +57,7 @@ class Begun:
     def ended_by(self, number: signal.Signals) -> str:
         """How to go on, as the one line says with which it ends; bars end with carriage returns."""
         self.process.send_signal(number)
-        status = self.process.wait(timeout=60)
+        status = self.process.wait(timeout=LIMIT)
         self.listener.join(timeout=60)
         assert not self.listener.is_alive()
         said = self.said.read_text()
@@ -234,6 +229,6 @@ TAKEN_BY_OTHERS = LOADING.replace("SIGINT", "SIGTERM").replace(
 )
 def test_no_signal_is_lost_or_does_harm(script: str, status: int, expected: str, tmp_path: Path):
     command = [sys.executable, "-c", script.replace("FOLDER", repr(str(tmp_path)))]
-    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=LIMIT)
     assert (done.returncode, done.stdout) == (status, expected), done.stderr
     assert "Traceback" not in done.stderr

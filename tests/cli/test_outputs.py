@@ -1,14 +1,11 @@
 """Where nothing can be written is said before the work, whatever the verb."""
 
-import os
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from balls import CAMERAS
-from capture_files import write_ball_capture
-from processes import as_nobody, complaint, public_folder
+from processes import complaint, needs_permissions, read_only
 
 LONG = "a" * 250  # characters that a file's name may have, but not with what it has meanwhile
 WORK = (
@@ -78,18 +75,14 @@ def test_outputs(
         assert {*tmp_path.rglob("*")} == before
 
 
-@pytest.mark.skipif(os.getuid() != 0, reason="gives its rights away for a while")
+@needs_permissions
 @pytest.mark.parametrize("verb", [*CALLS, *INTO_SCENES])
 def test_places_of_others(
-    verb: str, scene: Path, style: Path, no_work: None, capsys: pytest.CaptureFixture[str]
+    verb: str, capture: Path, scene: Path, style: Path, tmp_path: Path, no_work: None, capsys
 ):
-    with public_folder() as folder:
-        scene = scene.rename(folder / "scene")
-        style = style.rename(folder / "style.png")
-        capture = write_ball_capture(folder / "capture", CAMERAS[[0, 1, 2]])  # all may read it
-        places = {"scene": scene, "style": style, "capture": capture, "out": folder / "new"}
-        arguments = [part.format(**places) for part in (CALLS | INTO_SCENES)[verb]]
-        with as_nobody():
-            line = complaint(capsys, *arguments)
-        assert "Permission denied. Choose a place that this user may write to." in line
-        assert not (folder / "new").exists()
+    places = {"scene": scene, "style": style, "capture": capture, "out": tmp_path / "new"}
+    arguments = [part.format(**places) for part in (CALLS | INTO_SCENES)[verb]]
+    with read_only(tmp_path, scene):
+        line = complaint(capsys, *arguments)
+    assert "Permission denied. Choose a place that this user may write to." in line
+    assert not (tmp_path / "new").exists()

@@ -1,7 +1,6 @@
 """Files and folders are written whole or not at all, by one process at a time."""
 
 import errno
-import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -9,7 +8,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
-from processes import as_nobody, public_folder
+from processes import needs_permissions, read_only
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import atomic
 from stylesplat.io.atomic import (
@@ -22,7 +21,6 @@ from stylesplat.io.atomic import (
 )
 
 MARKER = "scene.json"
-needs_root = pytest.mark.skipif(os.getuid() != 0, reason="gives its rights away for a while")
 Writer = Callable[[Path], AbstractContextManager[Path]]
 
 
@@ -163,20 +161,18 @@ def test_a_revision_keeps_links_and_what_it_does_not_change(
     assert names(tmp_path) == ["scene"]
 
 
-@needs_root
-def test_places_of_others():
-    with public_folder() as folder:
-        (folder / "own").mkdir()
-        (folder / "own").chmod(0o777)
-        (folder / "theirs").mkdir()
-        with as_nobody():
-            refuse_unwritable(folder / "own")  # nothing can be made beside it, but in it
-            refuse_unwritable(folder / "own/new")
-            for place in ("theirs", "theirs/new", "new"):
-                with pytest.raises(StyleSplatError, match=r"denied. Choose a place that this"):
-                    refuse_unwritable(folder / place)
-            with pytest.raises(StyleSplatError, match="denied"):
-                refuse_file(folder / "theirs/new.ply")
+@needs_permissions
+def test_places_of_others(tmp_path: Path):
+    (tmp_path / "own").mkdir()
+    (tmp_path / "theirs").mkdir()
+    with read_only(tmp_path, tmp_path / "theirs"):
+        refuse_unwritable(tmp_path / "own")  # nothing can be made beside it, but in it
+        refuse_unwritable(tmp_path / "own/new")
+        for place in ("theirs", "theirs/new", "new"):
+            with pytest.raises(StyleSplatError, match=r"denied. Choose a place that this"):
+                refuse_unwritable(tmp_path / place)
+        with pytest.raises(StyleSplatError, match="denied"):
+            refuse_file(tmp_path / "theirs/new.ply")
 
 
 def test_a_lock_lies_beside_and_goes(tmp_path: Path):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from processes import needs_pipes
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import file_stem, read_bytes
 from stylesplat.io.json_files import read_json, write_json
@@ -50,6 +51,7 @@ def test_file_stems_are_safe_and_differ():
         assert again == stem or again not in stems, "a name cannot be another's stem"
 
 
+@needs_pipes
 def test_only_plain_files_are_read(tmp_path: Path):
     os.mkfifo(tmp_path / "pipe")
     for name, fault in (

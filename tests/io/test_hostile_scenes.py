@@ -11,6 +11,7 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
+from processes import needs_pipes
 from scenes import COUNT, full_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
@@ -145,6 +146,7 @@ def test_headers_that_lie(folder: Path, content: bytes):
     refused(folder, "picks.safetensors")
 
 
+@needs_pipes
 @pytest.mark.parametrize(
     "name", ["cameras.json", "splats.ply", "picks.safetensors", "identities.safetensors"]
 )

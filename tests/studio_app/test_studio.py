@@ -8,7 +8,7 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from browser import QUICK, stripes
-from processes import as_nobody, public_folder
+from processes import LIMIT, needs_permissions, read_only
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.scene import Scene, SceneObject
@@ -55,7 +55,7 @@ def test_closing_keeps_what_there_is_of_a_painting(folder: Path):
 
     opened.session.on_change.append(look)
     opened.session.ask(lambda: queue.paint(("3",), Style(stripes(), config=LONG), "stripes"))
-    assert strokes.wait(60)
+    assert strokes.wait(LIMIT)
     opened.close()
     kept = open(folder / AUTOSAVE)
     assert kept.painted_objects == ("3",)
@@ -114,23 +114,24 @@ def test_a_damaged_autosave_is_told_and_ends_nothing(folder: Path, said: list[st
         again.close()
 
 
-def test_where_nothing_can_be_written_save_says_so_and_all_else_works(said: list[str]):
-    with public_folder() as public:
-        save(Scene(SPLATS, CAMERAS), public / "balls")
-        (public / "balls").chmod(0o555)
-        with as_nobody():
-            opened = studio(public / "balls", port=0, block=False)
-            opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
-            assert opened.session.worker.settle()
-            assert [*opened.session.state.scene.objects] == ["red"]
-            assert opened.store is not None
-            with pytest.raises(StyleSplatError, match="Cannot write"):
-                opened.store.save()
-            with pytest.raises(StyleSplatError, match="Cannot write"):
-                opened.store.save_as("other")
-            opened.close()
-        assert "Cannot autosave" in said[-1]
-        assert not open(public / "balls").objects
+@needs_permissions
+def test_where_nothing_can_be_written_save_says_so_and_all_else_works(
+    tmp_path: Path, said: list[str]
+):
+    save(Scene(SPLATS, CAMERAS), tmp_path / "balls")
+    with read_only(tmp_path, tmp_path / "balls"):
+        opened = studio(tmp_path / "balls", port=0, block=False)
+        opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
+        assert opened.session.worker.settle()
+        assert [*opened.session.state.scene.objects] == ["red"]
+        assert opened.store is not None
+        with pytest.raises(StyleSplatError, match="Cannot write"):
+            opened.store.save()
+        with pytest.raises(StyleSplatError, match="Cannot write"):
+            opened.store.save_as("other")
+        opened.close()
+    assert "Cannot autosave" in said[-1]
+    assert not open(tmp_path / "balls").objects
 
 
 def test_the_user_is_warned_of_the_network(folder: Path, said: list[str]):

@@ -169,10 +169,9 @@ def _wait(process: "subprocess.Popen[bytes]", stopping: Event) -> float | None:
 def _reason(status: int, log: Path) -> str:
     if status == 0:
         return ""
-    if status == -signal.SIGKILL:
-        return KILLED
     if status < 0:
-        return f"it crashed ({signal.Signals(-status).name}). See {log}."
+        name = signal.Signals(-status).name
+        return KILLED if name == "SIGKILL" else f"it crashed ({name}). See {log}."
     text = log.read_text(encoding="utf-8", errors="replace") if log.is_file() else ""
     lines = [printable(line).strip() for line in text.splitlines() if line.strip()]
     last = lines[-1] if lines else f"it ended with status {status}."

@@ -102,7 +102,8 @@ def gsplat_state() -> tuple[str, str | None]:
         return "compiled, from a wheel", None
     cuda, (major, minor, *_) = torch.version.cuda, sys.version_info
     cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser()
-    build = f"py{major}{minor}{sys.abiflags}_" + (f"cu{cuda.replace('.', '')}" if cuda else "cpu")
+    flags = getattr(sys, "abiflags", "")  # Windows has none
+    build = f"py{major}{minor}{flags}_" + (f"cu{cuda.replace('.', '')}" if cuda else "cpu")
     root = os.environ.get("TORCH_EXTENSIONS_DIR") or cache / "torch_extensions" / build
     if (Path(root) / "gsplat_cuda" / "gsplat_cuda.so").is_file():
         return "compiled, on this machine", None

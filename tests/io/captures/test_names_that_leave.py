@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from capture_files import HEIGHT, WIDTH, save_noise, write_capture
-from processes import complaint, run
+from processes import complaint, needs_pipes, run
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import OBJECT_MASK
 from stylesplat.io.captures.transforms import read_transforms
@@ -112,6 +112,7 @@ def test_a_link_in_the_folder_of_masks_is_not_followed(tmp_path: Path, capsys):
     assert (elsewhere / "001.png").read_bytes() == before
 
 
+@needs_pipes
 @pytest.mark.parametrize(
     "file", ["transforms.json", "images/a.png", "points.ply", f"{OBJECT_MASK}/names.json"]
 )
