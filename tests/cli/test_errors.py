@@ -46,7 +46,7 @@ VIEW = CAMERAS.names[0]
         (["adjust", "{scene}", "--intensity", "0.5"], "is not styled"),
         (["stylize", "{scene}", "--style", "red={style}", "-o", "{tmp}/y"], "no object 'red'"),
         (["stylize", "{scene}", "--style", "3={style}", "-o", "{tmp}"], "--overwrite"),
-        (["train", "{tmp}", "-o", "{tmp}/y", "--steps", "0"], "must exceed 0"),
+        (["train", "{tmp}", "-o", "{tmp}/y", "--steps", "0"], "with steps 0"),
         (["render", "{scene}", "-o", "{tmp}/y", "--downscale", "0"], "positive factor"),
         (["render", "{scene}", "-o", "{tmp}/y", "--what", "smell"], "smell"),
         (["render", "{scene}", "-o", "{tmp}"], "--overwrite"),

@@ -10,7 +10,6 @@ from tyro.conf import Positional
 import stylesplat as ss
 from stylesplat.cli.options import Device, MakingCommand, Output
 from stylesplat.cli.results import Answer, describe_scene, new_scene, pasted
-from stylesplat.io.splats.splat_files import declared_up
 
 
 @dataclass(frozen=True)
@@ -75,6 +74,8 @@ class Import(MakingCommand):
                 turn = f"turned by {part['degrees']:.4g} degrees, scaled by {part['scale']:.4g}"
                 yield f"Moved: {part['gaussians']:,} Gaussians, {turn}."
         elif self.capture is None and self.up is None:
+            from stylesplat.io.splats.splat_files import declared_up  # loads torch
+
             labels = ("--labels", self.labels) if self.labels else ()
             other = "-y" if declared_up(self.splat) == "z" else "z"
             again = pasted("import", self.splat, *labels, "-o", self.output, "--up", other)

@@ -58,12 +58,12 @@ def rasterize(
     background: Float[Tensor, " 3"] | None = None,
     sh_degree: int | None = None,
     clamp: bool = True,
+    raise_clamped: bool = False,
     backend: Backend = "auto",
 ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
     """Render splats from cameras of one size, differentiably.
 
-    Gradients reach the cameras' `viewmats`, too, if these require them. A colour that is clamped
-    has the gradients that would raise it, and no others: with none, black would stay black.
+    Gradients reach the cameras' `viewmats`, too, if these require them.
 
     Args:
         splats: The Gaussians, as stored; they are activated here.
@@ -74,6 +74,8 @@ def rasterize(
         background: RGB behind everything; black by default. Features have 0 behind them.
         sh_degree: Degree of colour to use; that of the splats by default.
         clamp: Whether Gaussians' colours below 0 become 0, as gsplat has it.
+        raise_clamped: Whether a clamped colour has the gradients that would raise it, for training:
+            without any, what starts black stays black.
         backend: `auto` takes `cuda` for tensors on a GPU and `cpu` for the others.
 
     Returns:
@@ -90,11 +92,10 @@ def rasterize(
     views = []
     for origin in cameras.positions:
         dirs = splats.means - origin
-        views.append(
-            backend_module.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=False)
-        )
+        sh, own_clamp = (splats.sh0, splats.shN), clamp and not raise_clamped
+        views.append(backend_module.spherical_harmonics(degree, dirs, *sh, clamp=own_clamp))
     colors = torch.stack(views)  # [C, N, 3]
-    if clamp:
+    if raise_clamped:
         colors = _ColorClamp.apply(colors)
     if features is not None:
         colors = torch.cat([colors, features.expand(len(cameras), -1, -1)], dim=-1)

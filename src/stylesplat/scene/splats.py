@@ -152,7 +152,9 @@ class Splats:
 
     def to(self, device: torch.device | str) -> "Splats":
         """The same splats on another device; themselves if they are there."""
-        if self.device == torch.device(device):
+        tensors = [*self.tensors().values()]
+        tensors += [self.classifier.weight, self.classifier.bias] if self.classifier else []
+        if {tensor.device for tensor in tensors} == {torch.device(device)}:
             return self
         classifier = self.classifier.to(device) if self.classifier else None
         return replace(self.map(lambda tensor: tensor.to(device)), classifier=classifier)

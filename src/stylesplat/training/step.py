@@ -106,6 +106,7 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
         features_move_geometry=config.identity_geometry,
         background=background if changes is None else None,
         sh_degree=config.active_sh_degree(progress, step),
+        raise_clamped=True,
     )
     image, identities = render.squeeze(0), None
     (y, x), stride = run.offset(step), config.identity_stride
