@@ -13,8 +13,7 @@ from stylesplat.demo import doctor as module
 from stylesplat.demo.doctor import SelfTest, doctor, gsplat_state
 from stylesplat.rendering.render import render as real_render
 
-TINY = SelfTest(photos=3, gaussians=500, train_steps=25, paint_steps=4, object_size=60, renders=1)
-pytestmark = pytest.mark.usefixtures("quick_painting")
+TINY = SelfTest(photos=3, gaussians=500, train_steps=25, paint_steps=20, object_size=60, renders=1)
 REPORT = {
     "versions": {"stylesplat": "1", "python": "3", "torch": "2", "numba": "0", "gsplat": None},
     "system": {"processor": "one", "threads": 2, "memory_gib": 8.0},
