@@ -99,7 +99,9 @@ def test_no_kernel_can_crash_where_it_is_interrupted(capture: Capture, config: T
 
     def is_number(kind: types.Type) -> bool:
         parts = kind if isinstance(kind, types.Tuple | types.UniTuple) else [kind]
-        return all(isinstance(part, types.Number | types.NoneType) for part in parts)
+        return all(
+            isinstance(part, types.Number | types.Boolean | types.NoneType) for part in parts
+        )
 
     fit(capture, replace(config, steps=25))
     found = [

@@ -139,8 +139,8 @@ class Train(MakingCommand):
         close = "" if psnr is None else f", {psnr:.1f} dB from photos held out"
         yield f"{self.output}: {metrics['gaussians']:,} Gaussians after {steps:,} steps{close}."
         if psnr is not None:
-            worth, advice = judge(metrics, config, photos)
-            advice = advice.replace("CHECK", f"`{pasted('check', self.capture)}`")
+            check = pasted("check", self.capture)
+            worth, advice = judge(metrics, config, photos, check=check)
             yield f"That is {worth}: {advice}" if advice else f"That is {worth}."
 
     def _capture(self) -> "ss.Capture":

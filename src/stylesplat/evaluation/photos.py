@@ -29,7 +29,7 @@ from stylesplat.training.per_photo import (
     fit_color_map,
     shift_cameras,
 )
-from stylesplat.training.train_config import LEVELS, Background
+from stylesplat.training.train_config import LEVELS, PhotoBackground
 
 IMPORT_VIEWS = 8  # views of an imported scene that are compared
 STEPS = 40  # of fitting a camera
@@ -70,7 +70,7 @@ def evaluate_views(
     rows: Sequence[int],
     *,
     fits: Fits = NO_FITS,
-    background: Background = "random",
+    background: PhotoBackground = "random",
 ) -> dict[str, Any]:
     """Compare renders with photos, and rendered label maps with the given ones.
 

@@ -229,12 +229,12 @@ def match_label_maps(folder: Path, names: Sequence[str]) -> FoundMasks:
     if not folder.is_dir():
         raise StyleSplatError(f"There is no folder {folder} with label maps. Check `--masks`.")
     found = find_masks(folder, names)
-    files = mask_files(folder)
-    if not files:
-        raise StyleSplatError(
-            f"There are no label maps in {folder}: it holds no pictures. Check `--masks`."
-        )
     if not found.maps:
+        files = mask_files(folder)
+        if not files:
+            raise StyleSplatError(
+                f"There are no label maps in {folder}: it holds no pictures. Check `--masks`."
+            )
         raise StyleSplatError(
             f"None of the {len(files)} label maps in {folder} is named after a photo. "
             f"Name them like {without_suffix(names[0])}.png, or check `--masks`."

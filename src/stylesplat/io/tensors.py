@@ -8,6 +8,7 @@ from pathlib import Path
 import safetensors
 import safetensors.torch
 import torch
+from jaxtyping import Bool, Shaped
 from torch import Tensor
 
 from stylesplat.io.atomic import atomic_path
@@ -109,6 +110,16 @@ def check_range(name: str, tensor: Tensor, declared: Declared) -> None:
             raise ValueError(f"{bad} values of {name} are out of range, which is {bounds}")
     if declared.unique and len(tensor.unique()) < len(tensor):
         raise ValueError(f"{name} are not all different")
+
+
+def rows_in_range(tensor: Shaped[Tensor, "N *_"], declared: Declared) -> Bool[Tensor, " N"]:
+    """The rows whose values are all in the declared range; NaN is in none."""
+    values = as_rows(tensor)
+    return ((declared.low <= values) & (values <= declared.high)).all(dim=1)
+
+
+def as_rows(tensor: Shaped[Tensor, "N *_"]) -> Shaped[Tensor, "N D"]:
+    return tensor.reshape(len(tensor), math.prod(tensor.shape[1:]))
 
 
 def _check_form(name: str, tensor: Tensor, declared: Declared, known: dict[str, int]) -> None:

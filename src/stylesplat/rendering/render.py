@@ -89,11 +89,13 @@ def rasterize(
     backend_module = _module(backend, splats.device)
     cameras = with_matrices_of(splats, cameras)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
+    clamp = clamp and not raise_clamped  # which clamps below
     views = []
     for origin in cameras.positions:
         dirs = splats.means - origin
-        sh, own_clamp = (splats.sh0, splats.shN), clamp and not raise_clamped
-        views.append(backend_module.spherical_harmonics(degree, dirs, *sh, clamp=own_clamp))
+        views.append(
+            backend_module.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=clamp)
+        )
     colors = torch.stack(views)  # [C, N, 3]
     if raise_clamped:
         colors = _ColorClamp.apply(colors)
@@ -109,6 +111,8 @@ def rasterize(
 
 
 class _ColorClamp(Function):
+    """Clamps at 0; of a clamped colour only gradients that raise it, in descent, pass."""
+
     @staticmethod
     def forward(ctx, colors):
         ctx.save_for_backward(colors > 0)

@@ -15,13 +15,16 @@ FEW = 40  # photos, from which on poses are a likelier fault than their number
 Worth = Literal["good", "fair", "poor"]
 
 
-def judge(metrics: Mapping[str, Any], config: TrainConfig, photos: int) -> tuple[Worth, str]:
+def judge(
+    metrics: Mapping[str, Any], config: TrainConfig, photos: int, *, check: str
+) -> tuple[Worth, str]:
     """How good the pictures of held-out photos are, and advice; none where they are good.
 
     Args:
         metrics: Those of the scene: `psnr`, `train_psnr`, `steps` and `gaussians`.
         config: How it was trained.
         photos: How many photos were trained on.
+        check: The command that checks the capture.
     """
     psnr, trained = metrics["psnr"], metrics["train_psnr"]
     if psnr >= GOOD:
@@ -32,10 +35,10 @@ def judge(metrics: Mapping[str, Any], config: TrainConfig, photos: int) -> tuple
         if photos < FEW:
             return worth, f"{fact}. Take photos from between these {photos}."
         remedy = "" if config.refine_poses else "`--refine-poses` mends inexact poses; "
-        return worth, f"{fact}. {remedy}CHECK says what is wrong with the photos."
+        return worth, f"{fact}. {remedy}`{check}` says what is wrong with the photos."
     if metrics["steps"] < ENOUGH:
         return worth, f"the run was short. Train longer, up to --steps {ENOUGH}."
     if metrics["gaussians"] >= config.max_gaussians:
         more = 2 * config.max_gaussians
         return worth, f"it used all Gaussians that it may. Allow more: --max-gaussians {more}."
-    return worth, "more training would hardly help. CHECK says whether other photos would."
+    return worth, f"more training would hardly help. `{check}` says whether other photos would."

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.io.splats.splat_ply import SMALLEST_QUAT
-from stylesplat.io.tensors import GAUSSIANS, IDENTITIES
+from stylesplat.io.tensors import GAUSSIANS, IDENTITIES, rows_in_range
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import TensorOptimizer
@@ -30,8 +30,8 @@ NOISE_RATE = 5000.0  # official: 80, 5e5 times the rate of the means, at an exte
 NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
 OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
-DECLARED = GAUSSIANS | {"identities": IDENTITIES}
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
+DECLARED = GAUSSIANS | {"identities": IDENTITIES}
 
 Params = dict[str, Tensor]
 Optimizers = dict[str, TensorOptimizer]
@@ -186,8 +186,7 @@ def sound_rows(params: Params) -> Bool[Tensor, " N"]:
     sound = params["quats"].detach().abs().amax(dim=1) >= SMALLEST_QUAT
     for name, tensor in params.items():
         if name in DECLARED:
-            values, declared = tensor.detach()[:, None].flatten(1), DECLARED[name]
-            sound = sound & ((values >= declared.low) & (values <= declared.high)).all(dim=1)
+            sound = sound & rows_in_range(tensor.detach(), DECLARED[name])
     return sound
 
 

@@ -89,7 +89,7 @@ def fit(
 
     Example:
         >>> import stylesplat as ss
-        >>> from stylesplat.training.train_config import LEVELS, TrainConfig
+        >>> from stylesplat.training.train_config import TrainConfig
         >>> state = fit(ss.load("garden/"), TrainConfig(max_seconds=120))  # doctest: +SKIP
         >>> splats = state.splats.detach()  # doctest: +SKIP
     """

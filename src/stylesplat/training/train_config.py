@@ -9,7 +9,7 @@ from stylesplat.errors import StyleSplatError, check_choice
 
 ColorCorrection = Literal["auto", "on", "off"]
 Segment = Literal["joint", "lift"]
-Background = Literal["random", "black", "white"]
+PhotoBackground = Literal["random", "black", "white"]
 
 LEVELS = {"black": 0.0, "white": 1.0}  # of backgrounds that are not random
 COARSE_UNTIL = ((0.12, 4), (0.35, 2))  # until this share of the run, photos this much smaller
@@ -97,7 +97,7 @@ class TrainConfig:
     `auto` does where points that several photos show differ in brightness, in the channel that
     differs most.
     """
-    background: Background = "random"
+    background: PhotoBackground = "random"
     """What photos are laid over where they are transparent, and renders with them.
 
     Over a random colour at each step the splat stays transparent there; it is measured over black.
@@ -148,7 +148,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         check_settings(self, "train", LIMITS)
         check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
-        check_choice(self.background, "background", get_args(Background))
+        check_choice(self.background, "background", get_args(PhotoBackground))
 
 
 def means_decay(progress: float) -> float:

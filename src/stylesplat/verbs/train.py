@@ -25,7 +25,7 @@ from stylesplat.training.state import Ranks
 from stylesplat.training.train_config import (
     PRESETS,
     SEGMENTS,
-    Background,
+    PhotoBackground,
     Segment,
     TrainConfig,
     refuse_identity_settings,
@@ -135,7 +135,7 @@ def train(
 
 
 def _train_psnr(
-    splats: Splats, capture: Capture, rows: Sequence[int], fits: Fits, background: Background
+    splats: Splats, capture: Capture, rows: Sequence[int], fits: Fits, background: PhotoBackground
 ) -> float:
     """Of some photos trained on, whose cameras are refined already."""
     unlabelled, fits = replace(splats, identities=None, classifier=None), replace(fits, pose=False)

@@ -28,7 +28,7 @@ from stylesplat.io.captures.posed_files import (
 )
 from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.captures.transforms import read_transforms
-from stylesplat.io.captures.valid_pixels import check_masks, match_masks
+from stylesplat.io.captures.valid_pixels import check_masks, valid_pixels
 from stylesplat.io.kinds import find_poses, wrong_kind
 from stylesplat.io.label_maps import (
     DrawnLabels,
@@ -104,7 +104,7 @@ class CaptureFiles:
             object_names=names,
             outliers=self.outliers,
             alphas=alphas,
-            valid_masks=None if self.valid_masks is None else match_masks(self.valid_masks, files),
+            valid_masks=None if self.valid_masks is None else valid_pixels(self.valid_masks, files),
             held_out=self.held_out,
             full=self.cameras,
             downscale=float(downscale),

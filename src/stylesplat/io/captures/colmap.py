@@ -17,13 +17,13 @@ from stylesplat.io.captures.colmap_files import (
     CameraRecord,
     ImageRecord,
     model_files,
-    read_cameras,
-    read_images,
-    read_points,
+    read_camera_records,
+    read_image_records,
+    read_point_records,
 )
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photo_names import FoundPhotos, find_photos
-from stylesplat.io.captures.point_file import read_points as read_point_file
+from stylesplat.io.captures.point_file import read_points
 from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.files import is_file
 from stylesplat.io.kinds import find_poses
@@ -93,11 +93,11 @@ def _points(
 ) -> tuple[Float64[Tensor, "M 3"], UInt8[Tensor, "M 3"]] | tuple[None, None]:
     """Positions and colours; of a PLY file, as INRIA's code writes, if there are no others."""
     if "points3D" in model.files:
-        points = read_points(model.files["points3D"])
+        points = read_point_records(model.files["points3D"])
         if len(points.means):
             return torch.from_numpy(points.means), torch.from_numpy(points.colors)
     elif is_file(model.folder / POINTS_PLY):
-        return read_point_file(model.folder / POINTS_PLY) or (None, None)
+        return read_points(model.folder / POINTS_PLY) or (None, None)
     say(f"{model.folder} has no points: training starts from random ones.")
     return None, None
 
@@ -117,7 +117,7 @@ def _largest(folder: Path, models: Sequence[Path]) -> _Model:
 def _read_model(folder: Path, path: Path) -> _Model:
     """A model without its points; images without a camera, and second poses, are left out."""
     files = model_files(path)
-    cameras, images = read_cameras(files["cameras"]), read_images(files["images"])
+    cameras, images = read_camera_records(files["cameras"]), read_image_records(files["images"])
     lost = [image for image in images if image.camera_id not in cameras]
     if lost:
         ids = some(sorted({image.camera_id for image in lost}))
@@ -189,7 +189,7 @@ def read_figures(folder: Path) -> ModelFigures | None:
         model = _largest(folder, found[0].paths)
         if "points3D" not in model.files:
             return None
-        points = read_points(model.files["points3D"], tracks=True)
+        points = read_point_records(model.files["points3D"], tracks=True)
     ids = np.array([image.id for image in model.images if image.name in model.photos.names])
     known = np.isin(points.images, ids)
     if not known.any():

@@ -82,7 +82,7 @@ def model_files(sparse: Path) -> dict[str, Path]:
     return found
 
 
-def read_cameras(path: Path) -> dict[int, CameraRecord]:
+def read_camera_records(path: Path) -> dict[int, CameraRecord]:
     if path.suffix == TEXT:
         records = _whole(path, "camera", map(_parse_camera, _lines(path)))
     else:
@@ -90,13 +90,13 @@ def read_cameras(path: Path) -> dict[int, CameraRecord]:
     return {record.id: record for record in records}
 
 
-def read_images(path: Path) -> list[ImageRecord]:
+def read_image_records(path: Path) -> list[ImageRecord]:
     if path.suffix == TEXT:
         return _whole(path, "pose", _parse_images(_lines(path)))
     return [_unpack_image(record) for record in binary_records(path)]
 
 
-def read_points(path: Path, *, tracks: bool = False) -> PointRecords:
+def read_point_records(path: Path, *, tracks: bool = False) -> PointRecords:
     """Read points, by their ids; `images` is empty unless `tracks` are wanted."""
     rows = _parse_points(path) if path.suffix == TEXT else map(_unpack_point, binary_records(path))
     numbers, images = array("d"), array("q")

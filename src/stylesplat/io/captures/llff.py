@@ -60,15 +60,10 @@ def _photos(folder: Path, count: int) -> list[Path]:
 
 
 def _lens(height: float, width: float, focal: float) -> Lens:
-    from stylesplat.io.captures.colmap_library import pycolmap
-
     if not all(map(np.isfinite, (height, width, focal))) or min(height, width) < 1:
         raise StyleSplatError(f"A camera of {POSES_BOUNDS} has impossible numbers. {AGAIN}")
     width, height = round(width), round(height)
-    params = [focal, focal, width / 2, height / 2]
-    return Lens.from_colmap(
-        pycolmap.Camera(model="PINHOLE", width=width, height=height, params=params)
-    )
+    return Lens.create("PINHOLE", width, height, [focal, focal, width / 2, height / 2])
 
 
 def _viewmats(poses: Float[Tensor, "C 3 4"]) -> Float[Tensor, "C 4 4"]:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.posed_files import finite_points
 from stylesplat.io.files import is_there
 from stylesplat.io.ply import read_ply_table
 from stylesplat.progress import say
@@ -45,12 +46,7 @@ def read_points(path: Path) -> SparsePoints | None:
             "vertices."
         )
     means = np.stack([table[columns[name]].astype(np.float64) for name in XYZ], axis=1)
-    finite = np.isfinite(means).all(axis=1)
-    if not finite.all():
-        say(
-            f"{(~finite).sum():,} of the {len(means):,} points in {path} are NaN or infinitely "
-            "far, so left out."
-        )
+    finite = finite_points(torch.from_numpy(means), path).numpy()
     colors = _colors(table, columns)
     if colors is None:
         say(f"The points in {path} have no colours, so they start grey.")

@@ -9,7 +9,7 @@ from itertools import compress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief, some
@@ -132,17 +132,22 @@ def drop_bad_poses(posed: PosedFiles, folder: Path) -> PosedFiles:
     return _only(posed, good)
 
 
+def finite_points(points: Float[Tensor, "M 3"], place: Path) -> Bool[Tensor, " M"]:
+    """Which points are somewhere; a message tells how many are not."""
+    good = points.float().isfinite().all(dim=1)
+    if not good.all():
+        say(
+            f"{int((~good).sum()):,} of the {len(good):,} points in {place} are NaN or infinitely "
+            "far, so left out."
+        )
+    return good
+
+
 def drop_bad_points(posed: PosedFiles, folder: Path) -> PosedFiles:
     """Leave out points that are nowhere, with a message."""
     if posed.points is None:
         return posed
-    good = posed.points.float().isfinite().all(dim=1)
-    if good.all():
-        return posed
-    say(
-        f"{int((~good).sum()):,} of the {len(good):,} points in {folder} are NaN or infinitely "
-        "far, so left out."
-    )
+    good = finite_points(posed.points, folder)
     colors = posed.point_colors
     return replace(
         posed, points=posed.points[good], point_colors=None if colors is None else colors[good]

@@ -271,8 +271,6 @@ def _read_lens(posed: _Posed) -> Lens | None:
 
 
 def _lens(frame: _Frame, photo: Path, model: str) -> Lens:
-    from stylesplat.io.captures.colmap_library import pycolmap
-
     if frame.w is None:
         width, height = image_sizes(photo)[0]
     elif frame.h is None:
@@ -295,7 +293,7 @@ def _lens(frame: _Frame, photo: Path, model: str) -> Lens:
     else:
         further = [frame.p1, frame.p2, frame.k3, 0.0, 0.0, 0.0]
         model, params = "FULL_OPENCV", [*pinhole, frame.k1, frame.k2, *further]
-    return Lens.from_colmap(pycolmap.Camera(model=model, width=width, height=height, params=params))
+    return Lens.create(model, width, height, params)
 
 
 def _focal(focal: float | None, angle: float | None, side: int, axis: str) -> float:

@@ -12,15 +12,13 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.photos import Photo, same_shape
 from stylesplat.io.images import image_sizes, open_image
+from stylesplat.io.mask_pictures import HALF, LOSSY
 from stylesplat.progress import say, track
 from stylesplat.scene.cache import Lazy
 from stylesplat.scene.labels import resize_labels, shrink_mask
 
-LOSSY = ("JPEG", "WEBP", "AVIF")  # whose black is not exactly 0
-HALF = 128
 
-
-def match_masks(
+def valid_pixels(
     masks: Sequence[Path | None], photos: Sequence[Photo]
 ) -> Lazy[Bool[Tensor, "H W"] | None]:
     """The pixels of each photo that may be used, read on access; None where all may."""
@@ -64,7 +62,7 @@ def check_masks(masks: Sequence[Path | None], photos: Sequence[Photo]) -> None:
 def _read(path: Path) -> Bool[Tensor, "H W"]:
     """Where a mask is not 0: its alpha channel if that varies, else its colours or grey."""
     with open_image(path) as image:
-        least = HALF if image.format in LOSSY else 1
+        least = HALF if image.format in LOSSY else 1  # whose black is not exactly 0
         if image.has_transparency_data:
             alpha = np.asarray(image.convert("RGBA"))[..., 3]
             if alpha.min() != alpha.max():

@@ -57,6 +57,11 @@ OTHERS = {  # what files begin with that are no splats: 3 bytes at least, as a .
 }
 
 
+def named_format(path: Path) -> Format | None:
+    """The format that a file's name stands for."""
+    return FORMATS.get(SOG_META if path.name == SOG_META else path.suffix.lower())
+
+
 def format_of(path: Path) -> Format:
     """The format of splats that a file has, whatever its name; a StyleSplatError if it has none.
 
@@ -92,8 +97,8 @@ def _marked(head: bytes, path: Path) -> Format | None:
         content = read_bytes(path)
         if b'"means"' in content and b'"quats"' in content:
             return "SOG"
-        name = SOG_META if path.name == SOG_META else path.suffix.lower()
-        return "glTF" if b'"asset"' in content else FORMATS.get(name) if name in JSONS else None
+        is_json = path.name.lower().endswith(JSONS)
+        return "glTF" if b'"asset"' in content else named_format(path) if is_json else None
     return None
 
 

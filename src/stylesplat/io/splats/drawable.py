@@ -1,6 +1,5 @@
 """The Gaussians of a file that can be drawn: limits become numbers, faulty rows are left out."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.packing import SMALLEST
 from stylesplat.io.splats.splat_ply import SMALLEST_QUAT, splat_fault
-from stylesplat.io.tensors import GAUSSIANS
+from stylesplat.io.tensors import GAUSSIANS, as_rows, rows_in_range
 from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 
@@ -72,16 +71,13 @@ def _without_limits(splats: Splats) -> Splats:
 def _faults(splats: Splats) -> Iterator[tuple[Bool[Tensor, " N"], str]]:
     """Which Gaussians cannot be drawn, by the first reason that holds."""
     unturned = (splats.quats.abs() < SMALLEST_QUAT).all(dim=1)
-    empty = unturned & ~torch.stack([_rows(t).any(dim=1) for t in splats.tensors().values()]).any(0)
+    empty = unturned & ~torch.stack([as_rows(t).any(dim=1) for t in splats.tensors().values()]).any(
+        0
+    )
     yield empty, "rows of zeros"
     names = {"means": "position", "scales": "size", "quats": "rotation", "opacities": "opacity"}
     for name, declared in GAUSSIANS.items():
-        values, what = _rows(getattr(splats, name)), names.get(name, "colour")
-        yield ~values.isfinite().all(dim=1), f"whose {what} is not finite"
-        fits = (declared.low <= values) & (values <= declared.high)
-        yield ~fits.all(dim=1), f"whose {what} is out of range"
+        values, what = getattr(splats, name), names.get(name, "colour")
+        yield ~as_rows(values).isfinite().all(dim=1), f"whose {what} is not finite"
+        yield ~rows_in_range(values, declared), f"whose {what} is out of range"
     yield unturned, "whose rotation is 0"
-
-
-def _rows(tensor: Tensor) -> Tensor:
-    return tensor.reshape(len(tensor), math.prod(tensor.shape[1:]))

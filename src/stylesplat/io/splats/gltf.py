@@ -2,8 +2,7 @@
 
 The extension (https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos; the release candidate
 of April 2026) has standard deviations and opacities where PLY has logarithms and logits; its
-harmonics are the INRIA code's. Programs that
-do not know it show a cloud of coloured points.
+harmonics are the INRIA code's. Programs that do not know it show a cloud of coloured points.
 """
 
 import base64

@@ -19,7 +19,7 @@ from stylesplat.io.splats.compressed_ply import (
     read_compressed_ply,
     write_compressed_ply,
 )
-from stylesplat.io.splats.contents import FORMATS, Format, format_of
+from stylesplat.io.splats.contents import Format, format_of, named_format
 from stylesplat.io.splats.dot_splat import dot_splat_order, read_dot_splat, write_dot_splat
 from stylesplat.io.splats.drawable import drawable
 from stylesplat.io.splats.gltf import VERSION_INSIDE, read_gltf, write_glb, write_gltf
@@ -93,7 +93,7 @@ def read_drawable(path: Path | str) -> tuple[Splats, Int[Tensor, " N"], int]:
             found = format_of(path)
         except StyleSplatError as error:
             raise (error if known else wrong_kind(path, "splat")) from error
-        if FORMATS.get(SOG_META if path.name == SOG_META else path.suffix.lower()) != found:
+        if named_format(path) != found:
             say(f"{path} holds {found}, whatever its name says: it is read as that.")
         splats = READERS[found](path)
         drawn, rows = drawable(splats, path)

@@ -29,11 +29,7 @@ FILTER = "filter_3D"  # Mip-Splatting's: the standard deviation of a blur of eac
 HARMLESS = ("alpha", STATE, *LABEL_NAMES)  # beside plain colours; what `import --labels` reads
 HALF = 2  # bytes
 THICKNESS = 1e-6  # of 2D Gaussians, as 2DGS' authors have it
-PLAIN, ANTIALIASED, TWO_D = (
-    "default",
-    "mip",
-    "2dgs",
-)  # modes in comments of Brush and splat-transform
+PLAIN, ANTIALIASED, TWO_D = "default", "mip", "2dgs"  # modes of Brush and splat-transform
 MARK = f"SplatRenderMode: {ANTIALIASED}"
 RENDER_MODE = re.compile(r"SplatRenderMode\s*[:=]?\s*(\S+)", re.IGNORECASE)
 ANTIALIAS = re.compile(r"antialias(?:ed|ing)?\s*[:=]?\s*(0|1|true|false)$", re.IGNORECASE)

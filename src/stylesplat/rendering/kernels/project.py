@@ -218,7 +218,7 @@ def read_numbers(array, first, count, buffer):
 
 
 @inner
-def extents(opacity, count, buffer):
+def visible_extents(opacity, count, buffer):
     """How many standard deviations out 16 Gaussians are visible; negative for faint ones."""
     vec.store(buffer, 0, opacity)
     for lane in range(count):
@@ -254,7 +254,7 @@ def project_forward(gaussians, view, out, threads):
             opacity = read_numbers(opacities, first, count, buffer)
             if antialiased:
                 opacity = opacity * compensation(a0, a1)
-            extent = extents(opacity, count, buffer)
+            extent = visible_extents(opacity, count, buffer)
             radius_x = vec.minimum(vec.ceil(extent * sigma_x), MAX_RADIUS)
             radius_y = vec.minimum(vec.ceil(extent * sigma_y), MAX_RADIUS)
             inside = vec.both(
