@@ -14,11 +14,10 @@ import numba
 import torch
 
 import stylesplat as ss
+from stylesplat.errors import counted
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.one_line import counted
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.features import FeatureNetwork, load_weights
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "scripts"))  # still_life is there
 ABOVE = Path(__file__).resolve().parents[2:]  # of the repository, which may be a worktree

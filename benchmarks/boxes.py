@@ -16,15 +16,14 @@ from bench import DATA, OUT, calibration_ms, machine, table
 from fox_outlines import FOX, outline_mask
 
 import stylesplat as ss
+from stylesplat.imaging.similarity import mask_iou
 from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.masks.box_propagation import propagate_boxes, view_images
 from stylesplat.masks.from_boxes import SIZE
 from stylesplat.masks.grabcut import Box
-from stylesplat.masks.quick_splat import working_splat
-from stylesplat.metrics.iou import mask_iou
-from stylesplat.scene.capture import Capture, at_most
-from stylesplat.scene.labels import BACKGROUND, Mask, ids_of, resize_labels
+from stylesplat.masks.working_splat import working_splat
+from stylesplat.scene.capture import BACKGROUND, Capture, Mask, at_most, ids_of, resize_labels
 
 MARGIN = 3  # pixels between an object and its box
 LOWEST = 0.1  # of the object's height in a view

@@ -14,13 +14,13 @@ from fox_outlines import FOX, PLAQUE, outline_mask
 from painted_objects import find_scene, photos_of
 from scipy.ndimage import distance_transform_edt
 
-from stylesplat.metrics.iou import mask_iou
+from stylesplat.imaging.similarity import mask_iou
+from stylesplat.options import PickSize
 from stylesplat.rendering.shares import COVERED, coverage
-from stylesplat.scene.arguments import PickSize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.labels import BACKGROUND, Mask, ids_of, resize_labels
+from stylesplat.scene.capture import BACKGROUND, Mask, ids_of, resize_labels
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.clicks import pick_clicked
+from stylesplat.selection.surface_cut import pick_clicked
 
 Click = tuple[str, tuple[float, float]]
 Outline = tuple[Cameras, Mask]

@@ -35,15 +35,14 @@ import stylesplat as ss
 from stylesplat.evaluation.style import measure_style
 from stylesplat.io.style_pictures import read_style, resize
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.sampling import evenly
-from stylesplat.selection.pick import pick
+from stylesplat.scene.sequences import evenly
+from stylesplat.selection.labels import pick
 from stylesplat.stylization.config import PATTERN_LENGTH, Network, StyleConfig
-from stylesplat.stylization.features.network import FeatureNetwork, fastest_dtype
-from stylesplat.stylization.features.weights import PACKAGED, load_weights
+from stylesplat.stylization.features import PACKAGED, FeatureNetwork, fastest_dtype, load_weights
 from stylesplat.stylization.matching import most_similar
 from stylesplat.stylization.optimize import paint_steps
 from stylesplat.stylization.paint import paint_context
-from stylesplat.stylization.style_image import style_features
+from stylesplat.stylization.style import style_features
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import ObjectView, object_views, require_boxes
 

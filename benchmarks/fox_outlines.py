@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import torch
 
-from stylesplat.scene.labels import Mask
+from stylesplat.scene.capture import Mask
 
 DRAWN = (540, 960)  # size of the photos that they were drawn in
 

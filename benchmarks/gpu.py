@@ -283,7 +283,7 @@ def paint_fox(
 ) -> float:
     """Seconds of painting the first object of the fox."""
     import stylesplat as ss
-    from stylesplat.scene.labels import BACKGROUND
+    from stylesplat.scene.capture import BACKGROUND
 
     assert scene.splats.classifier is not None
     name = str(min({*scene.splats.classifier.ids} - {BACKGROUND}))

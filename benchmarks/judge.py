@@ -17,16 +17,15 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.color.lab import LUMA
-from stylesplat.evaluation.changes import largest_area
-from stylesplat.evaluation.consistency import view_consistency
+from stylesplat.evaluation.changes import largest_area, view_consistency
 from stylesplat.evaluation.style import content_ssim
+from stylesplat.imaging.color import LUMA
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
 
 SIZES = {"full": 1.0, "half": 0.5}  # of the photos

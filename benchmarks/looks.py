@@ -60,14 +60,14 @@ import stylesplat as ss
 from stylesplat.evaluation.changes import largest_stain
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import write_image
-from stylesplat.io.json_files import write_json
+from stylesplat.io.json_yaml import write_json
 from stylesplat.io.style_pictures import read_style
 from stylesplat.rendering.render import render
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.sequences import evenly
 from stylesplat.selection.choose import find_object
-from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.features import load_weights
 
 COLUMNS = (
     "kept",

@@ -23,13 +23,13 @@ from bench import MIB, capture, machine, peak_memory
 from PIL import Image
 
 from still_life.nerfstudio import write_transforms
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.capture import Capture
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
-from stylesplat.verbs.load import load
 
 OBJECTS = 6
 BLOCK = 100  # pixels of a label

@@ -37,9 +37,9 @@ from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras, look_at, up_vector
 from stylesplat.scene.content import extent_of
-from stylesplat.scene.framing import centred_K, level_axes
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.virtual_cameras import centred_K, level_axes
 from stylesplat.selection.choose import find_object
 
 OBJECTS = ("demo/styled:vase", "demo/styled:teapot", "fox:1", "desk:1")

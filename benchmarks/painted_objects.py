@@ -21,8 +21,7 @@ import stylesplat as ss
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import resize_labels
+from stylesplat.scene.capture import Capture, resize_labels
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import whole_ids
 

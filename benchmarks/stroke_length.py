@@ -15,7 +15,7 @@ from torch import Tensor
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import Box
 

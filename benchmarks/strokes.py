@@ -32,10 +32,9 @@ from torch.nn import functional as F
 import stylesplat as ss
 from stylesplat.io.style_pictures import read_style, resize
 from stylesplat.rendering.shares import COVERED
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import pick
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.matching import most_similar
 from stylesplat.stylization.paint import paint
 

@@ -8,7 +8,7 @@ from judge import Sight, own_features
 from torch import Tensor
 
 from stylesplat.progress import track
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
 
 RATE, LAST_RATE = 0.02, 0.1  # of Adam on colours in 0..1; the last one as a share of the first

@@ -22,7 +22,7 @@ NEEDED = (
     "stylesplat/demo/still_life.zip",
     "stylesplat/figures/viewer_page/page.html",
     "stylesplat/studio_app/page/libraries/LICENSES.txt",
-    "stylesplat/stylization/features/compact.safetensors",
+    "stylesplat/stylization/compact.safetensors",
 )
 RESULTS = ("report.html", "styled.ply", "styled.html")
 

@@ -14,7 +14,7 @@ from stylesplat.figures.grid import Row, draw_grid
 from stylesplat.io.atomic import atomic_path
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.verbs.check import check
+from stylesplat.verbs.sfm import check
 
 CAMERAS = dome_cameras(48, 240, 180)
 ONE_SIDE = [*range(6), *range(24, 30)]  # of both rings

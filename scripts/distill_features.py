@@ -25,14 +25,16 @@ from torch import Tensor
 from torch.nn import functional as F
 from tqdm import tqdm
 
-from stylesplat.stylization.features.network import (
+from stylesplat.stylization.features import (
     COMPACT_CELLS,
     DEPTHS,
     FOLD,
+    PACKAGED,
     FeatureNetwork,
+    compact_from,
     fastest_dtype,
+    load_weights,
 )
-from stylesplat.stylization.features.weights import PACKAGED, compact_from, load_weights
 from training_pictures import SIZE, training_pictures
 
 WIDTHS = (32, 64, 128)  # filters of a layer, block by block

@@ -23,7 +23,7 @@ OUTSIDE = {  # files of the repository that are pages of the site
     "CODE_OF_CONDUCT.md": "conduct.md",
     "CONTRIBUTING.md": "contributing.md",
     "benchmarks/README.md": "benchmarks.md",
-    "src/stylesplat/stylization/features/compact.md": "compact.md",
+    "src/stylesplat/stylization/compact.md": "compact.md",
 }
 NOUNS = ("Capture", "Cameras", "Splats", "Scene", "Style", "Stroke", "StyleSplatError")
 CONFIGS = ("training.train_config.TrainConfig", "stylization.config.StyleConfig")

@@ -14,17 +14,17 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from scenes import cloud, randn
+from stylesplat.imaging.similarity import mask_iou
 from stylesplat.io import scene_folder
-from stylesplat.metrics.iou import mask_iou
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import mask_of
-from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb
-from stylesplat.selection.identities import render_labels
+from stylesplat.scene.virtual_cameras import ring_cameras
+from stylesplat.selection.labels import render_labels
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.style import Style
 from stylesplat.stylization.target import PaintTarget, paint_context
 from stylesplat.stylization.views import Box, ObjectView, object_views

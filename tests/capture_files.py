@@ -16,22 +16,21 @@ from torch import Tensor
 
 from balls import CAMERAS, PLAIN, SPLATS, box_around, enlarged
 from still_life.nerfstudio import write_transforms
+from stylesplat.imaging.similarity import mask_iou
+from stylesplat.io.captures.capture_folder import SfmRecord
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.posed_files import PosedFiles
-from stylesplat.io.captures.sfm_file import SfmRecord
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.masks import from_boxes as mask_boxes
-from stylesplat.masks import quick_splat as working
+from stylesplat.masks import working_splat as working
 from stylesplat.masks.grabcut import Box
-from stylesplat.metrics.iou import mask_iou
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras, look_at
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import resize_labels
+from stylesplat.scene.capture import Capture, resize_labels
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.identities import render_labels
+from stylesplat.selection.labels import render_labels
 from stylesplat.selection.text import Detections
-from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
+from stylesplat.structure_from_motion.photos import PreparedPhotos
 
 WIDTH, HEIGHT = 64, 48
 PINHOLE = ("PINHOLE", (60.0, 62.0, 31.0, 25.0))

@@ -17,9 +17,8 @@ from torch.overrides import TorchFunctionMode
 
 from fake_gsplat import install_training_kernels
 from rendering.native_gsplat import install
-from stylesplat.color.blur import blur_matrix
-from stylesplat.color.lab import luma_weights
-from stylesplat.metrics.images import ssim_window
+from stylesplat.imaging.color import luma_weights
+from stylesplat.imaging.similarity import blur_matrix, ssim_window
 
 MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__set__}  # pyright: ignore
 MOVES |= {torch._has_compatible_shallow_copy_type}  # pyright: ignore  (asked as modules move)

@@ -10,7 +10,7 @@ import transformers
 from safetensors.torch import save_file
 from transformers.models.sam3 import configuration_sam3
 
-from stylesplat.stylization.features.network import Convolution, FeatureNetwork
+from stylesplat.stylization.features import Convolution, FeatureNetwork
 
 tf: Any = transformers  # its configurations are typed, what is common to them here is not
 sam3: Any = configuration_sam3

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import write_image
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.json_yaml import read_json, write_json
 
 VERSION = 2  # raise it when the same settings give other numbers
 

@@ -29,13 +29,12 @@ from stylesplat.evaluation.style import content_ssim
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import resize_labels
+from stylesplat.scene.capture import Capture, resize_labels
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import pick
 from stylesplat.stylization.matching import build_index, cosine_distance
-from stylesplat.stylization.style_image import style_features
+from stylesplat.stylization.style import style_features
 from stylesplat.stylization.views import find_boxes, typical_length
 from stylesplat.training.lifting import lift
 

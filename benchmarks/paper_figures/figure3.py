@@ -14,12 +14,11 @@ from paper_figures.painting import default_config, painted
 from paper_figures.story import Block, Figure, Row, Table, Text, digits
 from paper_figures.subject import Subject, cut, each, shot
 from stylesplat.figures.pictures import label_colors, render_pictures
-from stylesplat.metrics.iou import object_iou
+from stylesplat.imaging.similarity import object_iou
 from stylesplat.rendering.shares import COVERED, coverage
-from stylesplat.scene.labels import BACKGROUND
+from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import THRESHOLD, each_object
+from stylesplat.selection.labels import THRESHOLD, each_object, render_labels
 from stylesplat.training.lifting import lift
 
 NAME = "figure3"

@@ -3,10 +3,10 @@
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.color.lab import lab_from_rgb
 from stylesplat.evaluation.changes import CHANGED
-from stylesplat.metrics.images import decibels
-from stylesplat.scene.labels import Mask
+from stylesplat.imaging.color import lab_from_rgb
+from stylesplat.imaging.similarity import decibels
+from stylesplat.scene.capture import Mask
 
 
 def changed_share(

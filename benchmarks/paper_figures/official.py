@@ -23,10 +23,9 @@ from paper_figures.story import Block, Figure, Row, Table, digits
 from paper_figures.subject import Subject, cut, each, shot
 from stylesplat.evaluation.changes import farther_than
 from stylesplat.evaluation.style import content_ssim, measure_style
-from stylesplat.metrics.iou import mask_iou
+from stylesplat.imaging.similarity import mask_iou
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import Labels, Mask, resize_labels
+from stylesplat.scene.capture import Capture, Labels, Mask, resize_labels
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.paint import paint_context
 from stylesplat.stylization.target import PaintTarget

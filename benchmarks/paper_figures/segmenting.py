@@ -22,10 +22,9 @@ from paper_figures.story import Block, Figure, Row, Table, Text, digits
 from paper_figures.subject import Subject, cut, each
 from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.figures.pictures import label_colors
-from stylesplat.metrics.iou import mask_iou
+from stylesplat.imaging.similarity import mask_iou
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import THRESHOLD
+from stylesplat.selection.labels import THRESHOLD, render_labels
 from stylesplat.training import step
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit

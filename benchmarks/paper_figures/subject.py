@@ -15,15 +15,12 @@ from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.io.style_pictures import read_style
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import Labels, resize_labels
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.capture import Capture, Labels, resize_labels
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import object_ids
-from stylesplat.selection.pick import pick
-from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.features.weights import load_weights
+from stylesplat.selection.labels import object_ids, pick
+from stylesplat.stylization.features import FeatureNetwork, load_weights
 
 # Many Gaussians on the demo's objects carry the strokes.
 JOINT_TRAINING = replace(TRAINING, object_growth=10.0)

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from stylesplat.io.captures.point_file import RGB, XYZ
+from stylesplat.io.captures.posed_files import RGB, XYZ
 from stylesplat.io.captures.transforms import OPENGL_AXES
-from stylesplat.io.json_files import write_json
+from stylesplat.io.json_yaml import write_json
 from stylesplat.io.kinds import TRANSFORMS
 from stylesplat.io.ply import write_ply_rows
 from stylesplat.scene.cameras import Cameras

@@ -1,6 +1,7 @@
-"""The exception whose message users read."""
+"""The exception whose message users read, and the words of messages."""
 
 import re
+import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
@@ -62,3 +63,19 @@ def within(place: str) -> Iterator[None]:
         raise StyleSplatError(f"{place}: {error}") from error
     except OSError as error:
         raise StyleSplatError(f"{place}: {error.strerror}: {error.filename}.") from error
+
+
+def one_line(noun: object, *parts: object) -> str:
+    """The one-line representation of a noun, made without reading a photo."""
+    texts = (printable(str(part)) for part in parts if part is not None)
+    return f"{type(noun).__name__}({', '.join(filter(None, texts))})"
+
+
+def counted(count: int, what: str) -> str:
+    """A number and its noun, such as '1 photo' or '60,000 Gaussians'."""
+    return f"{count:,} {what}{'s' * (count != 1)}"
+
+
+def pasted(verb: str, *arguments: object) -> str:
+    """A command for the shell, its arguments quoted where necessary."""
+    return shlex.join(["stylesplat", verb, *map(str, arguments)])

@@ -15,7 +15,7 @@ import stylesplat as ss
 from capture_files import write_ball_capture
 from processes import LIMIT, complaint, is_running, result, wait_until
 from stylesplat.batch_jobs.run_batch import RECORDS, read_records
-from stylesplat.cli.options import CONTINUES
+from stylesplat.cli.command import CONTINUES
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux's /proc")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(ss.__file__).parents[1])}

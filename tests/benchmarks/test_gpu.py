@@ -9,7 +9,7 @@ import pytest
 from balls import PAINTED_FAST, TRAINED, write_pictures
 from capture_files import write_ball_capture
 from fake_cuda import cuda  # noqa: F401  (a fixture)
-from stylesplat.verbs.load import load
+from stylesplat.io.captures.capture_folder import load
 
 
 @pytest.mark.usefixtures("cuda")

@@ -22,8 +22,7 @@ from target_2d import target_2d
 from balls import CAMERAS
 from scenes import rand
 from stylesplat.io.style_pictures import resize
-from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.features import FeatureNetwork, load_weights
 
 SIZE = 96
 SHARE = torch.zeros(SIZE, SIZE)

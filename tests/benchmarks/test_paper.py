@@ -16,10 +16,10 @@ from paper_figures.subject import Effort, Subject
 from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from scenes import rand
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.selection.pick import pick
-from stylesplat.stylization.features.weights import load_weights
-from stylesplat.verbs.load import load
+from stylesplat.selection.labels import pick
+from stylesplat.stylization.features import load_weights
 
 LARGE = CAMERAS.downscale(1 / 4)
 EFFORT = Effort(2, 3, 192, whole_grid=False, trained=False, draft=True, judged=2, training_steps=12)

@@ -15,11 +15,10 @@ from processes import complaint
 from scenes import assert_same
 from stylesplat.cli import main
 from stylesplat.cli.arguments import parse_place, parse_style
+from stylesplat.cli.command import BUG, OUT_OF_MEMORY, new_scene, unused
 from stylesplat.cli.objects import Objects
-from stylesplat.cli.results import BUG, OUT_OF_MEMORY, new_scene, unused
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, pasted
 from stylesplat.io.scene_folder import open
-from stylesplat.scene.arguments import pasted
 from stylesplat.scene.scene import Scene
 
 VIEW = CAMERAS.names[0]

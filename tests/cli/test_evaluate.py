@@ -14,9 +14,9 @@ from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from processes import complaint, result, run
 from stylesplat.io.captures.capture_folder import EXACT
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.json_yaml import read_json, write_json
 from stylesplat.io.scene_folder import revise
-from stylesplat.stylization.features import weights
+from stylesplat.stylization import features as weights
 
 PER_RUN = {"seconds", "seconds_by_object", "steps", "precision", "train"}
 NEEDS_STYLE = {"nnfm_before", "nnfm_after"}

@@ -15,7 +15,7 @@ import pytest
 import stylesplat
 from processes import LIMIT, run, wait_until
 from stylesplat.__main__ import main as process
-from stylesplat.cli.options import CONTINUES
+from stylesplat.cli.command import CONTINUES
 from stylesplat.cli.train import FINISHES
 from stylesplat.signals import WHOLE, kept_signals
 

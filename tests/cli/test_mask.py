@@ -10,11 +10,11 @@ import torch
 from balls import BALLS, BARE, CAMERAS, SPLATS, agreement, around, box_around
 from capture_files import write_ball_capture
 from processes import QUICK, complaint, result, run
+from stylesplat.cli.command import selection_file
 from stylesplat.cli.mask import PREVIEW, RIMS
-from stylesplat.cli.results import selection_file
 from stylesplat.io import scene_folder
 from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map, write_names
-from stylesplat.selection.identities import render_labels
+from stylesplat.selection.labels import render_labels
 from stylesplat.verbs.export import export
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
@@ -31,7 +31,7 @@ def no_training(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*args: object, **kwargs: object) -> None:
         raise AssertionError("work has begun")
 
-    monkeypatch.setattr("stylesplat.masks.quick_splat.fit", fail)
+    monkeypatch.setattr("stylesplat.masks.working_splat.fit", fail)
 
 
 def test_from_a_box_to_a_painted_object(

@@ -10,7 +10,7 @@ from balls import BALLS, CAMERAS, SPLATS
 from capture_files import ColorDetector
 from processes import complaint, result, run
 from stylesplat.io.images import read_image
-from stylesplat.selection.identities import render_labels
+from stylesplat.selection.labels import render_labels
 
 
 def ball(id: int, radius: float) -> str:

@@ -11,7 +11,7 @@ from capture_files import corner, save_noise, sfm_record, write_capture, write_p
 from processes import complaint, result, run
 from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.sfm_file import read_sfm, write_sfm
+from stylesplat.io.captures.capture_folder import read_sfm, write_sfm
 from stylesplat.io.scene_folder import open as open_scene
 from stylesplat.structure_from_motion.earlier_capture import (
     capture_place,

@@ -8,7 +8,7 @@ import torch
 
 import stylesplat as ss
 from processes import QUICK, complaint, result, run
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import pick
 
 PAINTED = ("sh0", "shN", "opacities")  # what a Gaussian changes that is painted or lies beneath
 

@@ -6,7 +6,7 @@ import torch
 
 from balls import viewmat_from
 from scenes import cloud, joined, rand, randn
-from stylesplat.evaluation.consistency import (
+from stylesplat.evaluation.changes import (
     OCCLUDED,
     ObjectRender,
     view_consistency,

@@ -8,10 +8,10 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.photos import Fits, evaluate_views, fitted_render
-from stylesplat.metrics.images import psnr
+from stylesplat.imaging.similarity import psnr
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
-from stylesplat.selection.identities import render_labels
+from stylesplat.selection.labels import render_labels
 from stylesplat.training.per_photo import shift_cameras
 
 

@@ -12,7 +12,6 @@ from balls import CAMERAS, FAST, SPLATS, ball, with_settings
 from balls import RED as PICKED
 from balls import STRIPED_SCENE as SCENE
 from scenes import rand, randn
-from stylesplat.color.lab import PIXELS
 from stylesplat.evaluation import style
 from stylesplat.evaluation.style import (
     TOLERANCE,
@@ -22,10 +21,11 @@ from stylesplat.evaluation.style import (
     off_palette,
     own_nnfm,
 )
+from stylesplat.imaging.color import PIXELS
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.paint import Painted, paint_context, paint_objects
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import ObjectView

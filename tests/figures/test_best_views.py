@@ -13,7 +13,7 @@ from stylesplat.figures.best_views import (
     most_detailed,
 )
 from stylesplat.scene.cameras import Cameras
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import pick
 
 RED = pick(SPLATS, object_id=3, remove_outliers=False)
 HIDDEN = torch.zeros_like(RED)

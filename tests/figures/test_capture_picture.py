@@ -19,7 +19,7 @@ from stylesplat.figures.grid import MARGIN
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
-from stylesplat.verbs.check import check
+from stylesplat.verbs.sfm import check
 
 DOME = dome_cameras(48, 48, 36)
 RED = torch.tensor([230, 20, 20], dtype=torch.uint8)

@@ -7,11 +7,17 @@ import torch
 from balls import CAMERAS
 from scenes import figure, floaters, guitar, joined, room, shares
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.orbits import orbit_around, orbit_cameras, turned_view, zoom_to_content
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import content_of
-from stylesplat.scene.framing import FILLED, ring_cameras
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.virtual_cameras import (
+    FILLED,
+    orbit_around,
+    orbit_cameras,
+    ring_cameras,
+    turned_view,
+    zoom_to_content,
+)
 
 UP = torch.tensor([0.0, 0.0, 1.0]).double()
 

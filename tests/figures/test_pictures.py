@@ -9,8 +9,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import identity_colors, label_colors, render_pictures
 from stylesplat.rendering.shares import expected_depth
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import pick, render_labels
 
 IMAGES = ["color", "identities", "depth", "object"]
 GREEN = pick(SPLATS, object_id=7)

@@ -28,14 +28,13 @@ from stylesplat.figures.sheets import (
     one_view,
     selection_picture,
 )
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Classifier
-from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import pick
-from stylesplat.verbs.load import load
+from stylesplat.selection.labels import pick, render_labels
 
 RED, GREEN, BLUE = (pick(SPLATS, object_id=id, remove_outliers=False) for id in (3, 7, 300))
 HEIGHT = PANEL * 36 // 48  # of a view of a selection

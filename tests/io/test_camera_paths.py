@@ -10,7 +10,7 @@ import torch
 
 from balls import CAMERAS
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.camera_paths import read_camera_path
+from stylesplat.io.cameras import read_camera_path
 from stylesplat.scene.cameras import look_at
 
 UP = torch.tensor([0.0, 0.0, 1.0])

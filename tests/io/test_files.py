@@ -12,7 +12,7 @@ import torch
 from processes import needs_pipes
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import file_stem, read_bytes
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.json_yaml import read_json, write_json
 
 
 def test_json_is_strict(tmp_path: Path):

@@ -12,10 +12,9 @@ from PIL import Image, ImageFilter
 
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.capture_folder import OBJECT_MASK
+from stylesplat.imaging.similarity import mask_iou
+from stylesplat.io.captures.capture_folder import OBJECT_MASK, load
 from stylesplat.io.label_maps import find_masks, write_label_map
-from stylesplat.metrics.iou import mask_iou
-from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
 
 NAMES = ("0001.jpg", "0002.jpg", "0003.jpg")

@@ -3,7 +3,7 @@
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.plain_yaml import MAX_YAML, parse_yaml
+from stylesplat.io.json_yaml import MAX_YAML, parse_yaml
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.video import write_video
+from stylesplat.io.renders import write_video
 
 COLORS = ((200, 60, 30), (20, 160, 230), (240, 240, 240))
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.images import read_image
-from stylesplat.io.view_files import png_names, refuse_taken, write_views
+from stylesplat.io.renders import png_names, refuse_taken, write_views
 
 CLEAR = torch.full((4, 6, 4), 128, dtype=torch.uint8)
 

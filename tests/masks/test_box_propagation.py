@@ -9,16 +9,16 @@ import torch
 from balls import CAMERAS, SPLATS, box_around, enlarged
 from scenes import box, cloud
 from stylesplat.errors import StyleSplatError
+from stylesplat.imaging.similarity import mask_iou
 from stylesplat.masks import box_propagation
 from stylesplat.masks.box_propagation import Images, propagate_boxes, view_images
 from stylesplat.masks.grabcut import cut_box
-from stylesplat.metrics.iou import mask_iou
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
+from stylesplat.selection.labels import render_labels
 
 MARGIN = 2  # pixels between an object and its box
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.checkpoint import open_checkpoint
+from stylesplat.masks.from_model import open_checkpoint
 from stylesplat.masks.tracking import TrackingState
 
 SETTINGS = {"clips": [[0, 1], [1, 2]], "sizes": [[8, 4]] * 3}

@@ -8,8 +8,7 @@ import torch
 
 from scenes import rand
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.coco import decode_rle
-from stylesplat.masks.import_masks import import_label_maps
+from stylesplat.masks.import_masks import decode_rle, import_label_maps
 
 NAMES = ("001.png", "002.png", "003.png")
 SHAPE = (6, 8)

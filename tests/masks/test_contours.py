@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from scenes import randn
-from stylesplat.masks.contours import move_to_edges
-from stylesplat.masks.grabcut import ColorLevels, color_levels
-from stylesplat.metrics.iou import mask_iou
-from stylesplat.scene.labels import Mask
+from stylesplat.imaging.similarity import mask_iou
+from stylesplat.masks.contours import ColorLevels, move_to_edges
+from stylesplat.masks.grabcut import color_levels
+from stylesplat.scene.capture import Mask
 
 SIZE = 120
 

@@ -12,13 +12,13 @@ from capture_files import write_ball_capture
 from right_ids import right_pixels
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.scene_folder import save
 from stylesplat.masks import from_model as mask_models
 from stylesplat.masks.sam import Method
 from stylesplat.masks.tracking import labels_to_masks
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.identities import render_labels
-from stylesplat.verbs.load import load
+from stylesplat.selection.labels import render_labels
 from stylesplat.verbs.mask import mask
 
 TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]

@@ -5,6 +5,7 @@ import torch
 
 from scenes import randn
 from stylesplat.errors import StyleSplatError
+from stylesplat.imaging.similarity import mask_iou
 from stylesplat.masks.grabcut import (
     GrabCutImage,
     Stroke,
@@ -13,7 +14,6 @@ from stylesplat.masks.grabcut import (
     grabcut_image,
     refine_mask,
 )
-from stylesplat.metrics.iou import mask_iou
 
 HEIGHT, WIDTH = 60, 80
 PHOTO = "a.jpg"

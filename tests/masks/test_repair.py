@@ -6,9 +6,9 @@ import torch
 from balls import BALLS, CAMERAS, PLAIN, SPLATS
 from right_ids import right_pixels
 from stylesplat.masks.repair import connected_parts, map_labels, repair_ids
-from stylesplat.scene.labels import resize_labels
+from stylesplat.scene.capture import resize_labels
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
+from stylesplat.selection.labels import render_labels
 
 TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
 RED, GREEN, BLUE = BALLS

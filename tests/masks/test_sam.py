@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.propagation import VideoPropagator, split_by_logit
 from stylesplat.masks.sam import GridProposer, Method, load_propagator, load_proposer
+from stylesplat.masks.tracking import VideoPropagator, split_by_logit
 
 VIDEO = ["sam2", "edgetam", "sam3"]
 HEIGHT, WIDTH = 40, 56

@@ -6,8 +6,8 @@ import torch
 
 from balls import CAMERAS, enlarged
 from scenes import randn
-from stylesplat.masks.still_camera import cut_out_moving
-from stylesplat.metrics.iou import mask_iou
+from stylesplat.imaging.similarity import mask_iou
+from stylesplat.masks.working_splat import cut_out_moving
 from stylesplat.scene.capture import Capture
 
 VIEWS = enlarged(CAMERAS, 3)

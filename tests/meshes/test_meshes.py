@@ -24,9 +24,9 @@ from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_layers
-from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats, sh0_from_rgb
+from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.verbs.export import export
 
 RADIUS = 0.5

@@ -20,7 +20,7 @@ from stylesplat.rendering.shares import (
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
+from stylesplat.selection.labels import render_labels
 
 TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
 PICKED = torch.arange(len(PLAIN)) % 3 == 0

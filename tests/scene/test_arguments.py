@@ -1,6 +1,6 @@
 """Boxes that were drawn in a picture."""
 
-from stylesplat.scene.arguments import check_box
+from stylesplat.options import check_box
 
 SIZE = (200, 100)
 

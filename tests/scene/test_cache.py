@@ -1,6 +1,6 @@
 import torch
 
-from stylesplat.scene.cache import Cache
+from stylesplat.scene.sequences import Cache
 
 
 class Shop:

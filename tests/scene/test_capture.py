@@ -7,9 +7,9 @@ from jaxtyping import config
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.cache import Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, at_most, fingerprint
+from stylesplat.scene.sequences import Lazy
 
 NOISE = torch.Generator().manual_seed(0)
 PHOTOS = [torch.randint(256, (36, 48, 3), generator=NOISE).to(torch.uint8) for _ in range(8)]

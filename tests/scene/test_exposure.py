@@ -2,8 +2,8 @@ import torch
 from torch import Tensor
 
 from balls import CAMERAS, SPLATS
+from stylesplat.imaging.color import photo_gains
 from stylesplat.rendering.render import render
-from stylesplat.scene.exposure import photo_gains
 
 
 def test_gains_are_found_from_points():

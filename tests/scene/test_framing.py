@@ -8,10 +8,10 @@ from scenes import UP, figure, floaters, guitar, joined, painting, room, shares
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
-from stylesplat.scene.framing import has_no_photos, ring_cameras
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.virtual_cameras import has_no_photos, ring_cameras
 
 
 def close_ups(cameras: Cameras) -> list[int]:

@@ -6,8 +6,8 @@ import torch
 
 from balls import CAMERAS, RED, SPLATS, TRAINED
 from scenes import layer_towards
-from stylesplat.scene.cache import cached_while_alive
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.sequences import cached_while_alive
 from stylesplat.scene.splats import Splats
 
 

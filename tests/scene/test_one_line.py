@@ -7,9 +7,9 @@ import torch
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
 from scenes import plain_layer
-from stylesplat.scene.cache import Lazy
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import SceneObject
+from stylesplat.scene.sequences import Lazy
 
 
 def test_nouns_are_one_line_that_says_what_they_are():

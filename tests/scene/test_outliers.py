@@ -8,8 +8,8 @@ import torch
 from scenes import rand, randn, shell
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.framing import cameras_of, centred_K
 from stylesplat.scene.outliers import find_outliers, scene_extent
+from stylesplat.scene.virtual_cameras import cameras_of, centred_K
 
 UP = torch.tensor([0.0, 1.0, 0.0])
 POINTS = randn(500, 3)

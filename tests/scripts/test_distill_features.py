@@ -4,8 +4,7 @@ import pytest
 import torch
 
 import distill_features as distill
-from stylesplat.stylization.features.network import Convolution, FeatureNetwork
-from stylesplat.stylization.features.weights import compact_from
+from stylesplat.stylization.features import Convolution, FeatureNetwork, compact_from
 from training_pictures import training_pictures
 
 OPTIONS = distill.Options(teacher=Path(), steps=8, batch=1, crop=96)

@@ -11,13 +11,13 @@ from torch.nn import functional as F
 from balls import CAMERAS, enlarged
 from scenes import cloud, randn
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.box_picks import pick_in_boxes
+from stylesplat.masks.box_propagation import pick_in_boxes
+from stylesplat.options import PickSize
 from stylesplat.progress import Observer, Task, observed
 from stylesplat.rendering.shares import coverage
-from stylesplat.scene.arguments import PickSize
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.masked import pick_masked
+from stylesplat.selection.surface_cut import pick_masked
 from stylesplat.verbs.select import select
 
 # A table, two balls that touch, and one apart

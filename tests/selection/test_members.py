@@ -9,8 +9,7 @@ from torch import Tensor
 from balls import SPLATS
 from scenes import randn
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.members import MIN_POINTS, inliers
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import MIN_POINTS, inliers, pick
 
 FIRST = torch.arange(200, 280)  # Gaussians of the ball 3; the table's come before
 HOLE = FIRST[::10]

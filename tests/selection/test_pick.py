@@ -9,8 +9,7 @@ from balls import CAMERAS, PLAIN, SHARPNESS, SPLATS, class_probabilities
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import object_ids, render_labels
-from stylesplat.selection.pick import pick, resolve_ids
+from stylesplat.selection.labels import object_ids, pick, render_labels, resolve_ids
 
 
 def project(camera: Cameras, point: tuple[float, float, float]) -> tuple[float, float]:

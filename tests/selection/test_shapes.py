@@ -10,7 +10,7 @@ from scenes import cloud
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import pick
 from stylesplat.selection.shapes import (
     alike,
     extent,

@@ -9,9 +9,9 @@ from balls import RED as BALL
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.splats import Splats
-from stylesplat.selection import soft_picks as surveying
-from stylesplat.selection.pick import each_object
-from stylesplat.selection.soft_picks import (
+from stylesplat.selection import shares as surveying
+from stylesplat.selection.labels import each_object
+from stylesplat.selection.shares import (
     INSIDE,
     OUTSIDE,
     OwnShares,

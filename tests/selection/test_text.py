@@ -11,7 +11,7 @@ from torch import Tensor
 from balls import CAMERAS, SPLATS
 from capture_files import NOTHING, ColorDetector
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.sampling import far_apart
+from stylesplat.scene.sequences import far_apart
 from stylesplat.selection.text import (
     Detections,
     Detector,

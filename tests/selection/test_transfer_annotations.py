@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scenes import joined, random_splats
 from stylesplat.io.splats.splat_files import read_splats, row_order, write_splats
 from stylesplat.scene.frames import SAME, Frame, move_splats
-from stylesplat.selection.transfer_annotations import match_gaussians
+from stylesplat.selection.transfer import match_gaussians
 
 KNOWN = replace(random_splats(600), identities=None)  # plain, as files have them
 TURN = torch.from_numpy(Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix())

@@ -11,21 +11,22 @@ from torch import Tensor
 
 from still_life.photos import dome_cameras
 from stylesplat.demo.demo_run import copy_capture
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.structure_from_motion.capture_statistics import (
-    Coverage,
-    measure_coverage,
-    measure_photos,
-)
 from stylesplat.structure_from_motion.diagnostics import (
     diagnose_distances,
     diagnose_heights,
     diagnose_photos,
     diagnose_sides,
 )
-from stylesplat.structure_from_motion.world_frame import find_centre, working_frame
-from stylesplat.verbs.load import load
+from stylesplat.structure_from_motion.world_frame import (
+    Coverage,
+    find_centre,
+    measure_coverage,
+    measure_photos,
+    working_frame,
+)
 
 DOME = dome_cameras(48, 480, 360)
 

@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.progress import Observer, observed
 from stylesplat.structure_from_motion.config import SfmConfig
-from stylesplat.structure_from_motion.failures import (
+from stylesplat.structure_from_motion.diagnostics import (
     check_features,
     check_matches,
     check_models,
@@ -27,10 +27,8 @@ from stylesplat.structure_from_motion.matching import (
     sequential_pairs,
     similar_pairs,
 )
-from stylesplat.structure_from_motion.photo_files import group_by_camera
-from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
-from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct
-from stylesplat.structure_from_motion.undistort import write_colmap
+from stylesplat.structure_from_motion.photos import PreparedPhotos, group_by_camera
+from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct, write_colmap
 from stylesplat.structure_from_motion.workspace import (
     open_workspace,
 )

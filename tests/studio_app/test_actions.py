@@ -24,7 +24,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import Actions
-from stylesplat.studio_app.picking import pick_names
+from stylesplat.studio_app.edits import pick_names
 from stylesplat.studio_app.pictures import camera_of, weightiest
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.recipe import read_recipe

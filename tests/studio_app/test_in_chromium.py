@@ -15,8 +15,8 @@ from stylesplat.io.scene_folder import open, save
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.shares import coverage
 from stylesplat.scene.scene import Scene
+from stylesplat.studio_app.edits import recolor_objects
 from stylesplat.studio_app.gallery import MOST_BYTES
-from stylesplat.studio_app.layers import recolor_objects
 from stylesplat.studio_app.pictures import camera_of
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.style import Style

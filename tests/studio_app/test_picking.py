@@ -7,9 +7,7 @@ from balls import CAMERAS, SPLATS, enlarged
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
-from stylesplat.studio_app.history import ObjectMasks, StudioState, hidden_rows, object_names
-from stylesplat.studio_app.messages import How
-from stylesplat.studio_app.picking import (
+from stylesplat.studio_app.edits import (
     forget_picked,
     hide_objects,
     pick_ball,
@@ -23,6 +21,8 @@ from stylesplat.studio_app.picking import (
     subtract_picked,
     unite_picked,
 )
+from stylesplat.studio_app.history import ObjectMasks, StudioState, hidden_rows, object_names
+from stylesplat.studio_app.messages import How
 
 CAMERA = enlarged(CAMERAS, 4)[0]
 BALLS = {"3": (-0.7, 0.0, 0.3), "7": (0.7, 0.0, 0.3), "300": (0.0, 0.8, 0.3)}
@@ -125,7 +125,7 @@ def test_without_a_pick_it_says_what_to_do(change):
 
 
 def test_words_download_no_model_while_all_browsers_wait(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("stylesplat.studio_app.picking.is_at_hand", lambda name: False)
-    monkeypatch.setattr("stylesplat.studio_app.picking.select", lambda *_, **__: pytest.fail())
+    monkeypatch.setattr("stylesplat.studio_app.edits.is_at_hand", lambda name: False)
+    monkeypatch.setattr("stylesplat.studio_app.edits.select", lambda *_, **__: pytest.fail())
     with pytest.raises(StyleSplatError, match=r"pip install .*hf download IDEA-Research/"):
         pick_words(STATE, "red chair")

@@ -17,12 +17,10 @@ from stylesplat.scene.compose import strengths_of
 from stylesplat.scene.scene import SceneObject
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
-from stylesplat.studio_app.autosave import AUTOSAVE, SceneStore
-from stylesplat.studio_app.exports import FORMATS, Exporter
+from stylesplat.studio_app.edits import adjust_layer, pick_names, rename_picked
+from stylesplat.studio_app.files import AUTOSAVE, FORMATS, Exporter, SceneStore
 from stylesplat.studio_app.history import replace_scene
-from stylesplat.studio_app.layers import adjust_layer
 from stylesplat.studio_app.paint_queue import PaintQueue, seconds_left
-from stylesplat.studio_app.picking import pick_names, rename_picked
 from stylesplat.studio_app.session import Change, Session
 from stylesplat.stylization.config import plain_settings
 from stylesplat.stylization.paint import paint

@@ -12,9 +12,9 @@ from processes import LIMIT, needs_permissions, read_only
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.scene import Scene, SceneObject
-from stylesplat.studio_app.autosave import AUTOSAVE
+from stylesplat.studio_app.edits import pick_names, rename_picked
+from stylesplat.studio_app.files import AUTOSAVE
 from stylesplat.studio_app.history import replace_scene
-from stylesplat.studio_app.picking import pick_names, rename_picked
 from stylesplat.studio_app.studio import studio
 from stylesplat.stylization.style import Style
 

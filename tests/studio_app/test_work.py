@@ -3,7 +3,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from stylesplat.work import Worker
+from stylesplat.studio_app.session import Worker
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import torch
 
 from balls import CAMERAS, ROWS, SPLATS, enlarged, same
 from balls import RED as PICKED
-from stylesplat.metrics.images import psnr
+from stylesplat.imaging.similarity import psnr
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import colors_and_coverage, coverage
 from stylesplat.scene.compose import compose

@@ -18,10 +18,18 @@ from balls import (
     dense_ball,
 )
 from scenes import rand, randn, random_splats
-from stylesplat.color.lab import LUMA, lab_from_rgb, nearest_colors
-from stylesplat.color.palette import NEAR, build_palette
-from stylesplat.color.transfer import NOISE, color_map, map_colors, mapped
 from stylesplat.evaluation.style import TOLERANCE, off_palette
+from stylesplat.imaging.color import (
+    LUMA,
+    NEAR,
+    NOISE,
+    build_palette,
+    color_map,
+    lab_from_rgb,
+    map_colors,
+    mapped,
+    nearest_colors,
+)
 from stylesplat.rendering.reference import spherical_harmonics
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.colors import (
@@ -33,7 +41,7 @@ from stylesplat.stylization.colors import (
     remove_pattern,
     vary_colors,
 )
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.views import ObjectView, find_boxes
 
 NOISE_BIAS = 0.05  # the source's variances, 0.04 to 0.09, are raised by NOISE

@@ -4,14 +4,7 @@ from typing import Any
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.config import (
-    LEAST,
-    PLANS,
-    PRESETS,
-    Quality,
-    Stage,
-    StyleConfig,
-)
+from stylesplat.stylization.config import LEAST, PLANS, PRESETS, Quality, Stage, StyleConfig
 from stylesplat.stylization.style import Style
 
 

@@ -7,7 +7,7 @@ import torch
 from balls import CAMERAS, FAST, ball, same
 from balls import STRIPED_SCENE as SCENE
 from stylesplat.stylization import paint as cutting
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.paint import crop_scene, paint_context, paint_objects
 from stylesplat.stylization.target import PaintContext, PaintTarget
 

@@ -9,10 +9,10 @@ from balls import CAMERAS, cropped
 from balls import RED as PICKED
 from balls import STRIPED_SCENE as SCENE
 from scenes import rand, randn
-from stylesplat.color.palette import build_palette
+from stylesplat.imaging.color import build_palette
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.form import FormSurvey
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import SIDE, Objective, content_weight

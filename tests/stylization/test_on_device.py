@@ -14,12 +14,12 @@ from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
 from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.shares import coverage
 from stylesplat.rendering.visibility import in_view, pixel_bounds, visible
-from stylesplat.selection.soft_picks import own_shares
+from stylesplat.selection.shares import own_shares
 from stylesplat.stylization import canvas as fitting
 from stylesplat.stylization import paint as cutting
 from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.confine import confine_canvas
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.paint import crop_scene
 from stylesplat.stylization.surface import unpainted_views
 from stylesplat.stylization.target import PaintTarget, paint_context

@@ -8,11 +8,11 @@ from torch import Tensor
 
 from balls import CAMERAS, SPLATS, ball
 from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
-from stylesplat.color.blur import blur_matrix
+from stylesplat.imaging.similarity import blur_matrix
 from stylesplat.rendering.linear import RasterizedContributions
 from stylesplat.rendering.render import rasterize
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.optimize import paint_steps
 from stylesplat.stylization.target import PaintTarget, paint_context
 from stylesplat.stylization.views import find_boxes, object_views

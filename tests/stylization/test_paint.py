@@ -18,7 +18,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import compose
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.stylization.config import PRESETS
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.optimize import PREVIEW_STEPS, paint_steps
 from stylesplat.stylization.paint import (
     Painted,

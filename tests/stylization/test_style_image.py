@@ -3,8 +3,8 @@ import torch
 
 from scenes import rand
 from stylesplat.stylization.config import USUAL_SCALE
-from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.style_image import coarsen_style, style_features, style_parts
+from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.style import coarsen_style, style_features, style_parts
 
 NOISE = rand(120, 120, 3)
 

@@ -9,8 +9,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.scene import splats as nouns
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import THRESHOLD, each_object
+from stylesplat.selection.labels import THRESHOLD, each_object, render_labels
 from stylesplat.training import lifting
 from stylesplat.training.lifting import REPULSIONS, class_codes, labelled, lift, with_labels_of
 

@@ -15,6 +15,7 @@ from balls import CAMERAS, enlarged
 from capture_files import write_cut_outs
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.progress import Observer, observed
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
@@ -24,7 +25,6 @@ from stylesplat.training.initialize import first_splats
 from stylesplat.training.loop import deferred_interrupt, fit
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.training.training_views import split_views
-from stylesplat.verbs.load import load
 
 
 def error(splats: Splats, capture: Capture, row: int) -> float:

@@ -8,9 +8,8 @@ import torch
 
 from balls import CAMERAS, enlarged
 from fake_cuda import cuda  # noqa: F401  (a fixture)
-from stylesplat.scene.cache import GIB, Lazy
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import resize_labels
+from stylesplat.scene.capture import Capture, resize_labels
+from stylesplat.scene.sequences import GIB, Lazy
 from stylesplat.training.training_views import (
     TrainingViews,
     learned_ids,

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from capture_files import save_noise, sfm_record, with_tracks, write_ball_capture, write_capture
+from stylesplat.io.captures.capture_folder import load, write_sfm
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.captures.sfm_file import write_sfm
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
-from stylesplat.verbs.check import check
-from stylesplat.verbs.load import load
+from stylesplat.verbs.sfm import check
 
 
 def finding(report: CaptureReport, what: str) -> tuple[str, str]:

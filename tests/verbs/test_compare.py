@@ -10,10 +10,10 @@ from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.summary import flat
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.scene.frames import Frame, move_cameras
 from stylesplat.scene.scene import Scene, shared_views
-from stylesplat.verbs.compare import compare
-from stylesplat.verbs.load import load
+from stylesplat.verbs.evaluate import compare
 
 SCENE = Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:2])
 DARKER = replace(SCENE, splats=replace(SPLATS, sh0=SPLATS.sh0 - 0.5))

@@ -11,11 +11,11 @@ from balls import CAMERAS, TRAINED, painted, write_pictures
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import Scene
-from stylesplat.verbs.evaluate import SCHEMA, evaluate
-from stylesplat.verbs.load import load
+from stylesplat.verbs.evaluate import EVALUATION, evaluate
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
@@ -45,7 +45,7 @@ def without_held_out(scene: Scene) -> Scene:
 
 def assert_as_said(styled: Scene, found: Mapping[str, Any]) -> None:
     """What `stylize` measured is the same within the few pixels that views are cut larger."""
-    assert found["schema"] == SCHEMA
+    assert found["schema"] == EVALUATION
     shared = found.keys() & styled.metrics.keys()
     assert {"nnfm_after", "outside_psnr"} <= shared
     for name in shared:

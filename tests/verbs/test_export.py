@@ -12,7 +12,7 @@ from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.io.splats.splat_ply import read_splat_ply
 from stylesplat.scene.compose import compose
 from stylesplat.scene.scene import SceneObject
-from stylesplat.selection.scene_parts import cut_out, rows_of_part
+from stylesplat.selection.objects import cut_out, rows_of_part
 from stylesplat.verbs.export import export, export_each
 
 pytestmark = pytest.mark.usefixtures("quick_painting")

@@ -12,7 +12,8 @@ from capture_files import write_ball_capture
 from scenes import full_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
-from stylesplat.io.camera_paths import read_camera_path
+from stylesplat.io.cameras import read_camera_path
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.scene_folder import revise
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
@@ -21,12 +22,11 @@ from stylesplat.scene.frames import NERFSTUDIO_AXES, Frame, known_frames, move_c
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import Offset, to_world
+from stylesplat.studio_app.edits import pick_ball, pick_box
 from stylesplat.studio_app.history import StudioState
-from stylesplat.studio_app.picking import pick_ball, pick_box
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.export import export
 from stylesplat.verbs.import_ import FrameName, import_
-from stylesplat.verbs.load import load
 from stylesplat.verbs.objects import extents
 from stylesplat.verbs.select import select
 from stylesplat.verbs.train import train

@@ -8,11 +8,11 @@ import pytest
 
 from balls import CAMERAS, RED, SPLATS, TRAINED
 from scenes import layer_towards
-from stylesplat.color.recolor_config import RecolorConfig
 from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
+from stylesplat.stylization.config import RecolorConfig
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, RecoloredObject, Style
 from stylesplat.verbs.adjust import adjust

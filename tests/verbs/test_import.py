@@ -9,13 +9,13 @@ from balls import BALLS, CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import known_frames
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import pick
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.export import export
 from stylesplat.verbs.import_ import import_
-from stylesplat.verbs.load import load
 from stylesplat.verbs.objects import objects
 from stylesplat.verbs.select import select
 

@@ -11,8 +11,8 @@ from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import write_label_map, write_names
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.identities import render_labels
-from stylesplat.verbs.labels import labels
+from stylesplat.selection.labels import render_labels
+from stylesplat.verbs.mask import labels
 from stylesplat.verbs.select import select
 
 SCENE = select(

@@ -8,9 +8,9 @@ from PIL import Image
 from capture_files import write_capture
 from stylesplat.cli.mask import Mask
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.label_maps import read_label_map, write_label_maps
 from stylesplat.scene.capture import Capture
-from stylesplat.verbs.load import load
 from stylesplat.verbs.mask import mask
 
 WIDTH, HEIGHT = 64, 48

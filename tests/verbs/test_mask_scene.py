@@ -9,8 +9,7 @@ from balls import BALLS, BARE, CAMERAS, PLAIN, SPLATS, VIEWS, agreement, around
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.identities import object_ids, render_labels
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import object_ids, pick, render_labels
 from stylesplat.verbs.mask import mask
 from stylesplat.verbs.objects import extents, objects
 from stylesplat.verbs.select import select

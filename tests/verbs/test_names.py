@@ -10,12 +10,12 @@ import torch
 from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from stylesplat.io import scene_folder
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.label_maps import write_names
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import pick
 from stylesplat.verbs.import_ import import_
-from stylesplat.verbs.load import load
 from stylesplat.verbs.objects import objects
 
 PLAIN = replace(SPLATS, identities=None, classifier=None)

@@ -34,28 +34,27 @@ from right_ids import right_pixels
 from stylesplat.cli.mask import Labels
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.sheets import before_after, beside_photo, one_view
-from stylesplat.masks import from_model, quick_splat
+from stylesplat.imaging.similarity import mask_iou
+from stylesplat.io.captures.capture_folder import load
+from stylesplat.masks import from_model
+from stylesplat.masks import working_splat as quick_splat
 from stylesplat.masks.sam import FAMILIES, Method, load_propagator, load_proposer
 from stylesplat.masks.tracking import labels_to_masks
-from stylesplat.metrics.iou import mask_iou
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.members import likeliest
+from stylesplat.selection.labels import likeliest
 from stylesplat.selection.text import load_detector
 from stylesplat.stylization.style import Style
 from stylesplat.training.state import State
 from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.adjust import adjust
-from stylesplat.verbs.compare import compare
-from stylesplat.verbs.evaluate import evaluate
+from stylesplat.verbs.evaluate import compare, evaluate
 from stylesplat.verbs.import_ import import_
-from stylesplat.verbs.labels import labels
-from stylesplat.verbs.load import load
-from stylesplat.verbs.mask import mask
+from stylesplat.verbs.mask import labels, mask
 from stylesplat.verbs.render import render
 from stylesplat.verbs.select import select
 from stylesplat.verbs.sheet import sheet
-from stylesplat.verbs.stylize_live import stylize_live
+from stylesplat.verbs.stylize import stylize_live
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 

@@ -11,9 +11,8 @@ from PIL import Image
 from balls import CAMERAS, GREEN, RED, SPLATS, TRAINED, assert_same_splats
 from processes import run
 from scenes import plain_layer
-from stylesplat.color.recolor_config import RECOLOR_LIMITS
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.json_files import read_json
+from stylesplat.io.json_yaml import read_json
 from stylesplat.io.scene_folder import open as open_scene
 from stylesplat.io.scene_folder import save
 from stylesplat.io.style_pictures import MATERIALS
@@ -21,12 +20,11 @@ from stylesplat.rendering.render import render
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import map_bands, rgb_from_sh0, sh0_from_rgb, sh_basis
-from stylesplat.stylization.config import LIMITS
+from stylesplat.stylization.config import LIMITS, RECOLOR_LIMITS
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
-from stylesplat.verbs.adjust import adjust
+from stylesplat.verbs.adjust import adjust, recolor
 from stylesplat.verbs.evaluate import evaluate
-from stylesplat.verbs.recolor import recolor
 from stylesplat.verbs.stylize import stylize
 
 ROWS = torch.arange(len(SPLATS))

@@ -8,7 +8,7 @@ import pytest
 from balls import CAMERAS, SPLATS, assert_same_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
-from stylesplat.io.json_files import read_json
+from stylesplat.io.json_yaml import read_json
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object
 from stylesplat.verbs.adjust import adjust

@@ -12,8 +12,7 @@ from scenes import layer_towards
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import pick
+from stylesplat.selection.labels import pick, render_labels
 from stylesplat.verbs import select as verb
 from stylesplat.verbs.objects import delete, objects, rename
 from stylesplat.verbs.select import select

@@ -12,7 +12,7 @@ from PIL import Image
 
 import stylesplat as ss
 from capture_files import corner, photograph_corner, places_around, towards, write_photos
-from stylesplat.io.captures.sfm_file import read_sfm
+from stylesplat.io.captures.capture_folder import read_sfm
 from stylesplat.progress import Observer, Task, observed
 
 COUNT = 8

@@ -11,7 +11,7 @@ from PIL import Image
 import stylesplat as ss
 from capture_files import CORNER_HEIGHT, CORNER_WIDTH, WALL, corner, places_around, write_photos
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.sfm_file import read_sfm
+from stylesplat.io.captures.capture_folder import read_sfm
 
 COUNT = 12
 LOOP = [*range(0, COUNT, 2), *range(1, COUNT, 2)[::-1]]  # there and back: the last is by the first

@@ -11,8 +11,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.render import render
-from stylesplat.verbs.stylize import stylize
-from stylesplat.verbs.stylize_live import stylize_live
+from stylesplat.verbs.stylize import stylize, stylize_live
 from stylesplat.verbs.train import train
 
 pytestmark = pytest.mark.usefixtures("quick_painting")

@@ -17,7 +17,7 @@ from balls import (
 )
 from balls import contents as all_contents
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.json_files import read_json
+from stylesplat.io.json_yaml import read_json
 from stylesplat.io.scene_folder import save
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style

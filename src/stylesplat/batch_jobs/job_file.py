@@ -12,13 +12,13 @@ from typing import Annotated, Any, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from stylesplat.argument_kinds import convert_settings
 from stylesplat.batch_jobs.job import Content, Job, JobVerb, Needs, OptionValue
 from stylesplat.errors import StyleSplatError, brief, some, within
 from stylesplat.io.files import is_there, read_bytes
+from stylesplat.io.json_yaml import MAX_YAML, Place, lines_of, parse_yaml
 from stylesplat.io.kinds import NOUNS, SPLATS, kind_of, wrong_kind
-from stylesplat.io.plain_yaml import MAX_YAML, Place, lines_of, parse_yaml
 from stylesplat.io.style_pictures import is_material
+from stylesplat.options import convert_settings
 
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks
 ADDRESS = re.compile(r"[A-Za-z][\w+.-]+:/")  # a scheme is longer than the letter of a drive

@@ -6,20 +6,17 @@ from contextlib import closing
 
 from stylesplat.cli.arguments import read_arguments
 from stylesplat.cli.batch import Batch
+from stylesplat.cli.command import exit_status
 from stylesplat.cli.demo import Demo, Doctor
 from stylesplat.cli.evaluate import Evaluate
-from stylesplat.cli.export import Export
-from stylesplat.cli.import_ import Import
+from stylesplat.cli.import_export import Export, Import
 from stylesplat.cli.mask import Labels, Mask
 from stylesplat.cli.mcp import Mcp
 from stylesplat.cli.objects import Delete, Objects, Rename, Select
-from stylesplat.cli.render import Render
-from stylesplat.cli.results import exit_status
+from stylesplat.cli.render import Render, StudioCommand, ViewCommand
 from stylesplat.cli.sfm import Check, Sfm
-from stylesplat.cli.sheet import Sheet
-from stylesplat.cli.stylize import Adjust, Recolor, Stylize
+from stylesplat.cli.stylize import Adjust, Recolor, Sheet, Stylize
 from stylesplat.cli.train import Train
-from stylesplat.cli.view import StudioCommand, ViewCommand
 from stylesplat.progress import observed, write_lines
 
 COMMANDS = (Demo, Check, Sfm, Mask, Train, Import, Labels, Objects, Select, Rename, Delete)
@@ -39,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         command = read_arguments(VERBS, sys.argv[1:] if arguments is None else arguments)
         from stylesplat.cli.bars import Bars
-        from stylesplat.io.json_files import strict_json
+        from stylesplat.io.json_yaml import strict_json
 
         with closing(Bars()) as bars, observed(bars):
             answer = command.run()

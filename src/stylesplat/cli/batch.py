@@ -11,21 +11,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_origin, get_type_
 
 from tyro.conf import Positional
 
-from stylesplat.argument_kinds import check_arguments
 from stylesplat.batch_jobs.job import TUPLES, Content, JobVerb
 from stylesplat.cli.arguments import read_command
-from stylesplat.cli.export import Export
-from stylesplat.cli.import_ import Import
+from stylesplat.cli.command import CONTINUES, NAMES, Answer, Command, Output
+from stylesplat.cli.import_export import Export, Import
 from stylesplat.cli.mask import Mask
 from stylesplat.cli.objects import Select
-from stylesplat.cli.options import CONTINUES, NAMES, Command, Output
 from stylesplat.cli.render import Render
-from stylesplat.cli.results import Answer
-from stylesplat.cli.sheet import Sheet
-from stylesplat.cli.stylize import Recolor, Stylize
+from stylesplat.cli.stylize import Recolor, Sheet, Stylize
 from stylesplat.cli.train import Train
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.kinds import Noun
+from stylesplat.options import check_arguments
 
 if TYPE_CHECKING:
     from stylesplat.batch_jobs.run_batch import BatchResult

@@ -5,8 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stylesplat.cli.options import CONTINUES, Command, Device, MakingCommand, Output
-from stylesplat.cli.results import Answer, mask_command
+from stylesplat.cli.command import (
+    CONTINUES,
+    Answer,
+    Command,
+    Device,
+    MakingCommand,
+    Output,
+    mask_command,
+)
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import changing
 
@@ -63,7 +70,7 @@ class Doctor(Command):
 
     def run(self) -> Answer:
         from stylesplat.demo.doctor import doctor
-        from stylesplat.io.json_files import strict_json
+        from stylesplat.io.json_yaml import strict_json
 
         found = doctor(self.device)
         return Answer(found, [*_tables(found), "```json", strict_json(found), "```"])

@@ -7,11 +7,17 @@ from typing import Any
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.options import Device, MakingCommand, OptionalOutput, SceneFolder
-from stylesplat.cli.results import Answer, next_command
+from stylesplat.cli.command import (
+    Answer,
+    Device,
+    MakingCommand,
+    OptionalOutput,
+    SceneFolder,
+    next_command,
+)
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
-from stylesplat.io.json_files import write_json
+from stylesplat.io.json_yaml import write_json
 from stylesplat.progress import say
 
 PAGE = ".html"

@@ -10,15 +10,13 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import stylesplat as ss
 from stylesplat.cli.arguments import parse_place
-from stylesplat.cli.options import (
+from stylesplat.cli.command import (
     CONTINUES,
+    Answer,
     Device,
     EditingCommand,
     MakingCommand,
     OptionalOutput,
-)
-from stylesplat.cli.results import (
-    Answer,
     next_command,
     optional_picture,
     rewrite_scene,
@@ -32,7 +30,7 @@ from stylesplat.signals import WHOLE
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished, view_of_photo
 
 if TYPE_CHECKING:
-    from stylesplat.io.captures.sfm_file import SfmRecord
+    from stylesplat.io.captures.capture_folder import SfmRecord
 
 Drawn = dict[str, list[Any]]  # by object, places in views
 Method = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
@@ -99,7 +97,7 @@ class Mask(MakingCommand):
 
     def run(self) -> Answer:
         from stylesplat.io.kinds import SCENE
-        from stylesplat.scene.framing import has_no_photos
+        from stylesplat.scene.virtual_cameras import has_no_photos
         from stylesplat.verbs.mask import settled_method
 
         given = self._drawn() | {"source": self.source, "model": self.model, "scene": self.scene}
@@ -143,8 +141,7 @@ class Mask(MakingCommand):
 
     def _mask_photos(self) -> Answer:
         from stylesplat.figures.sheets import lower_rims, mask_preview
-        from stylesplat.io.captures.capture_folder import OBJECT_MASK
-        from stylesplat.io.captures.sfm_file import read_sfm
+        from stylesplat.io.captures.capture_folder import OBJECT_MASK, read_sfm
         from stylesplat.io.images import write_image
         from stylesplat.io.label_maps import refuse_label_maps, write_label_maps
         from stylesplat.scene.cameras import find_name
@@ -240,11 +237,11 @@ def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> Answer:
     """The objects of a scene, drawn as label maps over renders of its views."""
     from stylesplat.figures.sheets import mask_preview
     from stylesplat.io.images import write_image
-    from stylesplat.masks.quick_splat import rendered_capture
+    from stylesplat.masks.working_splat import rendered_capture
     from stylesplat.rendering.render import pick_device
     from stylesplat.scene.capture import at_most
     from stylesplat.selection.choose import names_of
-    from stylesplat.selection.identities import object_ids, render_labels
+    from stylesplat.selection.labels import object_ids, render_labels
 
     ids, preview, photos = object_ids(scene.splats), None, None
     names = {id: name for id in ids for name in names_of(scene, id)[:1]}

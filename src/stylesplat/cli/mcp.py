@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from stylesplat.cli.arguments import read_command
-from stylesplat.cli.options import PICTURES, Command
-from stylesplat.cli.results import Answer
+from stylesplat.cli.command import PICTURES, Answer, Command
 from stylesplat.errors import StyleSplatError, brief
 
 if TYPE_CHECKING:

@@ -11,9 +11,12 @@ from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
 from stylesplat.cli.arguments import parse_place
-from stylesplat.cli.options import EditingCommand, MakingCommand, OptionalOutput, SceneFolder
-from stylesplat.cli.results import (
+from stylesplat.cli.command import (
     Answer,
+    EditingCommand,
+    MakingCommand,
+    OptionalOutput,
+    SceneFolder,
     object_commands,
     optional_picture,
     selection_file,
@@ -39,7 +42,7 @@ class Objects(MakingCommand):
     def run(self) -> Answer:
         from stylesplat.figures.sheets import object_sheet
         from stylesplat.io.images import write_image
-        from stylesplat.selection.identities import UNLABELLED
+        from stylesplat.selection.labels import UNLABELLED
         from stylesplat.verbs.objects import extents
 
         if self.output is not None:
@@ -64,7 +67,7 @@ class Objects(MakingCommand):
 
 
 def _object_lines(objects: list[dict[str, Any]], places: dict[str, Any]) -> Iterator[str]:
-    from stylesplat.scene.one_line import counted
+    from stylesplat.errors import counted
 
     named, ids = dict(places["named"]), dict[str, int]()
     for each in objects:

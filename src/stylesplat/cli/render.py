@@ -1,16 +1,16 @@
-"""`stylesplat render`."""
+"""`stylesplat render`; `view` and `studio`: pages that are served until Ctrl-C."""
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal, NoReturn
 
 from tyro.conf import UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.options import Device, MakingCommand, Output, SceneFolder
-from stylesplat.cli.results import Answer
+from stylesplat.cli.command import Answer, Command, Device, MakingCommand, Output, SceneFolder
 from stylesplat.errors import StyleSplatError
+from stylesplat.progress import say
 
 MOST_PIXELS = 16_384  # along a picture's side
 MOST_RATE = 1000  # frames a second, and seconds
@@ -51,8 +51,8 @@ class Render(MakingCommand):
     device: Device = "auto"
 
     def run(self) -> Answer:
-        from stylesplat.io.view_files import is_video, refuse_taken, write_views
-        from stylesplat.scene.one_line import counted
+        from stylesplat.errors import counted
+        from stylesplat.io.renders import is_video, refuse_taken, write_views
 
         refuse_taken(self.output, overwrite=self.overwrite)
         cameras, fps = self._cameras(scene := ss.open(self.scene))
@@ -72,8 +72,8 @@ class Render(MakingCommand):
 
     def _cameras(self, scene: "ss.Scene") -> "tuple[ss.Cameras, float | None]":
         """The cameras to render from, and the frames a second that were asked for."""
-        from stylesplat.io.view_files import is_video
-        from stylesplat.scene.framing import frame_count
+        from stylesplat.io.renders import is_video
+        from stylesplat.scene.virtual_cameras import frame_count
         from stylesplat.verbs.render import FPS, FRAMES, cameras_of_views
 
         self._refuse_mixed()
@@ -119,3 +119,49 @@ def _parse_size(text: str) -> tuple[int, int]:
             f"Expected WIDTHxHEIGHT in pixels, each 2 to {MOST_PIXELS:,}, got {text!r}."
         )
     return width, height
+
+
+@dataclass(frozen=True)
+class ViewCommand(Command):
+    """Look at a scene in the browser.
+
+    Example: stylesplat view garden-wave
+    """
+
+    scene: SceneFolder
+    port: int = 8080
+    """Port on 127.0.0.1, or the next free one."""
+    after_interruption: ClassVar[str] = "The viewer is closed."
+
+    def run(self) -> NoReturn:
+        from stylesplat.studio_app.studio import until_interrupted
+
+        viewer = ss.view(ss.open(self.scene), port=self.port, block=False)
+        say("Ctrl-C closes the viewer.")
+        until_interrupted(viewer.close)
+
+
+@dataclass(frozen=True)
+class StudioCommand(Command):
+    """Choose objects, paint them and compare, in the browser.
+
+    Example: stylesplat studio garden-scene --styles Paintings
+    """
+
+    scene: SceneFolder
+    styles: Path | None = None
+    """Folder of style pictures; more can be added in the browser."""
+    port: int = 8080
+    """Port, or the next free one."""
+    host: str = "127.0.0.1"
+    """Address to serve at; any other than 127.0.0.1 lets the network in."""
+    device: Device = "auto"
+    after_interruption: ClassVar[str] = "The studio is closed."
+
+    def run(self) -> NoReturn:
+        from stylesplat.studio_app.studio import until_interrupted
+
+        options = {"port": self.port, "host": self.host, "device": self.device}
+        studio = ss.studio(self.scene, styles=self.styles, block=False, **options)
+        say("Ctrl-C closes the studio; what is not saved is kept.")
+        until_interrupted(studio.close)

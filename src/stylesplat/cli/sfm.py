@@ -9,8 +9,15 @@ from tyro.conf import Positional
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, parse_place
-from stylesplat.cli.options import CONTINUES, MakingCommand, OptionalOutput, Output
-from stylesplat.cli.results import Answer, mask_command, next_command
+from stylesplat.cli.command import (
+    CONTINUES,
+    Answer,
+    MakingCommand,
+    OptionalOutput,
+    Output,
+    mask_command,
+    next_command,
+)
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.atomic import changing, partial_of
 from stylesplat.progress import say
@@ -44,7 +51,7 @@ class Sfm(MakingCommand):
     after_interruption: ClassVar[str] = CONTINUES
 
     def run(self) -> Answer:
-        from stylesplat.io.captures.sfm_file import SFM_FILE, read_sfm
+        from stylesplat.io.captures.capture_folder import SFM_FILE, read_sfm
         from stylesplat.verbs.sfm import PICTURE
 
         ss.sfm(
@@ -168,9 +175,9 @@ def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path
 def _check_drawn(given: Path, drawn: Drawn) -> None:
     """Check names and boxes, except in a video, whose frames have no names yet."""
     from stylesplat.io.images import image_sizes
-    from stylesplat.scene.arguments import check_box
+    from stylesplat.options import check_box
     from stylesplat.scene.cameras import find_name
-    from stylesplat.structure_from_motion.photo_folder import find_sources
+    from stylesplat.structure_from_motion.photos import find_sources
 
     photos = find_sources(given, skip=partial_of(given)).photos if given.is_dir() else ()
     for view, box in drawn if photos else ():

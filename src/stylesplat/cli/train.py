@@ -14,8 +14,16 @@ from tyro.conf import Positional
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config
-from stylesplat.cli.options import CONTINUES, Device, MakingCommand, Output
-from stylesplat.cli.results import Answer, describe_scene, new_scene, pasted
+from stylesplat.cli.command import (
+    CONTINUES,
+    Answer,
+    Device,
+    MakingCommand,
+    Output,
+    describe_scene,
+    new_scene,
+    pasted,
+)
 from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import is_there

@@ -20,13 +20,13 @@ from typing import Any
 import torch
 
 from stylesplat.demo.demo_run import STYLES, copy_capture
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.rendering.render import pick_device, rasterize, render
-from stylesplat.scene.cache import GIB
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.sequences import GIB
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.verbs.load import load
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 from stylesplat.verbs.train import train

@@ -9,18 +9,16 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.metrics.images import psnr, ssim
-from stylesplat.metrics.iou import object_iou
+from stylesplat.imaging.similarity import object_iou, psnr, ssim
 from stylesplat.progress import say, track
 from stylesplat.rendering.render import rasterize, render
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import BACKGROUND, Labels
+from stylesplat.scene.capture import BACKGROUND, Capture, Labels
 from stylesplat.scene.outliers import scene_extent
 from stylesplat.scene.projection import crop
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
+from stylesplat.selection.labels import render_labels
 from stylesplat.training.adam import Moments, adam_step
 from stylesplat.training.losses import photometric_loss
 from stylesplat.training.per_photo import (

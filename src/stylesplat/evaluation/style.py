@@ -8,21 +8,20 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.color.lab import LUMA, cells, distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.changes import measure_changes
-from stylesplat.evaluation.consistency import view_consistency
-from stylesplat.metrics.images import ssim_map
+from stylesplat.evaluation.changes import measure_changes, view_consistency
+from stylesplat.imaging.color import LUMA, cells, distinct, lab_from_rgb, nearest_colors, thinned
+from stylesplat.imaging.similarity import ssim_map
 from stylesplat.progress import say
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.optimize import target_features
-from stylesplat.stylization.style_image import all_colors, fit_style, style_features
+from stylesplat.stylization.style import all_colors, fit_style, style_features
 from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import (
     Box,

@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from stylesplat.color.lab import lab_from_rgb
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import CELL
+from stylesplat.imaging.color import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import render
@@ -21,9 +21,9 @@ from stylesplat.rendering.shares import colors_and_coverage, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import solid
 from stylesplat.scene.projection import crop, share_in_images
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import MIN_COVERAGE
+from stylesplat.selection.labels import MIN_COVERAGE
 from stylesplat.stylization.views import SURVEY_SIZE
 
 VIEWS = 3  # of an object

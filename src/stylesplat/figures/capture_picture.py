@@ -13,8 +13,8 @@ from torch import Tensor
 from stylesplat.figures.grid import INK, Row, add_legend, draw_grid
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import move_cameras
-from stylesplat.structure_from_motion.capture_statistics import STRIDE
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
+from stylesplat.structure_from_motion.world_frame import STRIDE
 
 PANEL = 720  # pixels along a side of a panel
 OVERSAMPLING = 2  # panels are drawn larger by this, for smooth lines

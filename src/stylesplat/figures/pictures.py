@@ -15,7 +15,7 @@ from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import MIN_COVERAGE, render_labels, require_identities
+from stylesplat.selection.labels import MIN_COVERAGE, render_labels, require_identities
 
 Background = tuple[float, float, float] | None
 """A colour in 0..1, or None where the picture is to be transparent."""

@@ -28,23 +28,21 @@ from stylesplat.figures.grid import (
     wrap_cells,
 )
 from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
+from stylesplat.imaging.similarity import psnr
 from stylesplat.io.captures.capture_folder import open_capture
-from stylesplat.metrics.images import psnr
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.rendering.shares import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture, at_most
+from stylesplat.scene.capture import BACKGROUND, Capture, at_most, ids_of
 from stylesplat.scene.compose import require_painted
-from stylesplat.scene.labels import BACKGROUND, ids_of
 from stylesplat.scene.projection import crop
-from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import MIN_COVERAGE, object_ids, render_labels
-from stylesplat.selection.pick import each_object
-from stylesplat.selection.soft_picks import own_shares, survey
+from stylesplat.selection.labels import MIN_COVERAGE, each_object, object_ids, render_labels
+from stylesplat.selection.shares import own_shares, survey
 
 MAX_COLUMNS = 4  # of a sheet with few objects; a sheet of many is about square
 SURVEY_VIEWS = 24  # views searched for the best ones of each object

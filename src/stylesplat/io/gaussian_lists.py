@@ -21,7 +21,7 @@ from stylesplat.errors import brief, some
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes, reading
 from stylesplat.io.ply import read_ply_table
-from stylesplat.scene.labels import MAX_ID
+from stylesplat.scene.capture import MAX_ID
 from stylesplat.scene.scene import ListedObject, ListedObjects, is_id, name_fault
 
 LISTS = ".npz"  # what `write_objects` makes

@@ -6,10 +6,9 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from stylesplat.errors import StyleSplatError, some
+from stylesplat.errors import StyleSplatError, pasted, some
 from stylesplat.io.files import is_file, is_folder, is_there
-from stylesplat.io.json_files import read_json
-from stylesplat.scene.arguments import pasted
+from stylesplat.io.json_yaml import read_json
 
 HEIC = (".heic", ".heif", ".hif")
 PHOTOS = (

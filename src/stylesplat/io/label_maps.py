@@ -19,29 +19,30 @@ from stylesplat.io.atomic import REPLACING, atomic_folder, atomic_path, refuse_o
 from stylesplat.io.captures.photos import Photo, same_shape
 from stylesplat.io.files import inside, is_file, require_regular
 from stylesplat.io.images import image_sizes
-from stylesplat.io.json_files import fitting, read_json, write_json
+from stylesplat.io.json_yaml import fitting, read_json, write_json
 from stylesplat.io.kinds import PHOTOS, kind_of
-from stylesplat.io.mask_names import match_masks, without_suffix
 from stylesplat.io.mask_pictures import (
     IDS_NOTE,
     RGB_CODE,
     Reading,
     find_reading,
+    match_masks,
     read_label_map,
     read_mask,
+    without_suffix,
 )
 from stylesplat.progress import say, track
-from stylesplat.scene.cache import Lazy
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import (
+from stylesplat.scene.capture import (
     BACKGROUND,
     MAX_ID,
+    Capture,
     Labels,
     Mask,
     OwnLabels,
     ids_of,
     resize_labels,
 )
+from stylesplat.scene.sequences import Lazy
 
 NAMES = "names.json"  # beside the label maps: the objects' names by id
 

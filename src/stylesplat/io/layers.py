@@ -13,10 +13,10 @@ from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, within
-from stylesplat.io.json_files import FilePath, fitting, read_json_as, write_json
+from stylesplat.io.json_yaml import FilePath, fitting, read_json_as, write_json
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import GAUSSIANS, Declared, read_tensors, write_tensors
-from stylesplat.scene.arguments import MAX_INTENSITY
+from stylesplat.options import MAX_INTENSITY
 from stylesplat.scene.layer import Kind, Layer, Source, recoloring
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.scene.splats import Splats

@@ -12,11 +12,10 @@ import torch
 from msgspec import Meta
 from torch import Tensor
 
-from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.atomic import atomic_folder, revise_folder
-from stylesplat.io.cameras_file import read_cameras, write_cameras
-from stylesplat.io.json_files import MAX_JSON, FilePath, PhotoName, fitting, read_json, write_json
+from stylesplat.io.cameras import read_cameras, write_cameras
+from stylesplat.io.json_yaml import MAX_JSON, FilePath, PhotoName, fitting, read_json, write_json
 from stylesplat.io.kinds import CAMERAS, SCENE, find_capture, wrong_kind
 from stylesplat.io.layers import LAYERS, STACK, read_layers, write_layers
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, splat_fault, write_splat_ply
@@ -29,8 +28,9 @@ from stylesplat.io.tensors import (
     read_tensors,
     write_tensors,
 )
+from stylesplat.options import check_arguments
 from stylesplat.progress import say
-from stylesplat.scene.labels import MAX_ID
+from stylesplat.scene.capture import MAX_ID
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene, SceneObject, check_name, name_fault
 from stylesplat.scene.splats import Classifier, Splats

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes, reading
-from stylesplat.scene.labels import MAX_ID
+from stylesplat.scene.capture import MAX_ID
 from stylesplat.scene.splats import IDENTITY_SIZE
 from stylesplat.scene.world_offset import LARGEST_POSITION
 

@@ -7,13 +7,22 @@ the side that the mask says, which holds contours where the photo shows none.
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from scipy.ndimage import distance_transform_edt, maximum_filter
 from scipy.sparse import coo_array, csr_array, diags_array
 
-from stylesplat.masks.grabcut import ColorLevels, window_around
-from stylesplat.scene.labels import Mask
-from stylesplat.selection.random_walks import solve_symmetric
+from stylesplat.scene.capture import Mask
+from stylesplat.selection.surface_cut import solve_symmetric
+
+ColorLevels = UInt8[np.ndarray, "H W 3"]
+
+
+def window_around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """The rows and columns that a mask spans, with a margin."""
+    spans = ((int(places.min()), int(places.max())) for places in np.nonzero(mask))
+    rows, columns = (slice(max(0, first - margin), last + 1 + margin) for first, last in spans)
+    return rows, columns
+
 
 BAND = 0.06  # of the root of the mask's area: how far a contour may move
 MIN_BAND = 2.0  # pixels

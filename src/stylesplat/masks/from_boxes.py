@@ -11,11 +11,18 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import overlay_masks
 from stylesplat.masks.box_propagation import propagate_boxes, spread_marks, view_images
 from stylesplat.masks.grabcut import Box, Stroke, pixels_inside, refuse_box
-from stylesplat.masks.quick_splat import with_label_maps, working_splat
-from stylesplat.scene.arguments import BOX, Places, check_box, parse_places
+from stylesplat.masks.working_splat import with_label_maps, working_splat
+from stylesplat.options import BOX, Places, check_box, parse_places
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture, at_most
-from stylesplat.scene.labels import BACKGROUND, Mask, OwnLabels, ids_of, resize_labels
+from stylesplat.scene.capture import (
+    BACKGROUND,
+    Capture,
+    Mask,
+    OwnLabels,
+    at_most,
+    ids_of,
+    resize_labels,
+)
 from stylesplat.scene.scene import Scene, check_name
 
 SIZE = 480  # pixels of the longer side at which objects are cut out

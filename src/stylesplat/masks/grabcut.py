@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.metrics.iou import mask_iou
-from stylesplat.scene.labels import Mask
+from stylesplat.imaging.similarity import mask_iou
+from stylesplat.masks.contours import ColorLevels, window_around
+from stylesplat.scene.capture import Mask
 
 ITERATIONS = 5
 SEED = 0  # of OpenCV's clustering
@@ -30,7 +31,6 @@ CHANNELS = ((0, 1, 2), (1, 2, 3), (0, 1, 3), (0, 2, 3))
 
 Box = tuple[float | int, float | int, float | int, float | int]
 Channels = tuple[int, int, int]
-ColorLevels = UInt8[np.ndarray, "H W 3"]
 """Lightness and the two chroma axes of CIELAB, some 2.5 levels a unit."""
 GrabCutImage = UInt8[np.ndarray, "H W 4"]
 """Color levels and inverse depth."""
@@ -172,10 +172,3 @@ def _dilate(mask: np.ndarray, radius: float) -> np.ndarray:
     side = 2 * max(1, round(radius)) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     return cv2.dilate(mask.astype(np.uint8), disc) > 0
-
-
-def window_around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """The rows and columns that a mask spans, with a margin."""
-    spans = ((int(places.min()), int(places.max())) for places in np.nonzero(mask))
-    rows, columns = (slice(max(0, first - margin), last + 1 + margin) for first, last in spans)
-    return rows, columns

@@ -1,11 +1,18 @@
-"""Masks of other programs as label maps: pictures of ids, binary masks by object, COCO's RLE."""
+"""Masks of other programs as label maps: pictures of ids, masks by object, run lengths of COCO."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.lens import MAX_SIDE
+from stylesplat.io.images import MAX_PIXELS
+from stylesplat.io.json_yaml import MAX_BYTES, fitting, read_json_as
 from stylesplat.io.kinds import kind_of
 from stylesplat.io.label_maps import (
     DrawnLabels,
@@ -14,9 +21,127 @@ from stylesplat.io.label_maps import (
     overlay_masks,
     sizes_differ,
 )
-from stylesplat.io.mask_names import match_masks, without_suffix
-from stylesplat.masks.coco import decode_rle, read_coco, rle_size
-from stylesplat.scene.labels import BACKGROUND, Labels, OwnLabels, ids_of
+from stylesplat.io.mask_pictures import match_masks, without_suffix
+from stylesplat.scene.capture import BACKGROUND, MAX_ID, Labels, Mask, OwnLabels, ids_of
+
+REMEDY = "Export images, annotations and RLE masks."
+MAX_BITS = 40  # of a run's letters; 8 letters of 5, more than MAX_PIXELS needs
+Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_SIDE)]
+Run = Annotated[int, msgspec.Meta(ge=0, le=MAX_PIXELS)]
+
+
+class CocoImage(msgspec.Struct):
+    id: int | str
+    file_name: str
+
+
+class CocoCategory(msgspec.Struct):
+    id: int
+    name: int | float | str
+
+
+class CocoAnnotation(msgspec.Struct):
+    image_id: int | str
+    segmentation: Any  # checked when the mask is decoded: masks of other photos do not matter
+    category_id: int | None = None
+    track_id: int | None = None
+
+
+class CocoFile(msgspec.Struct):
+    images: list[CocoImage]
+    annotations: list[CocoAnnotation]
+    categories: list[CocoCategory] = []
+
+
+class RunLengths(msgspec.Struct):
+    """A mask of COCO's run lengths, plain or compressed: columns first, starting with zeros."""
+
+    size: tuple[Side, Side]
+    """Height and width."""
+    counts: str | list[Run]
+
+
+def read_coco(source: Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[int, str]]:
+    """Read the masks in a file; an object is a track, or else a category.
+
+    Returns:
+        By photo's name without suffix the objects' ids and their run lengths, unchecked; and by
+        id the names of categories.
+    """
+    # Some programs write ids as 3.0 or "3"
+    content = read_json_as(source, CocoFile, REMEDY, most=MAX_BYTES, strict=False)
+    files = {
+        image.id: PurePosixPath(image.file_name).with_suffix("").as_posix()
+        for image in content.images
+    }
+    kinds = {kind.id: str(kind.name) for kind in content.categories}
+    tracked = any(each.track_id is not None for each in content.annotations)
+    names: dict[int, str] = {}
+    found: dict[str, list[tuple[int, Any]]] = {}
+    for each in content.annotations:
+        number = each.track_id if tracked else each.category_id
+        fault = None
+        if each.image_id not in files:
+            fault = f"there is no image {each.image_id!r}"
+        elif number is None:
+            fault = f"an annotation has no {'track_id' if tracked else 'category_id'}"
+        elif not 0 < number <= MAX_ID:
+            fault = f"the id {number} is not within 1 to {MAX_ID}; 0 is background"
+        if number is None or fault:
+            raise StyleSplatError(f"Cannot read {source} as COCO annotations: {fault}. {REMEDY}")
+        if not tracked and number in kinds:
+            names[number] = kinds[number]
+        found.setdefault(files[each.image_id], []).append((number, each.segmentation))
+    return found, names
+
+
+def rle_size(rle: Any, source: Path) -> tuple[int, int]:
+    """Width and height of a mask, without decoding it."""
+    height, width = _run_lengths(rle, source).size
+    return width, height
+
+
+def decode_rle(rle: Any, source: Path) -> Mask:
+    """Decode a mask.
+
+    Raises:
+        StyleSplatError: If the runs do not fill the mask, or it has more pixels than a photo.
+    """
+    checked = _run_lengths(rle, source)
+    height, width = checked.size
+    runs = _unpack(checked.counts) if isinstance(checked.counts, str) else checked.counts
+    # Python's integers do not wrap; NumPy's sum would, and np.repeat write out of bounds
+    fits = height * width <= MAX_PIXELS and sum(runs) == height * width
+    if not fits or min(runs, default=0) < 0:
+        raise StyleSplatError(
+            f"Cannot read a mask in {source}: its runs do not hold the pixels of {height}x{width}, "
+            "or no photo is as large. Export the masks again."
+        )
+    values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+    return torch.from_numpy(np.ascontiguousarray(values.reshape(width, height).T))
+
+
+def _run_lengths(rle: Any, source: Path) -> RunLengths:
+    what, remedy = f"Cannot read a mask in {source}", "Polygons are not understood: export RLE."
+    return fitting(rle, RunLengths, what, remedy)
+
+
+def _unpack(text: str) -> list[int]:
+    """Run lengths from COCO's string: groups of 5 bits, and differences to the last but one."""
+    value = shift = 0
+    runs: list[int] = []
+    for letter in text:
+        group = ord(letter) - 48
+        value |= (group & 0x1F) << shift
+        shift += 5
+        if shift > MAX_BITS:  # a damaged string: numbers of any length would be slow
+            return []
+        if not group & 0x20:
+            if group & 0x10:  # negative
+                value -= 1 << shift
+            runs.append(value + runs[-2] if len(runs) > 2 else value)
+            value = shift = 0
+    return runs
 
 
 def import_label_maps(source: Path, names: Sequence[str]) -> FoundMasks:

@@ -18,7 +18,7 @@ from torch import Tensor
 from stylesplat.progress import task, track
 from stylesplat.rendering.shares import PRIOR, label_votes, largest_shown, scaled_rows
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.labels import BACKGROUND, Labels, OwnLabels, resize_labels
+from stylesplat.scene.capture import BACKGROUND, Labels, OwnLabels, resize_labels
 from stylesplat.scene.splats import Splats
 
 SIDE = 640  # pixels of a photo's longer side that suffice to tell what it shows

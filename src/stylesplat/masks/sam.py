@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from stylesplat.masks.propagation import VideoPropagator
-from stylesplat.models.hub import find_model, load_model, load_processor
-from stylesplat.scene.labels import Mask
+from stylesplat.io.hub import find_model, load_model, load_processor
+from stylesplat.masks.tracking import VideoPropagator
+from stylesplat.scene.capture import Mask
 
 Method = Literal["sam", "sam2", "edgetam", "sam3"]
 

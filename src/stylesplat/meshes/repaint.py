@@ -19,7 +19,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from stylesplat.color.palette import build_palette
+from stylesplat.imaging.color import build_palette
 from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.surface import MeshViews, face_areas
 from stylesplat.meshes.texture import Texels, TexturedMesh, texels_of
@@ -35,8 +35,7 @@ from stylesplat.stylization.optimize import (
     style_pictures,
     survey_detail,
 )
-from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_image import all_colors
+from stylesplat.stylization.style import Style, all_colors
 from stylesplat.stylization.target import PaintContext, load_network, paint_context
 from stylesplat.stylization.views import (
     MARGIN,

@@ -25,7 +25,6 @@ from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.shares import COVERED, expected_depth, without_looks
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import extent_of
-from stylesplat.scene.framing import centred_K
 from stylesplat.scene.projection import (
     normals_towards,
     pixel_centres,
@@ -33,8 +32,9 @@ from stylesplat.scene.projection import (
     share_in_images,
     unproject,
 )
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.virtual_cameras import centred_K
 from stylesplat.stylization.views import per_view
 
 AROUND = 48  # directions all around

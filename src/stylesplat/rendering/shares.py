@@ -17,7 +17,7 @@ from torch.nn.functional import pad
 from stylesplat.rendering.render import rasterize, render
 from stylesplat.rendering.visibility import LARGE, pixel_bounds
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.labels import BACKGROUND, ids_of
+from stylesplat.scene.capture import BACKGROUND, ids_of
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 

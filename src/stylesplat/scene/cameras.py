@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, some
-from stylesplat.scene.one_line import counted, one_line, pixels
+from stylesplat.errors import StyleSplatError, counted, one_line, some
 
 UP_RIDGE = 0.01  # weight of the cameras' mean up axis against their x axes
 PARALLEL = 1e-3  # mean squared sine between view axes (about 2 degrees) below which they never meet
@@ -210,3 +209,9 @@ def median_lens(cameras: Cameras) -> tuple[Float[Tensor, "3 3"], tuple[int, int]
     K = cameras.Ks[row].clone()
     K[0, 2], K[1, 2] = width / 2, height / 2
     return K, (width, height)
+
+
+def pixels(sizes: Tensor) -> str:
+    """Rows of width and height as '540x960', or as the smallest 'to' the largest."""
+    known = sorted({(w, h) for w, h in sizes.tolist()}, key=lambda size: size[0] * size[1])
+    return " to ".join(f"{w}x{h}" for w, h in dict.fromkeys((*known[:1], *known[-1:])))

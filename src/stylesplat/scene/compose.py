@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.scene.arguments import pasted
+from stylesplat.errors import StyleSplatError, pasted
 from stylesplat.scene.layer import RECOLOR, Layer
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import SH_C0, Splats, map_bands

@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from stylesplat.errors import some
-from stylesplat.scene.one_line import counted, one_line
+from stylesplat.errors import counted, one_line, some
 from stylesplat.scene.splats import Splats
 
 Kind = Literal["paint", "recolour"]

@@ -14,9 +14,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stylesplat.errors import some
+from stylesplat.errors import counted, some
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.one_line import counted
 from stylesplat.scene.projection import is_in_image, project
 
 FEWEST = 3  # cameras: of two, neither is the one that is wrong

@@ -10,10 +10,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief, check_choice, some
-from stylesplat.scene.cameras import Cameras
+from stylesplat.errors import StyleSplatError, brief, check_choice, counted, one_line, some
+from stylesplat.scene.cameras import Cameras, pixels
 from stylesplat.scene.layer import Layer
-from stylesplat.scene.one_line import counted, one_line, pixels
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import Offset
 

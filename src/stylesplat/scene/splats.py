@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.scene.one_line import counted, one_line
+from stylesplat.errors import StyleSplatError, counted, one_line
 from stylesplat.scene.world_offset import ORIGIN, Offset, from_world, to_world
 
 SH_C0 = 0.28209479177387814  # sqrt(1 / 4 pi): value of the constant band of colour

@@ -8,18 +8,18 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.scene.arguments import PickSize, pasted
+from stylesplat.errors import StyleSplatError, pasted
+from stylesplat.options import PickSize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import family, mask_of
 from stylesplat.scene.scene import Scene, SceneObject, is_id
 from stylesplat.scene.world_offset import from_world
-from stylesplat.selection.identities import object_ids
-from stylesplat.selection.pick import (
+from stylesplat.selection.labels import (
     THRESHOLD,
     Box,
     Point,
     each_object,
+    object_ids,
     pick,
     require_any,
     resolve_ids,
@@ -267,7 +267,7 @@ def _clicked(scene: Scene, choice: Choice) -> Bool[Tensor, " N"]:
     """What is clicked on the surface, whether or not there are labels."""
     if not choice.points:
         raise StyleSplatError("--size and --not-point on a surface go with --point. Add one.")
-    from stylesplat.selection.clicks import pick_clicked  # slow to load
+    from stylesplat.selection.surface_cut import pick_clicked
 
     size = choice.size or ("part" if choice.of else "object")
     picked = pick_clicked(scene.unpainted, scene.cameras, choice.points, choice.not_points, size)

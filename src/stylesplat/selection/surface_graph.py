@@ -17,8 +17,8 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn.functional import normalize, pad
 
-from stylesplat.color.lab import lab_from_rgb
 from stylesplat.errors import StyleSplatError
+from stylesplat.imaging.color import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import (
@@ -28,11 +28,11 @@ from stylesplat.rendering.shares import (
     contributed,
     without_looks,
 )
-from stylesplat.scene.cache import cached_while_alive
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, pixel_centres, unproject
+from stylesplat.scene.sequences import cached_while_alive
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.soft_picks import sampled_views
+from stylesplat.selection.shares import sampled_views
 
 # Edge of a patch in pixels of the sampled views, at the median distance. On the fox and the demo 4
 # to 9 give the same objects.

@@ -10,17 +10,15 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.models.hub import find_model, load_model, load_processor
+from stylesplat.errors import StyleSplatError, pasted
+from stylesplat.io.hub import find_model, load_model, load_processor
 from stylesplat.progress import track
 from stylesplat.rendering.render import render
-from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.labels import BACKGROUND
-from stylesplat.scene.sampling import far_apart
+from stylesplat.scene.capture import BACKGROUND
+from stylesplat.scene.sequences import far_apart
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import render_labels
-from stylesplat.selection.pick import SCENE
+from stylesplat.selection.labels import SCENE, render_labels
 
 CHECKPOINT = "IDEA-Research/grounding-dino-tiny"
 GROUNDED = ("grounding-dino", "mm-grounding-dino")  # score every word of a text for every box

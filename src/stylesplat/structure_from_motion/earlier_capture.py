@@ -12,14 +12,14 @@ from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import is_file, is_there, real_path
 
 if TYPE_CHECKING:
-    from stylesplat.io.captures.sfm_file import SfmRecord
+    from stylesplat.io.captures.capture_folder import SfmRecord
 
 SUFFIX = "-capture"  # after the name of the photos' folder
 
 
 def source_digest(source: Path) -> str:
     """SHA-256 of the names and sizes of the photos and videos."""
-    from stylesplat.structure_from_motion.photo_folder import find_sources
+    from stylesplat.structure_from_motion.photos import find_sources
 
     folder, names = source.parent, [source.name]
     if source.is_dir():
@@ -41,7 +41,7 @@ def capture_place(given: Path, *, beside: Path) -> Path:
 
 def find_earlier_capture(given: Path, *, beside: Path) -> Path | None:
     """The capture that was made of photos or a video; an error if these have changed since."""
-    from stylesplat.io.captures.sfm_file import read_sfm
+    from stylesplat.io.captures.capture_folder import read_sfm
 
     stale = None
     for place in dict.fromkeys(capture_place(given, beside=near) for near in (given, beside)):

@@ -21,7 +21,7 @@ from stylesplat.io.captures.photos import OPAQUE, same_shape
 from stylesplat.io.files import inside
 from stylesplat.io.images import decode, image_sizes, open_image
 from stylesplat.progress import track
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.structure_from_motion.workspace import (
     Workspace,
     mask_file,

@@ -8,17 +8,18 @@ from pathlib import Path
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import partial_of
 from stylesplat.io.files import inside, require_regular
-from stylesplat.io.json_files import read_json_as, write_json
+from stylesplat.io.json_yaml import read_json_as, write_json
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
-from stylesplat.structure_from_motion.photo_files import map_photos, write_photo
-from stylesplat.structure_from_motion.photo_folder import (
+from stylesplat.structure_from_motion.photos import (
     RAW,
     PreparedPhotos,
     SourceFiles,
     find_sources,
+    map_photos,
     select_photos,
     too_few_photos,
+    write_photo,
 )
 from stylesplat.structure_from_motion.video_keyframes import (
     open_video,

@@ -20,7 +20,7 @@ from jaxtyping import UInt8
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason, require_regular
 from stylesplat.io.images import MAX_PIXELS, write_image
-from stylesplat.io.video import SMOOTH_COLOR
+from stylesplat.io.renders import SMOOTH_COLOR
 from stylesplat.progress import say, task
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
 from stylesplat.structure_from_motion.image_measures import (
@@ -31,7 +31,7 @@ from stylesplat.structure_from_motion.image_measures import (
     relative_sharpness,
     sharpness,
 )
-from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
+from stylesplat.structure_from_motion.photos import PreparedPhotos
 
 # FFmpeg's demuxers: no playlists, which name files and addresses, and no lists of pictures
 CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,asf,flv,ogg,h264,hevc,mjpeg,ivf,mxf"

@@ -15,12 +15,12 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.files import cannot_write, inside
-from stylesplat.io.json_files import read_json, write_json
+from stylesplat.io.json_yaml import read_json, write_json
 from stylesplat.progress import say
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.structure_from_motion.colmap_process import FATAL, is_disk_full, run_stage
 from stylesplat.structure_from_motion.config import SfmConfig
-from stylesplat.structure_from_motion.photo_files import CameraGroup, group_by_camera
+from stylesplat.structure_from_motion.photos import CameraGroup, group_by_camera
 
 # Photos of one object alone do not tell OPENCV's distortion: the test's turntable fell to pieces
 OBJECT_LENS = "SIMPLE_RADIAL"

@@ -18,31 +18,28 @@ import msgspec
 import torch
 from PIL import Image
 
-from stylesplat.color.recolor_config import RecolorConfig
-from stylesplat.errors import StyleSplatError
-from stylesplat.figures.orbits import turned_view
+from stylesplat.errors import StyleSplatError, pasted
 from stylesplat.figures.web_page import start_of
 from stylesplat.io.layers import RECIPE
+from stylesplat.io.renders import write_video
 from stylesplat.io.style_pictures import MATERIALS, PREFIX
-from stylesplat.io.video import write_video
-from stylesplat.scene.arguments import pasted
 from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
-from stylesplat.scene.framing import has_no_photos
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.scene import Scene
-from stylesplat.studio_app import layers, picking
+from stylesplat.scene.virtual_cameras import has_no_photos, turned_view
+from stylesplat.studio_app import edits as layers
+from stylesplat.studio_app import edits as picking
 from stylesplat.studio_app import messages as m
-from stylesplat.studio_app.autosave import SceneStore
-from stylesplat.studio_app.exports import FORMATS, Exporter
+from stylesplat.studio_app.edits import describe_settings, find_layer, recoloring_of
+from stylesplat.studio_app.files import FORMATS, Exporter, SceneStore
 from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture, style_title
 from stylesplat.studio_app.history import KeptState, StudioState, hidden_rows, object_names
-from stylesplat.studio_app.layers import describe_settings, find_layer, recoloring_of
 from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of, render_display
 from stylesplat.studio_app.session import Display, Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.config import RecolorConfig, StyleConfig
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.export import export
 from stylesplat.verbs.render import orbit, render

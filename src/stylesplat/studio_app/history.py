@@ -13,7 +13,7 @@ from stylesplat.scene.compose import compose, family
 from stylesplat.scene.content import Extent, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object, names_of
-from stylesplat.selection.identities import object_ids
+from stylesplat.selection.labels import object_ids
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,21 +12,20 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.color.transfer import color_map, map_colors
 from stylesplat.errors import StyleSplatError
+from stylesplat.imaging.color import color_map, map_colors
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
-from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats, rgb_from_sh0
+from stylesplat.scene.virtual_cameras import ring_cameras
+from stylesplat.studio_app.edits import refuse_locked
 from stylesplat.studio_app.history import StudioState, hidden_rows, replace_scene
-from stylesplat.studio_app.layers import refuse_locked
 from stylesplat.studio_app.messages import Progress
 from stylesplat.studio_app.session import Display, Session, Stopped
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.style import Style
-from stylesplat.stylization.style_image import all_colors
-from stylesplat.verbs.stylize_live import Live, stylize_live
+from stylesplat.stylization.style import Style, all_colors
+from stylesplat.verbs.stylize import Live, stylize_live
 
 SHOW_EVERY = 0.4  # seconds between two pictures of a painting
 SHOWING = 0.2  # of the time of a painting, which its pictures may take

@@ -7,7 +7,7 @@ content. Its field `kind` is
 - `map`: deflated, one byte a pixel, which object a click takes (1 is the first of `names`, 0 none),
   then two bytes a pixel, the depth as float16;
 - `picked`: deflated, one byte a pixel, how much of it is picked;
-- `splats`: the Gaussians, as `figures/packed.py` packs them, for browsers that draw them.
+- `splats`: the Gaussians, as `figures/web_page.py` packs them, for browsers that draw them.
 """
 
 import json
@@ -23,17 +23,17 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.packed import pack
 from stylesplat.figures.pictures import to_uint8
+from stylesplat.figures.web_page import pack
 from stylesplat.io.images import jpeg
 from stylesplat.rendering.render import render
 from stylesplat.rendering.shares import coverage, render_shares
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import splats_without_paint
-from stylesplat.scene.framing import centred_K
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.identities import MIN_COVERAGE
+from stylesplat.scene.virtual_cameras import centred_K
+from stylesplat.selection.labels import MIN_COVERAGE
 from stylesplat.studio_app.gallery import Pixels
 from stylesplat.studio_app.history import object_names
 from stylesplat.studio_app.messages import Look

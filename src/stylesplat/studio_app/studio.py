@@ -9,16 +9,16 @@ from typing import Any, NoReturn
 
 import torch
 
-from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
+from stylesplat.options import check_arguments
 from stylesplat.progress import say
-from stylesplat.scene.framing import ring_cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.signals import Terminated, mark_handled
 from stylesplat.studio_app.actions import Actions
-from stylesplat.studio_app.autosave import SceneStore
+from stylesplat.studio_app.files import SceneStore
 from stylesplat.studio_app.gallery import Gallery
 from stylesplat.studio_app.server import ADDRESS, PageServer
 from stylesplat.studio_app.session import Session

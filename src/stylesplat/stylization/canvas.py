@@ -23,7 +23,7 @@ from stylesplat.rendering.render import colors_of, rasterize
 from stylesplat.rendering.shares import COVERED, coverage, without_looks
 from stylesplat.rendering.visibility import in_view
 from stylesplat.scene.compose import UNSEEN
-from stylesplat.scene.sampling import drawn
+from stylesplat.scene.sequences import drawn
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.surface import (
     LENGTH,

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from stylesplat.color.lab import LUMA
+from stylesplat.imaging.color import LUMA
 from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.shares import COVERED, coverage, full_coverage, without_looks
@@ -20,7 +20,7 @@ from stylesplat.rendering.visibility import pixel_bounds, touching
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.projection import crop
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, fade_hidden, fill_holes
 from stylesplat.stylization.views import per_view

@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.color.blur import blur, smooth
-from stylesplat.color.lab import luma_weights
+from stylesplat.imaging.color import luma_weights
+from stylesplat.imaging.similarity import blur, smooth
 from stylesplat.rendering.render import render
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.colors import HIDDEN, STRIDE

@@ -8,11 +8,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.color.palette import Palette
+from stylesplat.imaging.color import Palette
 from stylesplat.rendering.render import render
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.form import (
     FormBand,
     FormSurvey,

@@ -9,14 +9,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.color.palette import Palette, build_palette
-from stylesplat.color.transfer import color_map, mapped
 from stylesplat.errors import StyleSplatError
+from stylesplat.imaging.color import Palette, build_palette, color_map, mapped
 from stylesplat.progress import say
 from stylesplat.rendering.shares import COVERED, colors_and_coverage
-from stylesplat.scene.sampling import drawn, evenly
+from stylesplat.scene.sequences import drawn, evenly
 from stylesplat.scene.splats import Splats, sh0_from_rgb
-from stylesplat.selection.soft_picks import own_shares
+from stylesplat.selection.shares import own_shares
 from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.colors import (
     DARKEST,
@@ -30,11 +29,11 @@ from stylesplat.stylization.colors import (
 )
 from stylesplat.stylization.config import ColorMode, Stage, StyleConfig
 from stylesplat.stylization.confine import confine_canvas
-from stylesplat.stylization.features.network import FeatureNetwork
+from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.form import SURVEY_LENGTH, FormSurvey, form_relief, survey_form
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.objective import Objective, ViewTarget
-from stylesplat.stylization.style_image import (
+from stylesplat.stylization.style import (
     all_colors,
     coarsen_style,
     style_features,

@@ -22,8 +22,7 @@ from stylesplat.scene.layer import Layer, without_identities
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig, plain_settings
 from stylesplat.stylization.confine import reached_pixels
-from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.optimize import PaintState, paint_steps
 from stylesplat.stylization.target import PaintContext, PaintTarget, check_targets, paint_context
 from stylesplat.stylization.views import Box, find_boxes, per_view

@@ -5,14 +5,13 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
 
-from stylesplat.argument_kinds import check_arguments, convert_settings
-from stylesplat.color.recolor_config import recolor_config
 from stylesplat.errors import StyleSplatError, within
 from stylesplat.io.files import read_bytes
+from stylesplat.io.json_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.io.kinds import kind_of
 from stylesplat.io.layers import RECIPE, Intensity, as_tuple
-from stylesplat.io.plain_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.io.style_pictures import is_material, picture_file
+from stylesplat.options import check_arguments, convert_settings
 from stylesplat.scene.layer import Source
 from stylesplat.scene.scene import check_name_or_id
 from stylesplat.stylization.config import (
@@ -21,6 +20,7 @@ from stylesplat.stylization.config import (
     Network,
     Precision,
     StyleConfig,
+    recolor_config,
     with_settings,
     without_retired,
 )

@@ -10,15 +10,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.scene.cache import GIB
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.sequences import GIB
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_objects
 from stylesplat.stylization.config import DEFAULT_NETWORK, Network, Precision, StyleConfig
-from stylesplat.stylization.features.network import FeatureNetwork, fastest_dtype
-from stylesplat.stylization.features.weights import load_weights
+from stylesplat.stylization.features import FeatureNetwork, fastest_dtype, load_weights
 from stylesplat.stylization.style import Recipe, Style, StyledObject, digest
 
 MIN_GAUSSIANS = 50  # fewer cannot show a texture

@@ -19,7 +19,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.shares import COVERED, contributed, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop, project
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Stage
 from stylesplat.stylization.target import PaintContext, PaintTarget

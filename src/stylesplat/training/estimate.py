@@ -3,9 +3,9 @@
 import time
 from dataclasses import replace
 
+from stylesplat.errors import counted
 from stylesplat.progress import say
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.one_line import counted
 from stylesplat.training.densification import MCMCStrategy
 from stylesplat.training.state import Run, State
 from stylesplat.training.step import train_step

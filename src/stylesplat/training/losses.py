@@ -13,7 +13,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import cross_entropy, kl_div, l1_loss, log_softmax
 
-from stylesplat.metrics.images import ssim
+from stylesplat.imaging.similarity import ssim
 from stylesplat.scene.splats import Classifier
 from stylesplat.training.photometric_cpu import Photometric
 

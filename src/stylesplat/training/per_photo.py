@@ -15,10 +15,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from stylesplat.imaging.color import photo_gains
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.exposure import photo_gains
 from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.adam import Moments, adam_step
 from stylesplat.training.state import PER_PHOTO, Run, State

@@ -17,7 +17,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import pad
 
-from stylesplat.metrics.images import C1, C2, WINDOW, ssim_window
+from stylesplat.imaging.similarity import C1, C2, WINDOW, ssim_window
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel
 

@@ -6,9 +6,8 @@ comes back.
 
 from dataclasses import replace
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, counted
 from stylesplat.progress import say
-from stylesplat.scene.one_line import counted
 from stylesplat.training.adam import Moments
 from stylesplat.training.densification import sound_rows
 from stylesplat.training.state import State

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int, Integer
 from torch import Tensor
 
-from stylesplat.metrics.images import decibels
+from stylesplat.imaging.similarity import decibels
 from stylesplat.rendering.render import rasterize
 from stylesplat.training import per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps

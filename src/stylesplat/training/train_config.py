@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
-from stylesplat.argument_kinds import check_settings
 from stylesplat.errors import StyleSplatError, check_choice
+from stylesplat.options import check_settings
 
 ColorCorrection = Literal["auto", "on", "off"]
 Segment = Literal["joint", "lift"]

@@ -13,10 +13,9 @@ from torch import Tensor
 
 from stylesplat.errors import some
 from stylesplat.progress import say, track
-from stylesplat.scene.cache import GIB, Cache
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import Capture
-from stylesplat.scene.labels import BACKGROUND, ids_of, resize_labels, shrink_mask
+from stylesplat.scene.capture import BACKGROUND, Capture, ids_of, resize_labels, shrink_mask
+from stylesplat.scene.sequences import GIB, Cache
 from stylesplat.training.train_config import TrainConfig
 
 KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise

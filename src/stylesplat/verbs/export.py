@@ -6,19 +6,18 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import SUFFIX, write_page
 from stylesplat.io.atomic import atomic_folder, changing, refuse_file
 from stylesplat.io.gaussian_lists import LISTS, SIDECAR, STATE, write_objects
 from stylesplat.io.splats.splat_files import row_order, write_splats
 from stylesplat.meshes.mesh_config import MeshConfig
-from stylesplat.scene.framing import has_no_photos
+from stylesplat.options import check_arguments
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.virtual_cameras import has_no_photos
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.objects import listed_objects
-from stylesplat.selection.scene_parts import cut_out, every_part, rows_of_part
+from stylesplat.selection.objects import cut_out, every_part, listed_objects, rows_of_part
 
 KINDS = {SUFFIX: "a page", LISTS: "a list of objects"}
 IDLE = {  # options without an effect

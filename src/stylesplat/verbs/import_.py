@@ -10,15 +10,14 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import evaluate_views, measured_rows
 from stylesplat.io.gaussian_lists import read_objects
 from stylesplat.io.splats.splat_files import declared_up, read_drawable
-from stylesplat.metrics.images import CHECK_SIZE, CLOSER, frame_fits
+from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
-from stylesplat.scene.capture import Capture, at_most
+from stylesplat.scene.capture import BACKGROUND, Capture, at_most
 from stylesplat.scene.frames import (
     in_frame_of,
     known_frames,
@@ -26,15 +25,14 @@ from stylesplat.scene.frames import (
     offset_of_frame,
     with_poses_of,
 )
-from stylesplat.scene.framing import ring_cameras
-from stylesplat.scene.labels import BACKGROUND
 from stylesplat.scene.scene import ListedObjects, Scene, SceneObject, is_id
 from stylesplat.scene.splats import Splats
+from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.scene.world_offset import offset_text, place_text
-from stylesplat.selection.identities import object_ids
+from stylesplat.selection.labels import object_ids
 from stylesplat.selection.objects import with_names
-from stylesplat.selection.transfer_annotations import transfer_annotations
-from stylesplat.training.lifting import labelled, lift
+from stylesplat.selection.transfer import transfer_annotations
+from stylesplat.training.lifting import CHECK_SIZE, CLOSER, frame_fits, labelled, lift
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]

@@ -6,18 +6,16 @@ from typing import Any
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.argument_kinds import check_arguments
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, brief, pasted
+from stylesplat.options import check_arguments
 from stylesplat.progress import say, track
-from stylesplat.scene.arguments import pasted
 from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.scene.world_offset import Offset, to_world
 from stylesplat.selection.choose import names_of
-from stylesplat.selection.identities import object_ids
+from stylesplat.selection.labels import each_object, object_ids
 from stylesplat.selection.objects import require_named
-from stylesplat.selection.pick import each_object
-from stylesplat.selection.soft_picks import OwnShares
+from stylesplat.selection.shares import OwnShares
 
 
 @check_arguments

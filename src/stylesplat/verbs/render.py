@@ -4,18 +4,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from stylesplat.argument_kinds import check_arguments
-from stylesplat.errors import StyleSplatError, some
-from stylesplat.figures.orbits import orbit_around, orbit_cameras, zoom_to_content
+from stylesplat.errors import StyleSplatError, counted, one_line, some
 from stylesplat.figures.pictures import render_pictures
 from stylesplat.io.images import ViewPicture
+from stylesplat.options import check_arguments
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
-from stylesplat.scene.framing import has_no_photos
-from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.virtual_cameras import (
+    has_no_photos,
+    orbit_around,
+    orbit_cameras,
+    zoom_to_content,
+)
 from stylesplat.selection.choose import find_object
 from stylesplat.torch_modes import steps_in_own_modes
 

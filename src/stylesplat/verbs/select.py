@@ -7,16 +7,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_rows
+from stylesplat.options import BOX, PickSize, Places, check_arguments, check_box, parse_places
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
-from stylesplat.scene.arguments import BOX, PickSize, Places, check_box, parse_places
 from stylesplat.scene.scene import Scene, check_name
 from stylesplat.selection.choose import Choice, choose, whole_of
-from stylesplat.selection.identities import object_ids
-from stylesplat.selection.pick import THRESHOLD
+from stylesplat.selection.labels import THRESHOLD, object_ids
 from stylesplat.selection.text import load_detector
 
 POINT, BOX3D = "x, y", "x0, y0, z0, x1, y1, z1"

@@ -1,7 +1,7 @@
-"""`sfm`: photos or a video in, a capture with poses out."""
+"""`sfm`: photos or a video in, a capture with poses out; `check`: whether it is good enough."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
@@ -12,39 +12,117 @@ from typing import Any, get_type_hints
 import av
 import cv2
 import numpy as np
+import torch
 from jaxtyping import Bool
 
-from stylesplat.argument_kinds import check_arguments, convert_settings
 from stylesplat.errors import StyleSplatError, printable, some
 from stylesplat.figures.capture_picture import capture_picture
 from stylesplat.io.atomic import atomic_folder, changing, partial_of, refuse_occupied
-from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
+from stylesplat.io.captures.capture_folder import (
+    OBJECT_MASK,
+    SFM_FILE,
+    SfmRecord,
+    load,
+    open_capture,
+    unposed_photos,
+    write_sfm,
+)
+from stylesplat.io.captures.colmap import ModelFigures, read_figures
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.captures.sfm_file import SFM_FILE, SfmRecord, write_sfm
 from stylesplat.io.files import inside
 from stylesplat.io.images import image_sizes, write_image
 from stylesplat.io.kinds import refuse_other_than_photos
 from stylesplat.io.label_maps import DrawnLabels
 from stylesplat.masks.import_masks import check_mask_source, import_label_maps
+from stylesplat.options import (
+    BOX,
+    Places,
+    check_arguments,
+    check_box,
+    convert_settings,
+    parse_places,
+)
 from stylesplat.progress import say
-from stylesplat.scene.arguments import BOX, Places, check_box, parse_places
 from stylesplat.scene.cameras import find_name
-from stylesplat.scene.capture import Capture
+from stylesplat.scene.capture import BACKGROUND, Capture
 from stylesplat.scene.frames import Frame
-from stylesplat.scene.labels import BACKGROUND
+from stylesplat.structure_from_motion import diagnostics
 from stylesplat.structure_from_motion.config import SfmConfig
-from stylesplat.structure_from_motion.diagnostics import CaptureReport
+from stylesplat.structure_from_motion.diagnostics import CaptureReport, Finding, two_motions
 from stylesplat.structure_from_motion.earlier_capture import source_digest
-from stylesplat.structure_from_motion.failures import two_motions
 from stylesplat.structure_from_motion.image_measures import SIDE
 from stylesplat.structure_from_motion.object_features import Box, Masks, cut_out_mask
-from stylesplat.structure_from_motion.photo_folder import PreparedPhotos
+from stylesplat.structure_from_motion.photos import PreparedPhotos
 from stylesplat.structure_from_motion.prepare import prepare
-from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct
-from stylesplat.structure_from_motion.undistort import write_colmap
-from stylesplat.structure_from_motion.world_frame import move_to_working_frame
-from stylesplat.verbs.check import advices, check
-from stylesplat.verbs.load import load
+from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct, write_colmap
+from stylesplat.structure_from_motion.world_frame import (
+    find_centre,
+    measure_coverage,
+    measure_photos,
+    move_to_working_frame,
+    working_frame,
+)
+
+
+@check_arguments
+def check(capture: Capture) -> CaptureReport:
+    """Look at a capture: its photos, each once, its poses, points and reconstruction.
+
+    Where the capture was read from a folder, the reconstruction that lies there counts as well,
+    and which photos there have no pose.
+
+    Args:
+        capture: Posed photos; a size of 640 pixels suffices.
+
+    Raises:
+        StyleSplatError: If a photo or the reconstruction is damaged.
+    """
+    capture = capture.without_outliers()
+    cameras, points = capture.cameras, capture.points
+    frame = working_frame(cameras, torch.zeros(0, 3) if points is None else points)
+    outward = find_centre(cameras, points).outward
+    coverage = measure_coverage(cameras, frame, outward=outward)
+    figures = None if capture.path is None else read_figures(capture.path)
+    photos = measure_photos(capture)
+    return CaptureReport(
+        findings=(
+            diagnostics.diagnose_count(len(capture)),
+            *_on_reconstruction(capture, figures),
+            diagnostics.diagnose_sides(coverage, len(capture)),
+            diagnostics.diagnose_heights(coverage),
+            diagnostics.diagnose_distances(coverage),
+            *diagnostics.diagnose_photos(photos, cameras.names),
+        ),
+        blurred=tuple(cameras.names[row] for row in diagnostics.blurred_rows(photos)),
+        weak=tuple(diagnostics.weakly_connected(figures.shared) if figures else ()),
+        coverage=coverage,
+        frame=frame,
+    )
+
+
+def advices(report: CaptureReport, *, known: Collection[str] = ()) -> list[str]:
+    """The poor and then the fair findings, a line each; of `known` findings the advice alone."""
+    lines = [
+        each.advice if each.what in known else each.line
+        for verdict in ("poor", "fair")
+        for each in report.findings
+        if each.verdict == verdict
+    ]
+    return [line[:1].upper() + line[1:] for line in lines]
+
+
+def _on_reconstruction(capture: Capture, figures: ModelFigures | None) -> list[Finding]:
+    found = []
+    if capture.path is not None:
+        posed = {*capture.cameras.names, *capture.outliers.photos}
+        unposed, left_out = unposed_photos(capture.path, posed)
+        found.append(diagnostics.diagnose_poses(len(posed), unposed, left_out))
+    if capture.outliers:
+        found.append(diagnostics.diagnose_outliers(capture.outliers))
+    found += diagnostics.diagnose_model(figures) if figures else []
+    points = capture.points
+    return [*found, diagnostics.diagnose_points(0 if points is None else len(points))]
+
 
 PICTURE = "check.jpg"  # of cameras and points, in the capture
 LISTED = 8  # photos that a line names

@@ -9,17 +9,16 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from stylesplat.argument_kinds import check_arguments
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, counted, one_line
 from stylesplat.figures.best_views import close_up
 from stylesplat.figures.grid import GridPicture, Row, draw_grid
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.style_pictures import Picture
+from stylesplat.options import check_arguments
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_strengths
-from stylesplat.scene.one_line import counted, one_line
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object

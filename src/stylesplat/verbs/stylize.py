@@ -1,23 +1,24 @@
-"""`stylize`: repaint objects of a scene, each in the style of pictures."""
+"""`stylize`: repaint objects in the style of pictures; `stylize_live`: one, step by step."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.style import measure_painted
 from stylesplat.io.style_pictures import Picture
+from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.compose import (
     beneath,
     canvases_last,
+    compose,
     family,
     with_layers,
     with_strengths,
@@ -26,21 +27,22 @@ from stylesplat.scene.compose import (
 from stylesplat.scene.layer import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import Network
-from stylesplat.stylization.features.network import FeatureNetwork
-from stylesplat.stylization.optimize import check_visible
-from stylesplat.stylization.paint import paint_layer
+from stylesplat.stylization.config import Network, Precision
+from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.optimize import PaintState, check_visible, paint_steps
+from stylesplat.stylization.paint import layer_of, paint_layer
 from stylesplat.stylization.style import Recipe, Style, as_recipe
 from stylesplat.stylization.target import (
     MAX_MEMORY,
     PaintContext,
+    PaintTarget,
     PaintTask,
     load_network,
     paint_context,
     paint_tasks,
 )
 from stylesplat.stylization.views import Box
-from stylesplat.verbs.recolor import recolor
+from stylesplat.verbs.adjust import recolor
 
 ContextOf = Callable[[Splats, PaintTask], PaintContext]
 
@@ -209,3 +211,81 @@ def _measure(
     return flat_metrics(
         measure_painted(contexts, targets, styled, held_out=held_out, surveys=surveys)
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Live:
+    """An object that is being painted."""
+
+    state: PaintState
+    before: Scene
+    """The scene as it was given."""
+    beneath: Scene
+    """The scene beneath the object's layer."""
+    place: int
+    """The index of the layer in the stack."""
+    task: PaintTask
+    target: PaintTarget
+    """The object among the Gaussians of `beneath`, and settings."""
+    precision: Precision
+
+    @property
+    def layer(self) -> Layer:
+        """The present layer."""
+        rows = family(self.beneath).to(self.state.parents.device)
+        return self.task.record(layer_of(self.state, self.target, rows), self.precision)
+
+    @property
+    def splats(self) -> Splats:
+        """The present look of all Gaussians."""
+        layers = self.before.layers
+        layers = (*layers[: self.place], self.layer, *layers[self.place + 1 :])
+        return compose(self.before.unpainted, layers)
+
+    def scene(self) -> Scene:
+        """The scene with the present layer, not measured."""
+        return with_layer(self.before, self.place, self.layer)
+
+
+@check_arguments
+def stylize_live(
+    scene: Scene,
+    name: str,
+    style: Style,
+    *,
+    features: Network | None = None,
+    weights: Path | str | None = None,
+    max_memory: float = MAX_MEMORY,
+    device: str = "auto",
+) -> Iterator[Live]:
+    """As `stylize` with one object, step by step.
+
+    Args:
+        scene: What to paint on.
+        name: The object: a name, or a label id.
+        style: What it is to look like.
+        features: The network whose features are matched; by default that of the preset.
+        weights: The network's file.
+        max_memory: GiB for prepared views.
+        device: Where to compute.
+
+    Yields:
+        The state after every step. Whoever stops asking keeps what there is; whoever asks again
+        goes on. After the last step its scene is that of `stylize`.
+
+    Raises:
+        StyleSplatError: As `stylize` does.
+
+    Example:
+        >>> for live in stylize_live(scene, "vase", Style("wave.jpg")):  # doctest: +SKIP
+        ...     if live.state.step == 100:
+        ...         break
+        >>> early = live.scene()  # doctest: +SKIP
+    """
+    (task,) = tasks = paint_tasks(as_recipe({name: style}), scene, features, weights)
+    under, place = beneath(scene, name)
+    context_of = context_maker(scene, tasks, max_memory, pick_device(device))
+    context = context_of(under.splats, task)
+    target = task.target(family(under)).to(context.splats)
+    for state in paint_steps(context, target, preview=True):
+        yield Live(state, scene, under, place, task, target, context.precision_name)

@@ -7,15 +7,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
 
-from stylesplat.argument_kinds import check_arguments
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import Fits, evaluate_views
+from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
-from stylesplat.scene.sampling import evenly
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.objects import with_names
 from stylesplat.training.lifting import lift

@@ -14,8 +14,8 @@ from PIL import Image
 from capture_files import HEIGHT, PINHOLE, WIDTH, save_noise
 from still_life.nerfstudio import write_transforms
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.label_maps import NAMES, write_label_map, write_names
-from stylesplat.verbs.load import load
 
 MakeCapture = Callable[..., Path]
 FISHEYE = ("OPENCV_FISHEYE", (60.0, 62.0, 31.0, 25.0, 0.04, -0.01, 0.003, -0.001))

@@ -10,9 +10,9 @@ import torch
 
 from capture_files import HEIGHT, WIDTH, save_noise, with_tracks
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.captures.colmap import read_figures
-from stylesplat.verbs.check import check
-from stylesplat.verbs.load import load
+from stylesplat.verbs.sfm import check
 
 NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg")
 CAMERA = f"1 PINHOLE {WIDTH} {HEIGHT} 60 62 31 25"

@@ -8,10 +8,10 @@ import torch
 from PIL import Image
 
 from capture_files import HEIGHT, WIDTH, write_capture, write_cut_outs
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import fit_photo
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.verbs.load import load
 
 BARREL = Lens("OPENCV", WIDTH, HEIGHT, (60.0, 62.0, 31.0, 25.0, 0.2, 0.0, 0.0, 0.0))
 PINHOLE = Lens("PINHOLE", WIDTH, HEIGHT, (60.0, 62.0, 31.0, 25.0))

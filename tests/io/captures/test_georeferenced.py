@@ -10,12 +10,12 @@ import torch
 
 from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture, write_capture
-from stylesplat.io.captures.point_file import RGB, XYZ
+from stylesplat.io.captures.capture_folder import load
+from stylesplat.io.captures.posed_files import RGB, XYZ
 from stylesplat.io.ply import read_ply_table, write_ply_rows
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.world_offset import ORIGIN, to_world
-from stylesplat.verbs.load import load
 
 WORLD = (4e6, -3e6, 5e6)
 

@@ -6,8 +6,8 @@ import torch
 
 from capture_files import save_noise, write_capture
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.kinds import is_posed
-from stylesplat.verbs.load import load
 
 # A camera at (1, 2, 3) that looks along +x with z up; LLFF's columns are down, right, back
 POSE = [[0, 0, -1, 1.0], [0, -1, 0, 2.0], [-1, 0, 0, 3.0]]

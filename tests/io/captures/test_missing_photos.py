@@ -7,8 +7,8 @@ import pytest
 
 from capture_files import save_noise
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.json_files import write_json
-from stylesplat.verbs.load import load
+from stylesplat.io.captures.capture_folder import load
+from stylesplat.io.json_yaml import write_json
 
 MakeCapture = Callable[..., Path]
 SEVEN = tuple(f"{number:03d}.png" for number in range(1, 8))

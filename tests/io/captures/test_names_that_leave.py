@@ -13,11 +13,10 @@ import torch
 from capture_files import HEIGHT, WIDTH, save_noise, write_capture
 from processes import complaint, needs_pipes, run
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.capture_folder import OBJECT_MASK
+from stylesplat.io.captures.capture_folder import OBJECT_MASK, load
 from stylesplat.io.captures.transforms import read_transforms
 from stylesplat.io.files import require_regular
 from stylesplat.io.label_maps import write_label_map
-from stylesplat.verbs.load import load
 
 POSE = np.eye(4).tolist()
 LENS = {"w": WIDTH, "h": HEIGHT, "fl_x": 60.0}

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.point_file import read_points
+from stylesplat.io.captures.posed_files import read_points
 
 COLORS = [(0, 0, 0), (51, 102, 255), (255, 255, 255)]
 

@@ -8,11 +8,11 @@ import pytest
 
 from capture_files import HEIGHT, WIDTH, save_noise, write_ball_capture, write_capture
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.captures.colmap import read_figures
 from stylesplat.io.kinds import find_foreign_poses, is_posed, kind_of
-from stylesplat.structure_from_motion.photo_folder import find_sources
-from stylesplat.verbs.check import check
-from stylesplat.verbs.load import load
+from stylesplat.structure_from_motion.photos import find_sources
+from stylesplat.verbs.sfm import check
 
 MakeCapture = Callable[..., Path]
 NAMES = ("001.png", "002.png", "003.png")

@@ -12,7 +12,7 @@ from torch import Tensor
 from balls import CAMERAS
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
-from stylesplat.verbs.load import load
+from stylesplat.io.captures.capture_folder import load
 
 WIDTH, HEIGHT = CAMERAS[0].size
 USED = torch.arange(HEIGHT)[:, None] < torch.arange(WIDTH)  # above the diagonal

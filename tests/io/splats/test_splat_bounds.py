@@ -9,7 +9,7 @@ from balls import CAMERAS, SPLATS
 from stylesplat.io.tensors import GAUSSIANS
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.members import inliers
+from stylesplat.selection.labels import inliers
 from stylesplat.verbs.select import select
 
 

@@ -1,4 +1,4 @@
-// The Gaussians as they were packed: see figures/packed.py. Every column is for all of them, sorted
+// The Gaussians as they were packed: see figures/web_page.py. Every column is for all of them, sorted
 // by place; positions have two bytes, high ones first.
 
 export const WORDS = 12; // of a Gaussian: centre 3, covariance 6, colour and opacity after and before, bands

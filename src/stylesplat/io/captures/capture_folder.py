@@ -1,4 +1,4 @@
-"""Captures on disk: posed photos, their label maps and their sparse points."""
+"""Captures on disk: posed photos, their label maps, their sparse points and how they were made."""
 
 import math
 import os
@@ -7,18 +7,20 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import compress
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
+import msgspec
 import torch
 from jaxtyping import Float, Int, UInt8
+from msgspec import Meta
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, some
+from stylesplat.errors import StyleSplatError, counted, one_line, some
 from stylesplat.io.captures.colmap import read_colmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.llff import read_llff
 from stylesplat.io.captures.photo_names import photo_files, photo_places
-from stylesplat.io.captures.photos import OPAQUE, Photo, fit_photo
+from stylesplat.io.captures.photos import OPAQUE, Photo, check_masks, fit_photo, valid_pixels
 from stylesplat.io.captures.posed_files import (
     PosedFiles,
     drop_bad_points,
@@ -26,9 +28,8 @@ from stylesplat.io.captures.posed_files import (
     drop_missing,
     split_offset,
 )
-from stylesplat.io.captures.sfm_file import read_sfm
 from stylesplat.io.captures.transforms import read_transforms
-from stylesplat.io.captures.valid_pixels import check_masks, valid_pixels
+from stylesplat.io.json_yaml import FilePath, read_json_as, write_json
 from stylesplat.io.kinds import find_poses, wrong_kind
 from stylesplat.io.label_maps import (
     DrawnLabels,
@@ -37,13 +38,59 @@ from stylesplat.io.label_maps import (
     fitted_maps,
     match_label_maps,
 )
+from stylesplat.options import check_arguments
 from stylesplat.progress import say, track
-from stylesplat.scene.cache import Cache, Lazy
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import Outliers, find_outliers
-from stylesplat.scene.sampling import evenly
+from stylesplat.scene.sequences import Cache, Lazy, evenly
 from stylesplat.scene.world_offset import ORIGIN, Offset, announced
+
+SFM_FILE = "sfm.json"
+FORMAT = 1
+MAX_PHOTOS = 1_000_000
+Text = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]  # in one line
+Reasons = Annotated[dict[Text, Text], Meta(max_length=MAX_PHOTOS)]
+Count = Annotated[int, Meta(ge=0, le=MAX_PHOTOS)]
+
+
+class SfmRecord(msgspec.Struct, kw_only=True):
+    format: Annotated[int, Meta(ge=1, le=FORMAT)] = FORMAT
+    source: FilePath
+    """The folder of photos, or the video."""
+    digest: Text
+    """Hash of the names and sizes of its files."""
+    given: Count
+    """Number of photos in the source, or of frames taken from the video."""
+    registered: Count
+    left_out: Reasons
+    """Why a photo was not tried, by the user's name of it."""
+    unregistered: Reasons
+    """Why a photo that was tried has no pose, by the user's name of it."""
+    origins: Reasons
+    """The user's name of a photo by its name in the capture, where the two differ."""
+    frame: dict[str, Any]
+    """The world's axes, origin and unit."""
+    settings: dict[str, Any]
+    numbers: dict[str, Any]
+    libraries: dict[str, Text]
+
+    def __repr__(self) -> str:
+        found = f"{self.registered:,} of {counted(self.given, 'photo')} with a pose"
+        return one_line(self, found, self.source)
+
+
+def read_sfm(folder: Path) -> SfmRecord | None:
+    """Read how the poses of a capture were found; None if they are not from `sfm`."""
+    path = folder / SFM_FILE
+    if not path.is_file():
+        return None
+    return read_json_as(path, SfmRecord, "Delete it, or pose the photos again.")
+
+
+def write_sfm(record: SfmRecord, folder: Path) -> None:
+    write_json(msgspec.to_builtins(record), folder / SFM_FILE)
+
 
 OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture
 EXACT = "object_mask_exact"  # label maps to measure with, where the others contain mistakes
@@ -293,3 +340,26 @@ def _opaque_maps(alphas: Lazy[UInt8[Tensor, "H W"] | None]) -> Lazy[Int[Tensor, 
         return None if alpha is None else (alpha >= OPAQUE).int()
 
     return Lazy([partial(labels, row) for row in range(len(alphas))])
+
+
+@check_arguments
+def load(path: Path | str, *, downscale: float = 1.0, masks: Masks = None) -> Capture:
+    """Read a capture: photos with a COLMAP reconstruction, `transforms.json`, or LLFF's poses.
+
+    Only the headers of the photos are read now; photos are decoded and undistorted on each access.
+    The world frame is that of the files. Photos that the files hold out (`transforms_test.json`,
+    `test_filenames`) become `held_out`, and their masks (`mask_path`) `valid_masks`. If photos are
+    cut out (a few with an alpha channel are decoded to find out), the opaque part is an object
+    called `object`, unless there are label maps.
+
+    Args:
+        path: The capture's folder.
+        downscale: Factor by which photos, label maps and cameras are made smaller.
+        masks: The folder of label maps; by default the capture's `object_mask/` if it has one.
+            False ignores label maps, and the object of cut-out photos too.
+
+    Raises:
+        StyleSplatError: If the folder is no capture, or a file of it is missing or damaged or
+            does not fit the others.
+    """
+    return open_capture(path, masks=masks).at(downscale)

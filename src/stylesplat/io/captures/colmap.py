@@ -23,8 +23,7 @@ from stylesplat.io.captures.colmap_files import (
 )
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photo_names import FoundPhotos, find_photos
-from stylesplat.io.captures.point_file import read_points
-from stylesplat.io.captures.posed_files import PosedFiles
+from stylesplat.io.captures.posed_files import PosedFiles, read_points
 from stylesplat.io.files import is_file
 from stylesplat.io.kinds import find_poses
 from stylesplat.progress import SILENCE, observed, say

@@ -12,13 +12,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief, some
-from stylesplat.io.captures.foreign_paths import find_files
 from stylesplat.io.captures.lens import MAX_SIDE, Lens
-from stylesplat.io.captures.point_file import SparsePoints, read_points
-from stylesplat.io.captures.posed_files import PosedFiles, check_path
+from stylesplat.io.captures.photo_names import find_files
+from stylesplat.io.captures.posed_files import PosedFiles, SparsePoints, check_path, read_points
 from stylesplat.io.files import is_file, reason
 from stylesplat.io.images import image_sizes
-from stylesplat.io.json_files import fitting, read_json
+from stylesplat.io.json_yaml import fitting, read_json
 from stylesplat.io.kinds import SPLIT_TRANSFORMS, SPLITS, TRANSFORMS
 from stylesplat.progress import say
 

@@ -16,9 +16,9 @@ from stylesplat.io.files import open_binary, read_bytes
 from stylesplat.io.kinds import SOG_META, SPLATS
 from stylesplat.io.ply import BOM
 from stylesplat.io.ply import MAGIC as PLY
+from stylesplat.io.splats.dot_splat import MAGIC as KSPLAT
 from stylesplat.io.splats.dot_splat import ROW
 from stylesplat.io.splats.gltf_file import MAGIC as GLB
-from stylesplat.io.splats.ksplat import MAGIC as KSPLAT
 from stylesplat.io.splats.sog import ZIP
 from stylesplat.io.splats.spz import MAGIC as SPZ
 from stylesplat.io.tensors import LARGEST_LOG, LARGEST_POSITION

@@ -1,6 +1,14 @@
-"""Splats as .splat, rows of 32 bytes as in antimatter15/splat: one colour per Gaussian."""
+"""Splats as .splat, one colour per Gaussian, and from .ksplat, in PLY's axes.
 
+A .splat has rows of 32 bytes, as in antimatter15/splat. A .ksplat is laid out as GaussianSplats3D's
+SplatBuffer (https://github.com/mkkellogg/GaussianSplats3D): a header, the headers of the sections,
+the sections. A section has buckets, whose centres compressed positions are relative to, and rows.
+"""
+
+import struct
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,6 +18,7 @@ from torch import Tensor
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.packing import SMALLEST, unit_quats
+from stylesplat.io.splats.splat_ply import BANDS, of_degree
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 
 ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
@@ -68,3 +77,73 @@ def _bytes(values: torch.Tensor) -> np.ndarray:
 
 def to_floats(values: Shaped[np.ndarray, "*B"]) -> Float[Tensor, "*B"]:
     return torch.from_numpy(np.array(values, np.float32))
+
+
+MAGIC = b"\0\1\0\0"  # version 0.1, and what is 0; no .splat begins at x = 4e-43
+# Version, sections, Gaussians, level of compression, bounds of higher bands in bytes
+HEADER = struct.Struct("<2B2xI8xIH14x2f4052x")
+# Gaussians, those of a full bucket, buckets, side of a bucket, bytes of a bucket, half the range of
+# a compressed coordinate, full buckets, others, degree of colour
+SECTION = struct.Struct("<4xIIIfH2xI4xIIH982x")
+# By level of compression: kinds of a position, of scales and rotation, of higher bands
+LEVELS = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))
+HALF_RANGE = 32767  # of a compressed position, where the section names none
+SH_RANGE = 1.5  # of higher bands in bytes, where the header names none
+
+
+def read_ksplat(path: Path | str) -> Splats:
+    """Read all sections, one after the other, with the bands that the richest of them has."""
+    content = read_bytes(path)
+    major, minor, sections, count, level, *bounds = HEADER.unpack_from(content)
+    if major == minor == 0:
+        raise ValueError("it is of version 0.0, or no .ksplat")
+    if level >= len(LEVELS):
+        raise ValueError(f"its level of compression is {level}, not 0 to 2")
+    start = HEADER.size + sections * SECTION.size
+    parts = list[Splats]()
+    for index in range(sections):
+        section = SECTION.unpack_from(content, HEADER.size + index * SECTION.size)
+        part, start = _read_section(content, start, section, level, bounds)
+        parts.append(part)
+    total = sum(map(len, parts))
+    if total != count:
+        raise ValueError(f"its sections hold {total} Gaussians instead of {count}")
+    degree = max((part.sh_degree for part in parts), default=0)
+    return Splats.cat([of_degree(part, degree) for part in parts])
+
+
+def _read_section(
+    content: bytes, start: int, section: tuple[Any, ...], level: int, bounds: Sequence[float]
+) -> tuple[Splats, int]:
+    """The splats of the section that starts there, and where the next one does."""
+    count, bucket_size, buckets, block, storage, half, full, partial, degree = section
+    if degree >= len(BANDS):
+        raise ValueError(f"it has colours of degree {degree}, not 0 to 3")
+    place, size, band = LEVELS[level]
+    dtype = np.dtype(
+        [("mean", place, 3), ("scale", size, 3), ("quat", size, 4), ("rgba", "u1", 4)]
+        + [(f"band{each}", band, (3, 2 * each + 1)) for each in range(1, degree + 1)]
+    )
+    rest = np.frombuffer(content, "<u4", partial, start).astype(np.int64)
+    start += 4 * partial
+    rows_start = start + buckets * storage
+    rows = np.frombuffer(content, dtype, count, rows_start)
+    means = rows["mean"].astype(np.float64)
+    if place != "<f4":
+        centres = np.frombuffer(content, "<f4", 3 * buckets, start).reshape(-1, 3)
+        if full + partial != buckets or full * bucket_size + rest.sum() != count:
+            raise ValueError("its buckets do not hold as many Gaussians as their section")
+        half = half or HALF_RANGE
+        filled = np.concatenate([np.full(full, bucket_size), rest])
+        means = (means - half) * (block / 2 / half) + np.repeat(centres, filled, axis=0)
+    # Within a degree all of red come first, then green, then blue
+    higher = [rows[f"band{each}"].transpose(0, 2, 1) for each in range(1, degree + 1)]
+    shN = to_floats(np.concatenate([np.zeros((count, 0, 3), band), *higher], axis=1))
+    if band == "u1":
+        low, high = bounds[0] or -SH_RANGE, bounds[1] or SH_RANGE
+        shN = low + shN / 255 * (high - low)
+    sh0, opacities = from_rgba(rows["rgba"])
+    quats = to_floats(rows["quat"])
+    scales = to_floats(rows["scale"]).abs().log()  # 0 where half floats have none so small
+    splats = Splats(torch.from_numpy(means), quats, scales, opacities, sh0, shN)
+    return splats, rows_start + rows.nbytes

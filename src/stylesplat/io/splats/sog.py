@@ -23,7 +23,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import inside, read_bytes, reason
-from stylesplat.io.json_files import PhotoName, json_object, strict_json
+from stylesplat.io.json_yaml import PhotoName, json_object, strict_json
 from stylesplat.io.kinds import SOG_META
 from stylesplat.io.splats.packing import (
     CODEBOOK_SIZE,

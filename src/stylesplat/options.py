@@ -1,0 +1,251 @@
+"""Arguments and settings of the public verbs, checked before anything is computed. Loads no torch.
+
+Pixels are those of the photo at its full size, at whatever size it is processed.
+"""
+
+import inspect
+import json
+import types
+from collections.abc import Callable, Mapping, Sequence, Sized
+from difflib import get_close_matches
+from functools import wraps
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
+from typing import (
+    Any,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import msgspec
+
+from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.torch_modes import own_modes, steps_in_own_modes, usable
+
+P = ParamSpec("P")
+T = TypeVar("T")
+WIDER = {Path: PathLike, float: Real, int: Integral}  # what is accepted for a type
+REMEDIES = {
+    "Capture": "`load` reads posed photos from a folder; `sfm` finds the poses of others.",
+    "Scene": "`open` reads one from a folder; `train` and `import_` make one.",
+    "Splats": "A scene has them as `scene.splats`.",
+    "Cameras": "A scene has them as `scene.cameras`.",
+    "Style": "Write it as `Style(FILE)`.",
+    "Recipe": 'Name the objects, as in {"vase": "wave.jpg"}.',
+}
+
+
+def check_arguments(verb: Callable[P, T]) -> Callable[P, T]:
+    """Make a verb raise a StyleSplatError for arguments of other types than it declares.
+
+    The verb computes in modes of torch of its own.
+    """
+    signature = inspect.signature(verb)
+
+    @wraps(verb)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> T:
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            parameter = signature.parameters[name]
+            kinds = _alternatives(parameter.annotation)
+            variable = parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
+            if not (variable or any(_is_instance(value, each) for each in kinds)):
+                _refuse(verb.__name__, name, value, kinds)
+        with own_modes():
+            result = verb(*usable(args), **usable(kwargs))
+        return cast("T", steps_in_own_modes(result)) if inspect.isgenerator(result) else result
+
+    return checked
+
+
+def _alternatives(kind: Any) -> list[Any]:
+    """The types that an annotation allows, and the values of a Literal."""
+    if get_origin(kind) in (Union, types.UnionType, Literal):
+        return [one for each in get_args(kind) for one in _alternatives(each)]
+    if isinstance(kind, TypeVar):
+        return [*(kind.__constraints__ or (Any,))]
+    return [kind]
+
+
+def _plain(kind: Any) -> Any:
+    """A type without its parameters; of an array type of jaxtyping, the type of the array."""
+    plain = get_origin(kind) or kind
+    return getattr(plain, "array_type", plain)
+
+
+def _is_instance(value: Any, kind: Any) -> bool:
+    """Whether a value, with the items of a dict or list, is of a type; or of that of a value."""
+    plain, items = _plain(kind), get_args(kind)
+    if kind is None or kind is Any:
+        return value is None or kind is Any
+    if not isinstance(plain, type):  # of a Literal: the verb says which values there are
+        return isinstance(value, type(plain))
+    if isinstance(value, str) and plain is Sequence:
+        return False  # else its characters would be taken for what it names
+    if isinstance(value, bool) and plain in (int, float):
+        return False  # for Python it is 0 or 1
+    if not isinstance(value, WIDER.get(plain, plain)):
+        return False
+    if isinstance(value, dict) and len(items) == 2:
+        value, items = value.values(), items[1:]
+    elif not isinstance(value, list | tuple) or len(items) != 1:
+        return True
+    return all(any(_is_instance(each, kind) for kind in _alternatives(items[0])) for each in value)
+
+
+def _names(kinds: list[Any]) -> list[str]:
+    return [
+        "None" if each in (None, types.NoneType) else getattr(_plain(each), "__name__", str(each))
+        for each in kinds
+    ]
+
+
+def _either(kinds: list[Any]) -> str:
+    return " or ".join(dict.fromkeys(_names(kinds)))
+
+
+def _refuse(verb: str, name: str, value: Any, kinds: list[Any]) -> None:
+    given = type(value).__name__
+    if isinstance(value, dict | list | tuple):
+        items = value.values() if isinstance(value, dict) else value
+        given += f" of {some(dict.fromkeys(type(each).__name__ for each in items))}"
+    elif isinstance(value, str | int | float | PathLike):
+        given += f", {brief(repr(value))}"
+    remedies = [REMEDIES[each] for each in reversed(_names(kinds)) if each in REMEDIES]
+    remedies.append(f"`help(stylesplat.{verb})` says what it takes.")
+    raise StyleSplatError(
+        f"Cannot call {verb} with this `{name}`: it must be {_either(kinds)}, "
+        f"and is {given}. {remedies[0]}"
+    )
+
+
+def check_settings(config: Any, verb: str, limits: Mapping[str, tuple[Any, Any]]) -> None:
+    """Refuse settings of other types than declared, or beyond their least and most values.
+
+    None is no value.
+    """
+    for name, kind in get_type_hints(type(config)).items():
+        value, kinds = getattr(config, name), _alternatives(kind)
+        if not any(_is_instance(value, each) for each in kinds):
+            raise StyleSplatError(
+                f"Cannot {verb} with {name} {brief(repr(value))}: it must be {_either(kinds)}."
+            )
+    for name, (least, most) in limits.items():
+        value = getattr(config, name)
+        if value is not None and not least <= value <= most:
+            raise StyleSplatError(f"Cannot {verb} with {name} {value}: use {least:,} to {most:,}.")
+
+
+def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the values of an entry to their types: lists to tuples, 2 to 2.0."""
+    fit = {}
+    for key, value in entry.items():
+        if key not in hints:
+            near = get_close_matches(str(key), hints, n=1)
+            remedy = f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(hints)}."
+            raise StyleSplatError(f"there is no key {key!r}. {remedy}")
+        try:
+            fit[key] = msgspec.convert(value, hints[key])
+        except msgspec.ValidationError as error:
+            shown = brief(json.dumps(value, ensure_ascii=False, default=str))
+            choices = [
+                word
+                for each in (hints[key], *get_args(hints[key]))
+                for word in get_args(each)
+                if get_origin(each) is Literal
+            ]
+            remedy = f" Use {' or '.join(choices)}." if choices else ""
+            raise StyleSplatError(f"{key} cannot be {shown}: {error}.{remedy}") from error
+    return fit
+
+
+Places = Sequence[Any]
+"""A view's name and its numbers, `("a.jpg", x, y)` or `("a.jpg", (x, y))`; or several of these."""
+
+PickSize = Literal["part", "object", "group"]
+"""How much a click picks."""
+
+BOX = "x0, y0, x1, y1"  # in a view
+OVERSHOOT = 0.05  # of a side, by which boxes may exceed a photo: `sfm` crops while undistorting
+
+
+def check_box(
+    box: Sequence[float | int], size: tuple[int, int], name: str
+) -> tuple[float, float, float, float]:
+    """Returns the part of a box inside its photo; refuses an empty box and one far outside."""
+    (x0, y0, x1, y1), (width, height) = map(float, box), map(float, size)
+    right, below = OVERSHOOT * width, OVERSHOOT * height
+    near = -right <= x0 and x1 <= width + right and -below <= y0 and y1 <= height + below
+    x0, y0, x1, y1 = max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)
+    if not (near and x0 < x1 and y0 < y1):
+        raise StyleSplatError(
+            f"Box {','.join(f'{edge:g}' for edge in box)} is empty or reaches outside {name}, "
+            f"which is {size[0]}x{size[1]} pixels. Give x0,y0,x1,y1 in pixels of the photo."
+        )
+    return x0, y0, x1, y1
+
+
+def check_point(point: tuple[float, float], size: tuple[int, int], name: str) -> None:
+    """Refuse a point outside of a view of that size."""
+    if not all(0 <= value < length for value, length in zip(point, size, strict=True)):
+        raise StyleSplatError(
+            f"Point {point[0]:g},{point[1]:g} is outside {name}, which is {size[0]}x{size[1]} "
+            "pixels. Coordinates are those of the photo at full size."
+        )
+
+
+def parse_places(
+    places: Places | None, what: str, *, in_view: str = "", in_world: str = ""
+) -> tuple[tuple[str, Any], ...]:
+    """Separate views' names, which are empty in the world, and numbers.
+
+    Args:
+        places: One place, or several.
+        what: The name of the argument, for messages.
+        in_view: The numbers of a place in a view, as `x, y` of a point; empty if there is none.
+        in_world: Those of a place in the world.
+
+    Example:
+        >>> parse_places([("a.jpg", 1, 2), ("b.jpg", (3, 4))], "point", in_view="x, y")
+        (('a.jpg', (1.0, 2.0)), ('b.jpg', (3.0, 4.0)))
+    """
+    parsed = []
+    for place in several(places):
+        named = isinstance(place, Sequence) and len(place) and isinstance(place[0], str)
+        view, numbers = (place[0], place[1:]) if named else ("", place)
+        if named and len(numbers) == 1 and isinstance(numbers[0], Sequence):
+            (numbers,) = numbers
+        try:
+            found = tuple(map(float, numbers))
+        except (TypeError, ValueError):
+            found = ()
+        names = in_view if named else in_world
+        if not names or len(found) != names.count(",") + 1:
+            forms = [f"(view, {in_view})"] if in_view else []
+            forms += [f"({in_world})"] if in_world else []
+            raise StyleSplatError(f"Cannot use {what}={place!r}. Give {' or '.join(forms)}.")
+        parsed.append((view, found))
+    return tuple(parsed)
+
+
+def several(items: Sequence[Any] | None) -> Sequence[Any]:
+    """Returns a list of places or shapes where one or several were given."""
+    if items is None or not len(items):
+        return ()
+    alone = isinstance(items[0], str) or not isinstance(items[0], Sized)
+    return [items] if alone else items
+
+
+MAX_INTENSITY = 1.5  # beyond it colours leave their range
+
+
+def check_intensity(value: float, what: str = "intensity") -> None:
+    """Refuse an intensity or form outside of 0 to 1.5."""
+    if not 0 <= value <= MAX_INTENSITY:
+        raise StyleSplatError(f"Cannot paint with the {what} {value}: use 0 to {MAX_INTENSITY}.")

@@ -1,0 +1,162 @@
+"""Files of the studio: saved and autosaved scenes, exports, turntables."""
+
+import shutil
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.figures.web_page import SUFFIX
+from stylesplat.io import scene_folder
+from stylesplat.io.atomic import changing, refuse_unwritable
+from stylesplat.io.splats.splat_files import COMPRESSED
+from stylesplat.scene.scene import Scene
+from stylesplat.studio_app.gallery import NO_NAME
+from stylesplat.studio_app.history import StudioState, replace_scene
+from stylesplat.studio_app.messages import Progress
+from stylesplat.studio_app.session import Session, Stopped
+
+AUTOSAVE = "autosave"  # the folder inside a scene's
+
+Stamp = dict[Path, tuple[int, int]]
+
+
+class SceneStore:
+    """Saves a session's scene into its folder, which other programs may change meanwhile."""
+
+    def __init__(self, session: Session) -> None:
+        self._session, self._stamp = session, _stamp(session.folder)
+        self._autosaved: tuple[Scene, Stamp] | None = None  # content of `AUTOSAVE`, if known
+
+    @property
+    def _autosave_folder(self) -> Path:
+        return self._session.folder / AUTOSAVE
+
+    def save(self) -> None:
+        session, folder = self._session, self._session.folder
+        with changing(folder):
+            if _stamp(folder) != self._stamp:
+                raise StyleSplatError(
+                    f"Another program has changed {folder}. Save the scene under another name."
+                )
+            refuse_unwritable(folder)
+            scene_folder.revise(session.saved.scene, session.state.scene, folder)
+        self._finish_save(folder)
+
+    def save_as(self, name: str) -> None:
+        """Save the scene into a new folder beside its own, and work on that."""
+        if not name.strip() or NO_NAME.search(name):  # it is a name and no path
+            raise StyleSplatError(f"No folder can be called {name!r}. Use letters and digits.")
+        folder = self._session.folder.resolve().parent / name
+        if folder.exists():
+            raise StyleSplatError(f"There is a folder {folder} already. Choose another name.")
+        scene_folder.save(self._session.state.scene, folder)
+        self._finish_save(folder)
+
+    def _finish_save(self, folder: Path) -> None:
+        session = self._session
+        self._remove_autosave()
+        session.folder, session.saved, self._stamp = folder, session.state, _stamp(folder)
+        session.tell(f"Saved {folder}.")
+        session.on_change.call()
+
+    def _remove_autosave(self) -> None:
+        self._autosaved = None
+        with suppress(OSError):
+            shutil.rmtree(self._autosave_folder)
+
+    def autosave(self) -> bool:
+        """Save an unsaved scene into its own autosave folder; returns whether it was unsaved."""
+        scene, folder = self._session.state.scene, self._autosave_folder
+        last, stamp = self._autosaved or (None, None)
+        if _stamp(folder) != stamp:  # another program has changed it
+            last = None
+        if not self._session.unsaved:
+            if last is not None:  # all changes were undone
+                self._remove_autosave()
+            return False
+        if last is not None and scene is last:
+            return True
+        refuse_unwritable(self._session.folder)
+        self._autosaved = None  # until all is written
+        if last is not None:
+            scene_folder.revise(last, scene, folder)
+        else:
+            scene_folder.save(scene, folder, overwrite=True)
+        self._autosaved = scene, _stamp(folder)
+        return True
+
+    def recover(self) -> StudioState | None:
+        state, folder = self._session.state, self._autosave_folder
+        if not folder.is_dir():
+            return None
+        stamp = _stamp(folder)
+        scene = replace(scene_folder.open(folder), path=state.scene.path)
+        self._autosaved = scene, stamp
+        return replace_scene(state, scene, "Recovered what was not saved")
+
+
+def _stamp(folder: Path) -> Stamp:
+    """Times and sizes of a scene's files, which tell whether the scene has changed."""
+    try:
+        found = {file: file.stat() for file in scene_folder.content_files(folder)}
+    except OSError:
+        return {}
+    return {file: (each.st_mtime_ns, each.st_size) for file, each in found.items()}
+
+
+FORMATS = (".ply", COMPRESSED, ".spz", ".splat", ".sog", ".glb", SUFFIX)
+
+Make = Callable[[Path], object]
+Deliver = Callable[[bytes], None]
+
+
+class Exporter:
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._cancelled = threading.Event()
+
+    def start(
+        self, what: str, make: Make, ending: str, deliver: Deliver, *, renders: bool = False
+    ) -> None:
+        """Begin with a file, which `make` writes and whose content `deliver` gets.
+
+        What `renders` is made in the worker's thread, which does other jobs meanwhile; all else in
+        a thread of its own.
+        """
+        if self._session.export is not None:
+            raise StyleSplatError("An export is under way. Wait until it is done, or cancel it.")
+        self._cancelled.clear()
+        self._count(what, 0.0)
+        job = partial(self._run, what, make, ending, deliver)
+        if renders:
+            self._session.ask(job, patient=True)
+            return
+        threading.Thread(target=job, daemon=True, name="export").start()
+
+    def cancel(self) -> None:
+        self._cancelled.set()
+
+    def _count(self, what: str, share: float) -> None:
+        self._session.export = Progress(what, share, export=True) if what else None
+        self._session.on_progress.call()
+
+    def _run(self, what: str, make: Make, ending: str, deliver: Deliver) -> None:
+        try:
+            listening = self._session.listening(self._cancelled.is_set, partial(self._count, what))
+            with TemporaryDirectory(prefix="stylesplat-studio-") as folder, listening:
+                file = Path(folder) / f"scene{ending}"
+                make(file)
+                if self._cancelled.is_set():
+                    raise Stopped
+                deliver(file.read_bytes())
+        except Stopped:
+            self._session.tell("The export was cancelled.")
+        except Exception as error:
+            self._session.report(error)
+        finally:
+            self._count("", 0.0)
