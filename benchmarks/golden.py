@@ -84,7 +84,7 @@ def made(folder: Path, source: Path) -> dict[str, str]:
 
 def main() -> None:
     """Make the files; keep their digests, or compare."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--keep", action="store_true", help="keep these digests as the right ones")
     parser.add_argument("--kept", type=Path, default=KEPT, help="file of the digests")
     arguments = parser.parse_args()

@@ -56,6 +56,23 @@ NAMES = {"source": "from"}  # of options that are no names in Python
 CONTINUES = "The same command goes on where it stopped."  # after Ctrl-C
 
 
+@dataclass(frozen=True)
+class Answer:
+    """What a command has made or found."""
+
+    values: dict[str, Any]
+    """What `--json` prints."""
+    lines: Sequence[str] = ()
+    """For people: what was made."""
+    following: Sequence[str] = ()
+    """Commands that may follow."""
+
+    def text(self) -> list[str]:
+        """The lines for people."""
+        heads = ["Next: "] + ["      "] * len(self.following)
+        return [*self.lines, *map(str.__add__, heads, self.following)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """A verb of the command line: its fields are its options."""
@@ -121,23 +138,6 @@ OUT_OF_MEMORY = (
     "Gaussians."
 )
 BUG = "This is a mistake in stylesplat. Please report it, with all these lines."
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What a command has made or found."""
-
-    values: dict[str, Any]
-    """What `--json` prints."""
-    lines: Sequence[str] = ()
-    """For people: what was made."""
-    following: Sequence[str] = ()
-    """Commands that may follow."""
-
-    def text(self) -> list[str]:
-        """The lines for people."""
-        heads = ["Next: "] + ["      "] * len(self.following)
-        return [*self.lines, *map(str.__add__, heads, self.following)]
 
 
 @contextmanager

@@ -134,7 +134,7 @@ def cached_while_alive(function: Callable[[A, B], R]) -> Callable[[A, B], R]:
     return cached
 
 
-Entry = TypeVar("T", bound=Tensor | None)
+Entry = TypeVar("Entry", bound=Tensor | None)
 
 
 class Lazy(Sequence[Entry]):
