@@ -3,13 +3,12 @@
     .venv/bin/python benchmarks/cores.py                    # fox, 270x480, 50,000 Gaussians
 
 Photos looked at per second at the end of a training, with identities in every second round: by one
-thread; by all, one photo or several at a time; by processes that `torchrun` has train together; and
-by as many processes that have nothing to do with each other, which is all that the machine can do
-while it runs. The ways take turns, `--repeats` times; numbers are medians.
+thread; by all, one photo or several at a time; and by as many processes that have nothing to do
+with each other, which is all that the machine can do while it runs. The ways take turns,
+`--repeats` times; numbers are medians.
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -21,18 +20,17 @@ from typing import NamedTuple
 
 import numba
 import torch
-import torch.distributed as dist
 import tyro
 from bench import capture, machine, table
 
 from stylesplat.rendering.at_once import RenderPool
 from stylesplat.scene.outliers import scene_extent
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.densification import MCMCStrategy
-from stylesplat.training.loop import MOST_AT_ONCE, fit
-from stylesplat.training.state import Ranks, Run, State
+from stylesplat.training.loop import fit
+from stylesplat.training.state import State, TrainingRun
 from stylesplat.training.step import train_step
-from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import TrainingViews, split_views
+from stylesplat.training.views import TrainingViews, split_views
 
 CPU = torch.device("cpu")
 FIRST, PHOTOS = 8, 60  # photos that are not counted, and that are
@@ -67,7 +65,6 @@ class Way(NamedTuple):
     threads: int
     batch: int
     processes: int = 1
-    together: bool = False
 
 
 def config_of(options: Options, steps: int) -> TrainConfig:
@@ -78,33 +75,27 @@ def config_of(options: Options, steps: int) -> TrainConfig:
 def ways() -> list[Way]:
     """Those of this machine."""
     cores = numba.get_num_threads()
-    of_each = max(1, MOST_AT_ONCE // cores)
     return [
         Way("one thread", 1, 1),
         *(Way(f"{cores} threads, {each} at a time", cores, each) for each in (1, 2, 4)),
-        Way(f"{cores} processes of torchrun", 1, of_each, cores, together=True),
         Way(f"{cores} processes apart", 1, 1, cores),
     ]
 
 
 def measured(options: Options, way: Way, state: Path) -> float:
     """Photos a second of all processes."""
-    launcher = [sys.executable]
-    if way.together:
-        launcher += ["-m", "torch.distributed.run", "--standalone"]
-        launcher += ["--nproc-per-node", str(way.processes)]
-    command = [*launcher, __file__, "--state", str(state), "--scene", options.scene]
+    command = [sys.executable, __file__, "--state", str(state), "--scene", options.scene]
     command += ["--downscale", str(options.downscale), "--threads", str(way.threads)]
     command += ["--batch", str(way.batch), "--max-gaussians", str(options.max_gaussians)]
     started = [
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-        for _ in range(1 if way.together else way.processes)
+        for _ in range(way.processes)
     ]
     return sum(json.loads(each.communicate()[0].split(b"\n")[0]) for each in started)
 
 
 def rate(options: Options, state: State) -> float:
-    """Photos a second of this process, or of all that it trains with."""
+    """Photos a second of this process."""
     numba.set_num_threads(options.threads)
     torch.set_num_threads(options.threads)
     photos = capture(options.scene, options.downscale, identities=True)
@@ -112,8 +103,10 @@ def rate(options: Options, state: State) -> float:
     views = TrainingViews(photos, rows, ids=state.ids, device=CPU, max_memory=1.0)
     config, extent = config_of(options, 5000), scene_extent(photos.cameras)
     pool, batch = RenderPool(options.batch), options.batch
-    strategy, ranks = MCMCStrategy(config, extent), Ranks.here()
-    run = Run(config, tuple(rows), views, photos.cameras, extent, CPU, strategy, batch, ranks, pool)
+    strategy = MCMCStrategy(config, extent)
+    run = TrainingRun(
+        config, tuple(rows), views, photos.cameras, extent, CPU, strategy, batch, pool
+    )
     state = advanced(run, replace(state, step=4000), FIRST)  # late: photos are whole
     first, start = state.step, time.perf_counter()
     state = advanced(run, state, PHOTOS)
@@ -122,7 +115,7 @@ def rate(options: Options, state: State) -> float:
     return (state.step - first) / seconds
 
 
-def advanced(run: Run, state: State, photos: int) -> State:
+def advanced(run: TrainingRun, state: State, photos: int) -> State:
     """The state after so many photos, or a few more."""
     end = state.step + photos
     while state.step < end:
@@ -130,22 +123,11 @@ def advanced(run: Run, state: State, photos: int) -> State:
     return state
 
 
-def child(options: Options, path: Path) -> None:
-    """Measure, as a process of its own."""
-    together = int(os.environ.get("WORLD_SIZE", "1")) > 1
-    if together:
-        dist.init_process_group("gloo")
-    found = rate(options, torch.load(path, weights_only=False))
-    if Ranks.here().number == 0:
-        print(json.dumps(found), flush=True)
-    if together:
-        dist.destroy_process_group()
-
-
 def main(options: Options) -> None:
     """Print a row for each way."""
     if options.state is not None:
-        child(options, options.state)
+        found = rate(options, torch.load(options.state, weights_only=False))
+        print(json.dumps(found), flush=True)
         return
     print(machine())
     photos = capture(options.scene, options.downscale, identities=True)

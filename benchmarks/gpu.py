@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from stylesplat.scene.scene import Scene
     from stylesplat.scene.splats import Splats
     from stylesplat.stylization.config import Network, StyleConfig
-    from stylesplat.training.training_views import TrainingViews
+    from stylesplat.training.views import TrainingViews
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGE_TOLERANCE = 1e-3  # gsplat is float32 and orders ties in depth as it likes
@@ -176,9 +176,9 @@ def train_fox(fox: "Capture", steps: int = 7000) -> "tuple[Scene, float]":
     """Print the quality of joint steps; returns the scene and the seconds."""
     from stylesplat.evaluation.photos import evaluate_views
     from stylesplat.scene.scene import Scene
+    from stylesplat.training.config import TrainConfig
     from stylesplat.training.loop import fit
-    from stylesplat.training.train_config import TrainConfig
-    from stylesplat.training.training_views import split_views
+    from stylesplat.training.views import split_views
 
     state = fit(fox, TrainConfig(steps=steps, identity_every=1), device="cuda")
     _, held_out = split_views(fox, 8)
@@ -190,8 +190,8 @@ def train_fox(fox: "Capture", steps: int = 7000) -> "tuple[Scene, float]":
 
 def train_as_paper(fox: "Capture", steps: int = PAPER_STEPS) -> float:
     """Seconds of 30,000 steps on the paper's settings, from fewer with as many Gaussians."""
+    from stylesplat.training.config import PRESETS
     from stylesplat.training.loop import fit
-    from stylesplat.training.train_config import PRESETS
 
     paper = PRESETS["paper"]
     assert paper.sh_degree_every is not None
@@ -208,7 +208,7 @@ def decoded(fox: "Capture") -> "TrainingViews":
     """The photos of a capture, all of them decoded."""
     import torch
 
-    from stylesplat.training.training_views import TrainingViews
+    from stylesplat.training.views import TrainingViews
 
     views = TrainingViews(fox, range(len(fox)), ids=(), device=torch.device("cuda"))
     for row in range(len(fox)):
@@ -221,15 +221,15 @@ def step_of_colors(fox: "Capture", splats: "Splats") -> Callable[[], object]:
     import torch
 
     from stylesplat.scene.outliers import scene_extent
+    from stylesplat.training.config import TrainConfig
     from stylesplat.training.densification import MCMCStrategy
-    from stylesplat.training.state import Run, first_state
+    from stylesplat.training.state import TrainingRun, first_state
     from stylesplat.training.step import train_step
-    from stylesplat.training.train_config import TrainConfig
 
     config = TrainConfig(steps=10**6, refine_every=10**6, coarse_to_fine=False, sh_degree_every=1)
     device, rows, extent = torch.device("cuda"), range(len(fox)), scene_extent(fox.cameras)
     strategy = MCMCStrategy(config, extent)
-    run = Run(config, tuple(rows), decoded(fox), fox.cameras, extent, device, strategy)
+    run = TrainingRun(config, tuple(rows), decoded(fox), fox.cameras, extent, device, strategy)
     state = first_state(replace(splats, identities=None, classifier=None).to(device))
 
     def step() -> None:

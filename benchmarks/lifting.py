@@ -32,7 +32,7 @@ from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.io.splats.splat_ply import write_splat_ply
 from stylesplat.scene.splats import Splats
 from stylesplat.training.lifting import lift
-from stylesplat.training.training_views import split_views
+from stylesplat.training.views import split_views
 
 GAUSSIANS, MANY = 50_000, 1_000_000
 

@@ -27,9 +27,9 @@ from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.capture import Capture
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
-from stylesplat.training.train_config import TrainConfig
 
 OBJECTS = 6
 BLOCK = 100  # pixels of a label

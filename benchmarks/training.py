@@ -17,11 +17,11 @@ from bench import calibration_ms, capture, machine, table
 from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
-from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import split_views
+from stylesplat.training.views import split_views
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ OUTSIDE = {  # files of the repository that are pages of the site
     "src/stylesplat/stylization/compact.md": "compact.md",
 }
 NOUNS = ("Capture", "Cameras", "Splats", "Scene", "Style", "Stroke", "StyleSplatError")
-CONFIGS = ("training.train_config.TrainConfig", "stylization.config.StyleConfig")
+CONFIGS = ("training.config.TrainConfig", "stylization.config.StyleConfig")
 CORE = (  # the functions over tensors that docs/python.md names
     "rendering.render.rasterize",
     "rendering.linear.contributions",

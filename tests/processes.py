@@ -23,13 +23,13 @@ from stylesplat.cli import main
 from stylesplat.cli.batch import batch_verbs
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.densification import MCMCStrategy
 from stylesplat.training.initialize import first_splats
 from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import initial_photo_params
-from stylesplat.training.state import Run, State, first_state
-from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import TrainingViews
+from stylesplat.training.state import State, TrainingRun, first_state
+from stylesplat.training.views import TrainingViews
 
 QUICK = ("--features", "compact", "--quality", "draft", "--device", "cpu")
 
@@ -177,11 +177,11 @@ def begun(
     *,
     of_photos: bool = False,
     device: torch.device = CPU,
-) -> tuple[Run, State]:
+) -> tuple[TrainingRun, State]:
     """On all photos, from a hundred Gaussians; with what is learned of photos, if it is wanted."""
     ids = (0, 3, 7) if capture.label_maps is not None else ()
     rows = range(len(capture))
-    run = Run(
+    run = TrainingRun(
         config=config,
         rows=tuple(rows),
         views=TrainingViews(capture, rows, ids=ids, device=device, max_memory=1.0),

@@ -26,11 +26,11 @@ from stylesplat.imaging.similarity import mask_iou
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import THRESHOLD, render_labels
 from stylesplat.training import step
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
-from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import split_views
+from stylesplat.training.views import split_views
 
 NAME = "segmenting"
 PACE_STEPS, PACE_REFINE = 30, 3  # schedules follow the run, so a short one has the same mix

@@ -1,18 +1,19 @@
-"""The process of the command line. It takes signals before it loads anything that takes long."""
+"""The process of the command line. It catches signals before it loads anything that takes long."""
 
 import gc
 import sys
 
-from stylesplat.signals import ignore_signals, report_interruption, take_signals
+from stylesplat.interrupts import catch_signals, check, ignore_signals, report_interruption
 
 
 def main() -> int:
     """Run one verb, and ignore signals while Python shuts down; see `cli.main`."""
     try:
         try:
-            take_signals()
+            catch_signals()
             from stylesplat.cli import main as run
 
+            check()
             return run()
         finally:
             ignore_signals()

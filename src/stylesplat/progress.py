@@ -9,6 +9,8 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import Protocol, TypeVar, runtime_checkable
 
+from stylesplat.interrupts import check
+
 T = TypeVar("T")
 
 
@@ -62,11 +64,28 @@ def say(line: str) -> None:
     _observer.get().say(line)
 
 
+class _InterruptibleTask:
+    """A task of an observer, which Ctrl-C interrupts where it advances."""
+
+    def __init__(self, shown: Task) -> None:
+        self._shown, self.note = shown, shown.note
+
+    def advance(self, amount: int | float = 1) -> None:
+        self._shown.advance(amount)
+        check()
+
+
+@contextmanager
 def task(
     what: str, total: int | float | None = None, *, unit: str = "step", done: int | float = 0
-) -> AbstractContextManager[Task]:
-    """Report work that is counted by hand; see `Observer.task`."""
-    return _observer.get().task(what, total, unit, done)
+) -> Iterator[Task]:
+    """Report work that is counted by hand; see `Observer.task`.
+
+    Raises:
+        Interrupted: Where the task advances after Ctrl-C, in the command line.
+    """
+    with _observer.get().task(what, total, unit, done) as shown:
+        yield _InterruptibleTask(shown)
 
 
 def track(

@@ -8,7 +8,7 @@ import pytest
 from stylesplat.cli import VERBS, main
 from stylesplat.cli.arguments import help_texts, read_command
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.config import TrainConfig
 
 STYLIZE = ("stylize", "garden", "-o", "wave")
 

@@ -17,7 +17,7 @@ from processes import LIMIT, run, wait_until
 from stylesplat.__main__ import main as process
 from stylesplat.cli.command import CONTINUES
 from stylesplat.cli.train import FINISHES
-from stylesplat.signals import WHOLE, kept_signals
+from stylesplat.interrupts import WHOLE, check, preserve_signal_handlers
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
@@ -112,11 +112,11 @@ def test_signals_are_ignored_once_the_work_is_done(capsys, monkeypatch):
 
     def verb() -> int:
         signal.raise_signal(signal.SIGTERM)
+        check()
         return 0
 
     monkeypatch.setattr("stylesplat.cli.main", verb)
-    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-    with kept_signals():
+    with preserve_signal_handlers():
         assert process() == 128 + signal.SIGTERM
         signal.raise_signal(signal.SIGINT)
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
@@ -124,111 +124,91 @@ def test_signals_are_ignored_once_the_work_is_done(capsys, monkeypatch):
     assert capsys.readouterr().err == f"stylesplat: terminated. {WHOLE}\n"
 
 
-TAKE = """import pathlib, signal, sys, time
-from stylesplat.signals import mark_handled, take_signals
+START = """import pathlib, signal, sys, threading, time
+from stylesplat.interrupts import catch_signals, check, wait_until
+from stylesplat.progress import track
 """
+CATCH = f"{START}catch_signals()\n"
 
-IN_A_DEL = f"""{TAKE}take_signals()
-class Dying:
-    def __del__(self):
-        signal.raise_signal(signal.SIGTERM)
+ONCE = f"""{CATCH}
+signal.raise_signal(signal.SIGTERM)
+threading.Thread(target=check).start()
+print("goes on")
 try:
-    Dying()
-    time.sleep(99)
+    for _ in track(range(2), "work"):
+        print("step")
 except KeyboardInterrupt as error:
-    mark_handled(error)
+    check()
     print(type(error).__name__)
 """
 
-SWALLOWED = f"""{TAKE}import stylesplat.cli.arguments
-take_signals()
+WAITING = f"""{CATCH}
+main = threading.main_thread().ident
+threading.Timer(0.3, signal.pthread_kill, (main, signal.SIGINT)).start()
 try:
-    try:
-        signal.raise_signal(signal.SIGTERM)
-    except BaseException:
-        print("swallowed")
-    time.sleep(99)
+    wait_until(threading.Event().wait)
 except KeyboardInterrupt as error:
-    mark_handled(error)
     print(type(error).__name__)
 """
 
-DROPPED_ELSEWHERE = f"""{TAKE}import threading
-import stylesplat.cli.arguments
-take_signals()
-kept = []
-try:
-    try:
-        signal.raise_signal(signal.SIGTERM)
-    except BaseException as error:
-        kept.append(error.with_traceback(None))
-    thread = threading.Timer(0.2, kept.clear)
-    thread.start()
-    time.sleep(99)
-except KeyboardInterrupt as error:
-    mark_handled(error)
-    print(type(error).__name__)
-"""
-
-TWICE = f"""{TAKE}take_signals()
-try:
-    try:
-        signal.raise_signal(signal.SIGINT)
-    finally:
-        signal.raise_signal(signal.SIGINT)
-        signal.raise_signal(signal.SIGTERM)
-        print("cleaned up")
-except KeyboardInterrupt as error:
-    mark_handled(error)
-    print("raised")
-"""
-
-IGNORED = f"""{TAKE}signal.signal(signal.SIGINT, signal.SIG_IGN)
-take_signals()
+TWICE = f"""{CATCH}
 signal.raise_signal(signal.SIGINT)
+signal.raise_signal(signal.SIGTERM)
+print("one request")
+time.sleep(2.1)
+signal.raise_signal(signal.SIGTERM)
+print("too late")
+"""
+
+IGNORED = f"""{START}
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+catch_signals()
+signal.raise_signal(signal.SIGINT)
+check()
 print("goes on")
 """
 
-LOADING = f"""{TAKE}sys.path.insert(0, FOLDER)
-import stylesplat.cli.arguments
+LOADING = f"""{CATCH}
+sys.path.insert(0, FOLDER)
 pathlib.Path(FOLDER, "slow.py").write_text(
-    "import signal\\nsignal.raise_signal(signal.SIGINT)\\nprint('loaded')"
+    "import signal\\n"
+    "from stylesplat.io.captures.colmap_library import pycolmap\\n"
+    "signal.raise_signal(signal.SIGTERM)\\nprint('loaded')"
 )
-take_signals()
 try:
     import slow
-    time.sleep(99)
+    check()
 except KeyboardInterrupt as error:
-    mark_handled(error)
-    print("raised")
+    print(type(error).__name__)
 """
-
-
-TAKEN_BY_OTHERS = LOADING.replace("SIGINT", "SIGTERM").replace(
-    "print(", "from stylesplat.io.captures.colmap_library import pycolmap\\nprint(", 1
-)
 
 
 @pytest.mark.parametrize(
     ("script", "status", "expected"),
     [
-        pytest.param(TAKEN_BY_OTHERS, 0, "loaded\nraised\n", id="while a library takes signals"),
-        pytest.param(IN_A_DEL, 0, "Terminated\n", id="where Python cannot raise"),
-        pytest.param(SWALLOWED, 0, "swallowed\nTerminated\n", id="swallowed by a library"),
-        pytest.param(DROPPED_ELSEWHERE, 0, "Terminated\n", id="dropped in a thread"),
-        pytest.param(TWICE, 0, "cleaned up\nraised\n", id="twice"),
-        pytest.param(IGNORED, 0, "goes on\n", id="ignored"),
-        pytest.param(LOADING, 0, "loaded\nraised\n", id="while a module is loaded"),
+        pytest.param(ONCE, 0, "goes on\nstep\nTerminated\n", id="where work advances"),
         pytest.param(
-            LOADING.replace("import stylesplat.cli.arguments", ""),
-            130,
-            "",
-            id="before there is work",
+            WAITING,
+            0,
+            "Interrupted\n",
+            id="where it waits",
+            marks=pytest.mark.skipif(sys.platform == "win32", reason="needs pthread_kill"),
         ),
+        pytest.param(TWICE, 143, "one request\n", id="twice"),
+        pytest.param(IGNORED, 0, "goes on\n", id="ignored"),
+        pytest.param(LOADING, 0, "loaded\nTerminated\n", id="while a library takes signals"),
     ],
 )
 def test_no_signal_is_lost_or_does_harm(script: str, status: int, expected: str, tmp_path: Path):
-    command = [sys.executable, "-c", script.replace("FOLDER", repr(str(tmp_path)))]
-    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=LIMIT)
+    code = script.replace("FOLDER", repr(str(tmp_path)))
+    done = subprocess.run(
+        [sys.executable, "-u", "-c", code],
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+    )
     assert (done.returncode, done.stdout) == (status, expected), done.stderr
     assert "Traceback" not in done.stderr
+    if status:
+        assert done.stderr == f"\nstylesplat: terminated. {WHOLE}\n"

@@ -12,8 +12,8 @@ import stylesplat as ss
 from balls import CAMERAS
 from processes import complaint, result, run
 from stylesplat.cli.train import Train
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
-from stylesplat.training.train_config import TrainConfig
 
 STOP = 5  # steps after which Ctrl-C is pressed
 

@@ -26,8 +26,8 @@ from stylesplat.masks import working_splat as working
 from stylesplat.masks.grabcut import Stroke
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.state import State
-from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.mask import mask
 
 SHORT = TrainConfig(steps=60, max_gaussians=1000, test_every=0)  # by steps: any machine agrees

@@ -15,8 +15,8 @@ from websockets.sync.client import connect
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
+from stylesplat.interrupts import Terminated
 from stylesplat.scene.scene import Scene
-from stylesplat.signals import Terminated
 from stylesplat.studio_app.gallery import MOST_BYTES
 from stylesplat.studio_app.studio import StudioServer, view
 

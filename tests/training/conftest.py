@@ -7,7 +7,7 @@ from scenes import random_splats
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.config import TrainConfig
 
 
 def ring(count: int) -> Cameras:

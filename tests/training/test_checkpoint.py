@@ -17,9 +17,9 @@ from stylesplat.training.checkpoint import (
     load_checkpoint,
     save_checkpoint,
 )
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State, first_state
-from stylesplat.training.train_config import TrainConfig
 
 CPU = torch.device("cpu")
 MARK = "names=1 size=2 poses=3 points=4 labels=5 objects=6 photos=7"

@@ -8,8 +8,8 @@ import torch
 
 from stylesplat.progress import Observer, observed
 from stylesplat.scene.capture import Capture
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
-from stylesplat.training.train_config import TrainConfig
 
 STEPS = 400  # enough for an estimate
 

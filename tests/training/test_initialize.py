@@ -14,7 +14,7 @@ from stylesplat.training.initialize import (
     first_splats,
     neighbor_distances,
 )
-from stylesplat.training.training_views import TrainingView
+from stylesplat.training.views import TrainingView
 
 
 def begun(capture: Capture, *, cap: int = 1000, sh_degree: int = 3) -> Splats:

@@ -15,16 +15,16 @@ from balls import CAMERAS, enlarged
 from capture_files import write_cut_outs
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.photos import evaluate_views
+from stylesplat.interrupts import SIGNALS, held_signals
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.progress import Observer, observed
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
-from stylesplat.signals import TAKEN
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.initialize import first_splats
-from stylesplat.training.loop import deferred_interrupt, fit
-from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import split_views
+from stylesplat.training.loop import fit
+from stylesplat.training.views import split_views
 
 
 def error(splats: Splats, capture: Capture, row: int) -> float:
@@ -166,7 +166,7 @@ def raise_heard(*_: object) -> None:
     raise Heard
 
 
-@pytest.fixture(params=TAKEN, ids=lambda number: number.name)
+@pytest.fixture(params=SIGNALS, ids=lambda number: number.name)
 def number(request: pytest.FixtureRequest):
     """A signal, with a handler that raises `Heard`."""
     before = signal.signal(request.param, raise_heard)
@@ -176,25 +176,25 @@ def number(request: pytest.FixtureRequest):
 
 def test_signals_wait_and_then_do_what_they_would_have_done(number: signal.Signals):
     reached, before = False, signal.getsignal(number)
-    with pytest.raises(Heard), deferred_interrupt() as interrupted:
+    with pytest.raises(Heard), held_signals() as interrupted:
         assert not interrupted()
         signal.raise_signal(number)
         signal.raise_signal(number)
         reached = interrupted()
     assert reached and signal.getsignal(number) is before
-    with pytest.raises(ValueError), deferred_interrupt():
+    with pytest.raises(ValueError), held_signals():
         assert signal.getsignal(number) is not before
         raise ValueError
     assert signal.getsignal(number) is before
     signal.signal(number, signal.SIG_IGN)  # nohup: what is ignored stays ignored
-    with deferred_interrupt() as interrupted:
+    with held_signals() as interrupted:
         signal.raise_signal(number)
         assert not interrupted()
 
 
 def test_other_threads_handle_no_signals():
     def work() -> bool:
-        with deferred_interrupt() as interrupted:
+        with held_signals() as interrupted:
             return interrupted()
 
     with ThreadPoolExecutor(1) as pool:

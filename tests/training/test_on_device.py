@@ -9,11 +9,11 @@ from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
 from processes import begun
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.densification import MCMCStrategy
 from stylesplat.training.loop import GPU_STEPS, fit
 from stylesplat.training.state import State
 from stylesplat.training.step import train_step
-from stylesplat.training.train_config import TrainConfig
 
 CONFIG = TrainConfig(
     steps=30, max_gaussians=200, refine_every=10, identity_every=1, color_correction="on"

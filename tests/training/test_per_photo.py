@@ -12,6 +12,7 @@ from stylesplat.evaluation.photos import NO_FITS, Fits, evaluate_views
 from stylesplat.scene.cameras import Cameras, are_rigid
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
 from stylesplat.training.per_photo import (
     BLOWN_OUT,
@@ -21,8 +22,7 @@ from stylesplat.training.per_photo import (
     with_refined_cameras,
 )
 from stylesplat.training.state import PER_PHOTO, State
-from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import split_views
+from stylesplat.training.views import split_views
 
 
 @pytest.fixture

@@ -12,23 +12,23 @@ from scenes import random_splats
 from stylesplat.rendering.at_once import RenderPool
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.densification import MCMCStrategy
-from stylesplat.training.state import Run, State, first_state
+from stylesplat.training.state import State, TrainingRun, first_state
 from stylesplat.training.step import (
     NEIGHBORS,
     apply_gradients,
-    compute_gradients,
+    photo_gradients,
     train_step,
 )
-from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import TrainingViews
+from stylesplat.training.views import TrainingViews
 
 GEOMETRY = ("means", "quats", "scales", "opacities")
 
 
 def gradients(capture: Capture, config: TrainConfig, step: int = 0) -> dict[str, torch.Tensor]:
     run, state = begun(capture, config)
-    found = compute_gradients(run, state, step).state.params
+    found = photo_gradients(run, state, step).state.params
     return {name: t.grad for name, t in found.items() if t.grad is not None}
 
 
@@ -70,7 +70,7 @@ def test_a_step_leaves_what_nobody_sees(capture: Capture, config: TrainConfig):
     with torch.no_grad():
         state.params["means"][:10] += 100
         state.params["opacities"][:10] = 5.0  # no noise either
-    visible = compute_gradients(run, state, 0).visible
+    visible = photo_gradients(run, state, 0).visible
     assert not visible[:10].any() and visible[10:].all()
     before = state.clone()
     after, _ = train_step(run, state)
@@ -111,7 +111,7 @@ def test_photos_without_anything_of_their_own_teach_the_same(
     run, state = begun(replace(capture, photos=photos, label_maps=None, alphas=alphas), config)
     zeros = {"color_maps": torch.zeros(9, 3, 4), "pose_shifts": torch.zeros(9, 6)}
     learning = state.clone().with_photos(zeros)
-    one, two = (compute_gradients(run, each, 0) for each in (state, learning))
+    one, two = (photo_gradients(run, each, 0) for each in (state, learning))
     assert torch.allclose(one.scores, two.scores, rtol=1e-5)
     learned = two.state.params
     for name, param in one.state.params.items():
@@ -136,7 +136,7 @@ def one_thread() -> Iterator[int]:
     torch.set_num_threads(before[1])
 
 
-def after(run: Run, state: State, rounds: int) -> State:
+def after(run: TrainingRun, state: State, rounds: int) -> State:
     state = state.clone()
     for _ in range(rounds):
         state, _ = train_step(run, state)
@@ -167,7 +167,7 @@ def test_gradients_of_a_round_are_of_one_state_and_steps_in_turn(
 ):
     run, state = begun(capture, config, 2, of_photos=True)
     together, one, other = after(run, state, 1), state.clone(), state.clone()
-    found = [[compute_gradients(run, start, step) for step in (0, 1)] for start in (one, other)]
+    found = [[photo_gradients(run, start, step) for step in (0, 1)] for start in (one, other)]
     apply_gradients(run, found[0])
     for each in found[1]:
         apply_gradients(run, [each])
@@ -181,9 +181,9 @@ def test_gradients_of_a_round_are_of_one_state_and_steps_in_turn(
 # The order of photos and steps.
 
 
-def run_on(cameras, *, rows=tuple(range(1, 9)), **settings) -> Run:
+def run_on(cameras, *, rows=tuple(range(1, 9)), **settings) -> TrainingRun:
     config, black = TrainConfig(**settings), [torch.zeros(64, 72, 3).byte()] * len(cameras)
-    return Run(
+    return TrainingRun(
         config=config,
         rows=rows,
         views=TrainingViews(Capture(cameras, black), rows, ids=(), device=torch.device("cpu")),
@@ -213,12 +213,12 @@ def test_each_photo_comes_once_per_epoch_in_an_order_that_follows_from_the_step(
 def test_a_round_takes_the_next_steps(cameras):
     here, state = replace(run_on(cameras, steps=11), batch=4), first_state(random_splats(5))
 
-    def rounds(here: Run) -> list[list[int]]:
-        return [[*here.photos(replace(state, step=step))] for step in (0, 4, 8)]
+    def rounds(here: TrainingRun) -> list[list[int]]:
+        return [[*here.own_steps(replace(state, step=step))] for step in (0, 4, 8)]
 
     assert rounds(here) == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10]]
     timed = replace(here, config=replace(here.config, max_seconds=9.0))
     assert rounds(timed)[-1] == [8, 9, 10, 11]
     shares = [timed.progress(replace(state, step=1000, seconds=s)) for s in (0.0, 4.5, 9.0, 10.0)]
     assert shares == [0, 0.5, 1, 1]
-    assert [here.every(2, step) for step in range(12)] == [True] * 4 + [False] * 4 + [True] * 4
+    assert [here.is_due(2, step) for step in range(12)] == [True] * 4 + [False] * 4 + [True] * 4

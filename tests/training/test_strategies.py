@@ -13,10 +13,10 @@ from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.io.splats.splat_ply import splat_fault
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
-from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import split_views
+from stylesplat.training.views import split_views
 
 PER_GAUSSIAN = {"means", "quats", "scales", "opacities", "sh0", "shN", "identities"}
 

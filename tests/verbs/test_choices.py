@@ -16,7 +16,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Recipe, Style, StyledObject
-from stylesplat.training.train_config import PRESETS, TrainConfig
+from stylesplat.training.config import PRESETS, TrainConfig
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
@@ -67,7 +67,7 @@ def test_choices_are_named():
     program = f"""
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.config import TrainConfig
 scene, photos = ss.Scene(SPLATS, CAMERAS), [SPLATS.means.new_zeros(36, 48, 3).byte()] * 8
 capture = ss.Capture(CAMERAS, photos)
 for call in {[*CALLS]}:

@@ -24,7 +24,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import Offset, to_world
 from stylesplat.studio_app.edits import pick_ball, pick_box
 from stylesplat.studio_app.history import StudioState
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.config import TrainConfig
 from stylesplat.verbs.export import export
 from stylesplat.verbs.import_ import FrameName, import_
 from stylesplat.verbs.objects import extents

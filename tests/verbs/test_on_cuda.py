@@ -45,8 +45,8 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.labels import likeliest
 from stylesplat.selection.text import load_detector
 from stylesplat.stylization.style import Style
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.state import State
-from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.evaluate import compare, evaluate
 from stylesplat.verbs.import_ import import_

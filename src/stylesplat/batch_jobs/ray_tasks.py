@@ -15,8 +15,8 @@ from msgspec.structs import replace
 from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_process import JobRecord, RunJob, ended_job, run_job
 from stylesplat.errors import StyleSplatError
+from stylesplat.interrupts import preserve_signal_handlers
 from stylesplat.io.files import reason
-from stylesplat.signals import kept_signals
 
 LOCAL = "local"
 RESOURCES = {"num_cpus": "CPU", "num_gpus": "GPU", "memory": "memory"}  # as nodes name them
@@ -115,7 +115,7 @@ def _connect(address: str) -> tuple[ModuleType, bool]:
         os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: `--workers` has 0
         options |= {"include_dashboard": False, "object_store_memory": STORE}
     try:
-        with kept_signals():
+        with preserve_signal_handlers():
             ray.init(logging_level="ERROR", **options)
     except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
         raise _unreachable(address, error) from error

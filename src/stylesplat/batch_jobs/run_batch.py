@@ -25,6 +25,7 @@ from stylesplat.batch_jobs.job_process import JobRecord, RunJob, ended_job, loca
 from stylesplat.errors import StyleSplatError, some, within
 from stylesplat.evaluation.summary import flat
 from stylesplat.figures.html_page import data_url
+from stylesplat.interrupts import wait_until
 from stylesplat.io.atomic import PARTIAL, atomic_path, changing, refuse_occupied
 from stylesplat.io.files import is_file
 from stylesplat.io.images import jpeg_thumbnail
@@ -185,7 +186,8 @@ def run_in_order(
             for job in ready[: slots - len(running)]:
                 running[pool.submit(run, waiting.pop(job.name))] = job.name
             note(some(running.values(), 2))
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            wait_until(lambda seconds: wait(running, seconds, FIRST_COMPLETED).done)
+            for future in [each for each in running if each.done()]:
                 record = future.result()
                 del running[future]
                 (done if record.status == "done" else failed).add(record.job)

@@ -17,6 +17,7 @@ from stylesplat.cli.render import Render, StudioCommand, ViewCommand
 from stylesplat.cli.sfm import Check, Sfm
 from stylesplat.cli.stylize import Adjust, Recolor, Sheet, Stylize
 from stylesplat.cli.train import Train
+from stylesplat.interrupts import check
 from stylesplat.progress import observed, write_lines
 
 COMMANDS = (Demo, Check, Sfm, Mask, Train, Import, Labels, Objects, Select, Rename, Delete)
@@ -35,6 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = None
     try:
         command = read_arguments(VERBS, sys.argv[1:] if arguments is None else arguments)
+        check()
         from stylesplat.cli.bars import Bars
         from stylesplat.io.json_yaml import strict_json
 

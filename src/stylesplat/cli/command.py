@@ -22,9 +22,9 @@ from contextlib import contextmanager, suppress
 
 import stylesplat as ss
 from stylesplat.errors import pasted
+from stylesplat.interrupts import WHOLE, report_interruption
 from stylesplat.io.files import DISK_FULL, file_stem, inside, reason
 from stylesplat.progress import say, write_lines
-from stylesplat.signals import WHOLE, report_interruption
 
 SceneFolder = Annotated[Positional[Path], arg(help="Folder of the scene.")]
 Output = Annotated[Path, arg(aliases=["-o"])]

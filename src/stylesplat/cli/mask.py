@@ -24,9 +24,9 @@ from stylesplat.cli.command import (
 )
 from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.errors import StyleSplatError
+from stylesplat.interrupts import WHOLE
 from stylesplat.io.atomic import changing, partial_of, refuse_occupied
 from stylesplat.io.files import is_file
-from stylesplat.signals import WHOLE
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished, view_of_photo
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from inspect import getdoc
 from pathlib import Path
 from subprocess import DEVNULL
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
@@ -15,6 +16,7 @@ from tyro.conf import Positional
 from stylesplat.cli.arguments import read_command
 from stylesplat.cli.command import PICTURES, Answer, Command
 from stylesplat.errors import StyleSplatError, brief
+from stylesplat.interrupts import wait_until
 
 if TYPE_CHECKING:
     from mcp.server.mcpserver import MCPServer
@@ -38,7 +40,10 @@ class Mcp(Command):
     def run(self) -> Answer:
         from stylesplat.cli import VERBS
 
-        mcp_server(self.root, VERBS).run("stdio")
+        server = mcp_server(self.root, VERBS)
+        thread = Thread(target=server.run, args=("stdio",), daemon=True)  # it reads stdin
+        thread.start()
+        wait_until(lambda seconds: thread.join(seconds) or not thread.is_alive())
         return Answer({})
 
 

@@ -30,9 +30,9 @@ from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style
+from stylesplat.training.config import PRESETS as TRAIN_PRESETS
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.initialize import first_splats
-from stylesplat.training.train_config import PRESETS as TRAIN_PRESETS
-from stylesplat.training.train_config import TrainConfig
 from stylesplat.verbs.export import export
 from stylesplat.verbs.render import render
 from stylesplat.verbs.select import select

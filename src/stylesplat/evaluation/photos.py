@@ -20,6 +20,7 @@ from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import render_labels
 from stylesplat.training.adam import Moments, adam_step
+from stylesplat.training.config import LEVELS, PhotoBackground
 from stylesplat.training.losses import photometric_loss
 from stylesplat.training.per_photo import (
     apply_color_map,
@@ -27,7 +28,6 @@ from stylesplat.training.per_photo import (
     fit_color_map,
     shift_cameras,
 )
-from stylesplat.training.train_config import LEVELS, PhotoBackground
 
 IMPORT_VIEWS = 8  # views of an imported scene that are compared
 STEPS = 40  # of fitting a camera

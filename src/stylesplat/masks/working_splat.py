@@ -26,9 +26,9 @@ from stylesplat.scene.frames import SAME, with_poses_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import Lazy, evenly
 from stylesplat.scene.splats import Splats
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.lifting import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.training.loop import fit
-from stylesplat.training.train_config import TrainConfig
 
 PHOTOS = 48  # that tell what stands still
 MIN_PHOTOS = 8  # fewer tell nothing

@@ -14,6 +14,7 @@ from typing import TypeVar
 import torch
 from numba import get_num_threads, set_num_threads
 
+from stylesplat.interrupts import check
 from stylesplat.rendering.kernels.jit import SHARED
 
 T = TypeVar("T")
@@ -71,7 +72,9 @@ def at_once(
     yield function(items[0])  # loads the kernels, once
     pool = RenderPool(len(items) - 1, device)
     try:
-        yield from pool.in_order(function, items[1:])
+        for result in pool.in_order(function, items[1:]):
+            check()
+            yield result
     finally:
         pool.end()
 

@@ -17,6 +17,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.interrupts import check
 from stylesplat.rendering.gaussians import activated, with_matrices_of
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.visibility import PART, in_view, visible
@@ -86,6 +87,7 @@ def rasterize(
     Raises:
         StyleSplatError: If the cameras differ in size or gsplat is not installed.
     """
+    check()
     backend_module = _module(backend, splats.device)
     cameras = with_matrices_of(splats, cameras)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)

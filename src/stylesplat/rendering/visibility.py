@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, Real
 from torch import Tensor
 from torch.nn.functional import pad
 
+from stylesplat.interrupts import check
 from stylesplat.rendering.gaussians import (
     Gaussians,
     Projected,
@@ -55,6 +56,7 @@ def in_view(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None 
 
     With `pixels`, without those that cannot reach one of these.
     """
+    check()  # all loops over views pass here
     camera = with_matrices_of(splats, camera)
     starts = range(0, max(1, len(splats)), PART)
     parts = [_part_in_view(splats, camera, start, pixels) for start in starts]

@@ -13,15 +13,17 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from errno import ENOSPC
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from statistics import median
 from typing import Any
 
 import stylesplat
 from stylesplat.errors import StyleSplatError
+from stylesplat.interrupts import POLL_SECONDS, check
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.files import cannot_write
 from stylesplat.progress import Task, task
@@ -66,7 +68,7 @@ def run_stage(
             process.stdin.write(json.dumps(settings | {"done": done}) + "\n")
             process.stdin.flush()
         with task(what, total, unit=unit, done=done) as bar:
-            log = _follow(process.stdout, bar, total, done)
+            log = _follow(_polled(process.stdout), bar, total, done)
         status = process.wait()
     finally:
         process.kill()
@@ -82,6 +84,27 @@ def run_stage(
 def is_disk_full(text: str) -> bool:
     """Whether a message of COLMAP or SQLite says that the disk is full."""
     return bool(DISK_FULL.search(text))
+
+
+def _polled(output: Iterable[str]) -> Iterator[str]:
+    """The lines of a stream, which another thread reads, so that Ctrl-C ends the wait for them."""
+    lines = SimpleQueue[str | None]()
+
+    def read() -> None:
+        for line in output:
+            lines.put(line)
+        lines.put(None)
+
+    threading.Thread(target=read, daemon=True).start()
+    while True:
+        try:
+            line = lines.get(timeout=POLL_SECONDS)
+        except Empty:
+            check()
+            continue
+        if line is None:
+            return
+        yield line
 
 
 def _follow(output: Iterable[str], bar: Task, total: int, done: int) -> "deque[str]":

@@ -10,13 +10,13 @@ from typing import Any, NoReturn
 import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.interrupts import POLL_SECONDS, Terminated, check
 from stylesplat.io import scene_folder
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import ring_cameras
-from stylesplat.signals import Terminated, mark_handled
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.files import SceneStore
 from stylesplat.studio_app.gallery import Gallery
@@ -154,7 +154,8 @@ def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> Studi
 def until_interrupted(stop: Callable[[], object]) -> NoReturn:
     try:
         while True:
-            time.sleep(1)
+            time.sleep(POLL_SECONDS)
+            check()
     finally:
         stop()
 
@@ -164,8 +165,8 @@ def _block(stop: Callable[[], object]) -> None:
         until_interrupted(stop)
     except Terminated:
         raise
-    except KeyboardInterrupt as error:  # how it is closed
-        mark_handled(error)
+    except KeyboardInterrupt:  # how it is closed
+        pass
 
 
 def _refuse_empty(splats: Splats) -> None:

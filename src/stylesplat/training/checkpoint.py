@@ -15,9 +15,8 @@ from stylesplat.io.files import reason
 from stylesplat.io.tensors import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
 from stylesplat.progress import say
 from stylesplat.training.adam import Moments
-from stylesplat.training.runaways import without_runaways
+from stylesplat.training.config import TrainConfig
 from stylesplat.training.state import State
-from stylesplat.training.train_config import TrainConfig
 
 FREE = {"max_memory"}  # settings that a run may be continued without: the result is the same
 LENGTH = {"steps", "max_seconds"}  # may differ too, if the run takes no more steps
@@ -40,7 +39,7 @@ class Checkpoint:
 
 def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
     """Write everything that `load_checkpoint` needs, without runaways; whole or not at all."""
-    state = without_runaways(state)
+    state = state.without_runaways()
     content = {
         "params": {name: t.detach() for name, t in state.params.items()},
         "first": state.moments.first,

@@ -21,7 +21,7 @@ from stylesplat.io.tensors import GAUSSIANS, IDENTITIES, rows_in_range
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import TensorOptimizer
-from stylesplat.training.train_config import TrainConfig, means_decay
+from stylesplat.training.config import TrainConfig, means_decay
 
 DEAD_OPACITY = 0.005
 MAX_COPIES = 51  # of one Gaussian at a time (official)
@@ -63,7 +63,7 @@ class Strategy(Protocol):
     def step_post_backward(self, *args: Any, **kwargs: Any) -> None: ...
 
 
-def accepted(function: Callable[..., Any], **offered: Any) -> dict[str, Any]:
+def supported_kwargs(function: Callable[..., Any], **offered: Any) -> dict[str, Any]:
     """The arguments offered for which the function has a parameter."""
     return {name: offered[name] for name in offered.keys() & signature(function).parameters.keys()}
 

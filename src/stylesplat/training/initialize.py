@@ -16,7 +16,7 @@ from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import is_in_image, project
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb, sh_bases
-from stylesplat.training.training_views import TrainingView
+from stylesplat.training.views import TrainingView
 
 OPACITY = 0.1  # of every first Gaussian (official)
 NEIGHBORS = 3  # their mean distance is the first radius (official)

@@ -1,43 +1,51 @@
 """The training loop: Gaussians, identities and classifier together (StyleSplat section 3.3)."""
 
-import signal
-import threading
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import torch
+import torch.distributed as dist
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, counted
+from stylesplat.interrupts import held_signals
 from stylesplat.progress import Task, say, task
 from stylesplat.rendering.at_once import RenderPool
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, fingerprint
 from stylesplat.scene.outliers import scene_extent
-from stylesplat.signals import TAKEN
 from stylesplat.training.checkpoint import (
     Checkpoint,
     Checkpointer,
     load_checkpoint,
     require_checkpoint,
 )
-from stylesplat.training.densification import MCMCStrategy, Strategy, accepted
-from stylesplat.training.estimate import say_estimate
+from stylesplat.training.config import LEVELS, TrainConfig
+from stylesplat.training.densification import MCMCStrategy, Strategy, supported_kwargs
 from stylesplat.training.initialize import first_splats
 from stylesplat.training.per_photo import initial_photo_params
-from stylesplat.training.runaways import finished
-from stylesplat.training.state import ALONE, Ranks, Run, State, first_state
-from stylesplat.training.step import train_step
-from stylesplat.training.train_config import LEVELS, TrainConfig
-from stylesplat.training.training_views import TrainingViews, learned_ids, split_views
+from stylesplat.training.state import State, TrainingRun, first_state
+from stylesplat.training.step import exchange_gradients, train_step
+from stylesplat.training.views import TrainingViews, learned_ids, split_views
 
-MOST_AT_ONCE = 4  # photos in all processes, unless the settings say otherwise
+MOST_AT_ONCE = 4  # photos of a round on the CPU, unless the settings say otherwise
 SMOOTHING = 0.98  # per step, of the loss and PSNR shown: single photos differ a lot
 GPU_STEPS = 10  # between reports, each of which waits for the GPU; a CPU has done the step anyway
 GPU_SECONDS = 1.0  # but slow steps are reported one by one
+PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
+ESTIMATE_ROUNDS = 10  # of the copy
+# A run shorter than so many copies gets no estimate, which would cost over 10 %
+ESTIMATE_LEAST = 20
+LONG_SECONDS = 120  # a run that takes longer is offered a first look
+# A first look of the fox, at this length of the photos' longer side, has 31 dB (README, "How fast")
+FIRST_LOOK = "--max-seconds 60 --max-gaussians 50000"
+FIRST_LOOK_SIZE = 480
 
 Report = Callable[[State, float, float], None]
 """Takes the state, and the means of loss and PSNR since the last report."""
@@ -83,13 +91,14 @@ def fit(
     Raises:
         StyleSplatError: If the capture leaves nothing to train on, there is no checkpoint to
             finish, or it has other settings or another capture; it is left as it is. If a strategy
-            is to be used with a checkpoint, several photos at once or several processes.
+            is to be used with a checkpoint, several photos at once or several processes; or several
+            photos at once by several processes.
         KeyboardInterrupt: After Ctrl-C, once the step is finished and the checkpoint written;
             SIGTERM waits for them too, before it does what it does in your program.
 
     Example:
         >>> import stylesplat as ss
-        >>> from stylesplat.training.train_config import TrainConfig
+        >>> from stylesplat.training.config import TrainConfig
         >>> state = fit(ss.load("garden/"), TrainConfig(max_seconds=120))  # doctest: +SKIP
         >>> splats = state.splats.detach()  # doctest: +SKIP
     """
@@ -123,15 +132,15 @@ def fit(
         warm_up_training(run, state)
         if continued is None:
             say_estimate(run, state, capture)
-        checkpointer = Checkpointer(saved if run.ranks.number == 0 else None)
+        checkpointer = Checkpointer(saved if run.rank == 0 else None)
         bar = (
             task("training", config.steps, unit="step", done=state.step)
             if config.max_seconds is None
             else task("training", config.max_seconds, unit="s", done=state.seconds)
         )
-        with bar as bar, deferred_interrupt() as interrupted:
+        with bar as bar, held_signals() as interrupted:
             meter = ProgressMeter(config, state, bar, on_progress)
-            state, stopped = _agree(run, state, interrupted=interrupted())
+            state, stopped = stop_together(run, state, stopped=interrupted())
             while run.progress(state) < 1 and not stopped:
                 start = time.perf_counter()
                 after, scores = train_step(run, state)
@@ -140,7 +149,7 @@ def fit(
                 if means is not None:
                     meter.report(state, means)
                 checkpointer.after_step(state)
-                state, stopped = _agree(run, state, interrupted=interrupted())
+                state, stopped = stop_together(run, state, stopped=interrupted())
             if meter.scores:
                 meter.report(state, meter.means())
             if not stopped:
@@ -154,9 +163,61 @@ def fit(
         run.views.end()
 
 
+def rank_and_processes() -> tuple[int, int]:
+    """Which of the processes that train together this is, by torch.distributed, and their count.
+
+    All begin alike, draw the same random numbers and step by the same mean gradients, so their
+    Gaussians stay the same without being sent.
+    """
+    if dist.is_available() and dist.is_initialized():
+        return dist.get_rank(), dist.get_world_size()
+    return 0, 1
+
+
+@contextmanager
+def torchrun(device: str) -> Iterator[tuple[int, int]]:
+    """Join the processes that `torchrun` has started, if any, each with a GPU of its own.
+
+    Yields:
+        The `rank_and_processes` within the block.
+
+    Raises:
+        StyleSplatError: If there are more processes than GPUs, or they are to use the CPU.
+    """
+    if "TORCHELASTIC_RUN_ID" not in os.environ or os.environ.get("WORLD_SIZE", "1") == "1":
+        yield rank_and_processes()
+        return
+    number, count = int(os.environ["LOCAL_RANK"]), int(os.environ["LOCAL_WORLD_SIZE"])
+    if pick_device(device).type != "cuda":
+        raise StyleSplatError(
+            f"Cannot train by {count} processes on the CPU: one process uses all cores. Train "
+            "without torchrun, or on GPUs."
+        )
+    if count > (gpus := torch.cuda.device_count()):
+        raise StyleSplatError(
+            f"There are {count} processes for {counted(gpus, 'GPU')}. Give torchrun "
+            f"`--nproc-per-node {gpus}`."
+        )
+    torch.cuda.set_device(number)
+    dist.init_process_group("nccl", timeout=PATIENCE)
+    try:
+        yield rank_and_processes()
+    finally:
+        dist.destroy_process_group()
+
+
+def stop_together(run: TrainingRun, state: State, *, stopped: bool) -> tuple[State, bool]:
+    """The state with the time of the slowest process; and whether any process is to stop."""
+    if run.processes == 1:
+        return state, stopped
+    largest = torch.tensor([state.seconds, stopped], dtype=torch.float64, device=run.device)
+    dist.all_reduce(largest, dist.ReduceOp.MAX)
+    return replace(state, seconds=largest[0].item()), bool(largest[1])
+
+
 def _check_alone(config: TrainConfig, checkpoint: Path | None) -> None:
     """Refuse what goes with no strategy but ours, whose state is the seed and the step."""
-    several = (config.photos_at_once or 1) > 1 or Ranks.here().count > 1
+    several = (config.photos_at_once or 1) > 1 or rank_and_processes()[1] > 1
     if checkpoint is not None or several:
         fact = "several photos at a time" if several else "a checkpoint"
         raise StyleSplatError(
@@ -172,16 +233,19 @@ def _begin(
     device: torch.device,
     continued: State | None,
     strategy: Strategy | None,
-) -> tuple[Run, State]:
+) -> tuple[TrainingRun, State]:
     ids = learned_ids(capture, rows) if continued is None else continued.ids
-    ranks = Ranks.here()
-    most = max(1, MOST_AT_ONCE // ranks.count)
-    photos = config.photos_at_once if strategy is None else 1
-    pool = RenderPool(photos or most, device)
-    # Processes on the CPU send their gradients once a round, so each has as many photos in it
-    same = ranks.count > 1 and device.type == "cpu"
-    extent = scene_extent(capture.cameras)
-    run = Run(
+    rank, processes = rank_and_processes()
+    photos, extent = config.photos_at_once, scene_extent(capture.cameras)
+    if processes > 1:
+        if photos is not None and photos > 1:
+            raise StyleSplatError(
+                f"Cannot train on {photos} photos at once by {processes} processes, each of which "
+                "takes one: leave out photos_at_once."
+            )
+        photos = 1
+    pool = RenderPool(1 if strategy else photos or MOST_AT_ONCE, device)
+    run = TrainingRun(
         config=config,
         rows=tuple(rows),
         views=TrainingViews(capture, rows, ids=ids, device=device, max_memory=config.max_memory),
@@ -189,9 +253,11 @@ def _begin(
         extent=extent,
         device=device,
         strategy=strategy or MCMCStrategy(config, extent),
-        batch=photos or (most if same else pool.size),
-        ranks=ranks,
+        batch=processes if processes > 1 else photos or pool.size,
         pool=pool,
+        rank=rank,
+        processes=processes,
+        exchange=exchange_gradients if processes > 1 else tuple,
     )
     state = continued or first_state(
         first_splats(
@@ -204,28 +270,40 @@ def _begin(
         ).to(device)
     )
     begin = run.strategy.initialize_state
-    state = replace(state, strategy_state=begin(**accepted(begin, scene_scale=extent)))
+    state = replace(state, strategy_state=begin(**supported_kwargs(begin, scene_scale=extent)))
     if continued is None:
         state = state.with_photos(initial_photo_params(run, capture.points))
     return run, state
 
 
-def warm_up_training(run: Run, state: State) -> None:
+def finished(state: State) -> State:
+    """The state at the end of a run, without runaways; a line says how many these were.
+
+    Raises:
+        StyleSplatError: If nothing else is left.
+    """
+    kept = state.without_runaways()
+    lost = len(state.splats) - len(kept.splats)
+    if not len(kept.splats):
+        raise StyleSplatError(
+            f"Training came to nothing: no number of its {lost:,} Gaussians is finite. Train again "
+            "with a lower means_rate, and check the poses."
+        )
+    if lost:
+        say(f"{counted(lost, 'Gaussian')} ran away beyond all bounds, and were left out.")
+    return kept
+
+
+def warm_up_training(run: TrainingRun, state: State) -> None:
     """Compile the kernels before the clock starts, by rounds on a copy of the state.
 
-    The rounds are those of one process; of several processes all photos of a round have one step.
+    The rounds are those of one process.
     """
-    batch = run.batch if run.ranks.count == 1 else 1
-    run = replace(run, batch=batch, ranks=ALONE, pool=RenderPool(1))
+    batch = run.batch if run.processes == 1 else 1
+    run = replace(run, batch=batch, pool=RenderPool(1), rank=0, processes=1, exchange=tuple)
     if run.progress(state) < 1:
         for number in range(min(run.config.identity_every, 2)):  # with and without identities
             train_step(run, replace(state.clone(), step=number * batch))
-
-
-def _agree(run: Run, state: State, *, interrupted: bool) -> tuple[State, bool]:
-    """The state with the time of the slowest process; and whether any process is to stop."""
-    seconds, stopped = run.ranks.largest(state.seconds, interrupted)
-    return replace(state, seconds=seconds), bool(stopped)
 
 
 class ProgressMeter:
@@ -265,24 +343,59 @@ class ProgressMeter:
             self._on_progress(state, *means.tolist())
 
 
-@contextmanager
-def deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Delay Ctrl-C and SIGTERM to the end of the block; the function yielded says if one came.
+def estimate_seconds(run: TrainingRun, state: State) -> float:
+    """Seconds that a run by steps and `MCMCStrategy` will take, measured on a copy of its state.
 
-    Then they do what they would have done. Outside the main thread, where Python handles no
-    signals, none comes; ignored signals stay ignored.
+    Schedules are shares of the run. So a run of ten rounds has photos as small and as large, and as
+    few and as many Gaussians, as the whole run. Each round is taken twice: first to read its photos
+    and to add Gaussians, which the whole run does more seldom, then to measure the rest.
+    For the fox, in processor time, this was up to 36 % too short, most at 540x960 in 500 steps.
     """
-    came: list[int] = []
-    handlers = {number: signal.getsignal(number) for number in TAKEN}
-    if threading.current_thread() is not threading.main_thread():
-        handlers = {}
-    taken = {n: h for n, h in handlers.items() if h not in (signal.SIG_IGN, None)}
-    try:
-        for number in taken:
-            signal.signal(number, lambda number, _: came.append(number))
-        yield lambda: bool(came)
-    finally:
-        for number, handler in taken.items():
-            signal.signal(number, handler)
-        for number in dict.fromkeys(came):
-            signal.raise_signal(number)
+    config = replace(
+        run.config, steps=ESTIMATE_ROUNDS * run.batch, refine_every=1, sh_degree_every=None
+    )
+    constant = replace(config, refine_every=config.steps + 1)
+    growing, timed = (
+        replace(run, config=each, strategy=MCMCStrategy(each, run.extent))
+        for each in (config, constant)
+    )
+    seconds = 0.0
+    while growing.progress(state) < 1:
+        grown, _ = train_step(growing, state.clone())
+        again, start = state.clone(), time.perf_counter()
+        train_step(timed, again)
+        again.params["means"][0, 0].item()  # waits for the GPU
+        seconds += time.perf_counter() - start
+        state = grown
+    return seconds * run.config.steps / config.steps
+
+
+def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
+    """Say in one line how long a run will take, if it is not a short one or limited by time.
+
+    For a long run the line has settings for a first look as well.
+    """
+    config, ours = run.config, isinstance(run.strategy, MCMCStrategy)
+    short = config.steps < ESTIMATE_LEAST * ESTIMATE_ROUNDS * run.batch
+    if short or config.max_seconds is not None or run.processes > 1 or not ours:
+        return
+    seconds = estimate_seconds(run, state)
+    width, height = max((run.cameras[row].size for row in run.rows), key=max)
+    quality = advice = ""
+    if config.steps < TrainConfig.steps:
+        quality = f" Fewer than {TrainConfig.steps:,} steps leave pictures softer."
+    if seconds > LONG_SECONDS:
+        factor = round(max(width, height) / FIRST_LOOK_SIZE) * capture.downscale
+        smaller = f" --downscale {factor:g}" if factor > capture.downscale else ""
+        advice = f" `{FIRST_LOOK}{smaller}` gives a first look."
+    photos = f"{counted(len(run.rows), 'photo')} of {width}x{height}"
+    say(
+        f"{photos}, at most {config.max_gaussians:,} Gaussians: {config.steps:,} steps take "
+        f"about {_duration(seconds)} on this machine.{quality}{advice}"
+    )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 180:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -21,8 +21,8 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.adam import Moments, adam_step
-from stylesplat.training.state import PER_PHOTO, Run, State
-from stylesplat.training.training_views import TrainingView
+from stylesplat.training.state import PER_PHOTO, State, TrainingRun
+from stylesplat.training.views import TrainingView
 
 # First learning rates: a gain of 1.6 in light is a change of 0.24, and half a degree is 0.009
 RATES = {"color_maps": 5e-3, "pose_shifts": 2e-3}
@@ -35,7 +35,9 @@ FIT_PRIOR = 1e-4  # pull towards no change, over the mean square of what is fitt
 VARIED = 0.09
 
 
-def initial_photo_params(run: Run, points: Float[Tensor, "M 3"] | None) -> dict[str, Tensor]:
+def initial_photo_params(
+    run: TrainingRun, points: Float[Tensor, "M 3"] | None
+) -> dict[str, Tensor]:
     """The `PER_PHOTO` tensors that a run learns, as it begins; one row per training photo.
 
     Sparse points in the world give the first exposures.
@@ -75,7 +77,7 @@ def per_photo_regularizer(params: dict[str, Tensor], row: int) -> Float[Tensor, 
     return sum((WEIGHTS[name] * params[name][row].square().sum() for name in names), 0.0)
 
 
-def step_photo(run: Run, state: State) -> None:
+def step_photo(run: TrainingRun, state: State) -> None:
     """Adam for the `PER_PHOTO` rows of a step's photo, in place; each photo counts its own steps.
 
     The state is that before the step, with gradients.

@@ -1,35 +1,37 @@
 """What a training run carries from step to step, and what stays the same throughout."""
 
-import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from datetime import timedelta
-from typing import Any
+from enum import IntEnum
+from typing import Any, NamedTuple
 
-import numba
 import torch
-import torch.distributed as dist
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
 from stylesplat.progress import track
 from stylesplat.rendering.at_once import RenderPool
-from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.scene.world_offset import ORIGIN, Offset
 from stylesplat.training.adam import Moments
-from stylesplat.training.densification import Optimizers, Params, Strategy
-from stylesplat.training.train_config import TrainConfig
-from stylesplat.training.training_views import TrainingView, TrainingViews
+from stylesplat.training.config import TrainConfig
+from stylesplat.training.densification import Optimizers, Params, Strategy, sound_rows
+from stylesplat.training.views import TrainingView, TrainingViews
 
-PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
 CLASSIFIER = ("weight", "bias")
 PER_PHOTO = ("color_maps", "pose_shifts")  # one row per training photo; no part of the splat
-STRIDE = 1_000_003  # a prime, so that seeds and steps hardly share random numbers
-EPOCHS, NUMBERS, OFFSETS, MOVES, PURPOSES = range(5)  # what randomness is for; how many kinds
+SEED_STRIDE = 1_000_003  # a prime, so that seeds and steps hardly share random numbers
+
+
+class RandomStream(IntEnum):
+    """What random numbers are for; each use has its own."""
+
+    EPOCH = 0
+    STEP = 1
+    OFFSET = 2
+    MOVE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +74,27 @@ class State:
         moments = self.moments.updated(optimizers)
         return replace(self, params=self.params | params, moments=moments)
 
-    def with_own_gradients(self, step: int) -> "State":
+    def detached_copy(self, step: int) -> "State":
         """The state at another step: it shares the tensors, but not their gradients."""
         params = {name: t.detach().requires_grad_() for name, t in self.params.items()}
         return replace(self, params=params, step=step)
+
+    def without_runaways(self) -> "State":
+        """The state without the Gaussians that have run away: `sound_rows` rejects them, or their
+        moments are not finite. What lies far from everything is never seen, and so never comes
+        back."""
+        sound = sound_rows(self.params)
+        for moments in (self.moments.first, self.moments.second):
+            for name in self.names:
+                sound = sound & moments[name][:, None].flatten(1).isfinite().all(dim=1)
+        if sound.all():
+            return self
+        params = {n: self.params[n].detach()[sound].requires_grad_() for n in self.names}
+        first, second = (
+            moments | {name: moments[name][sound] for name in self.names}
+            for moments in (self.moments.first, self.moments.second)
+        )
+        return replace(self, params=self.params | params, moments=Moments(first, second))
 
     def with_photos(self, tensors: dict[str, Tensor]) -> "State":
         """The state with `PER_PHOTO` tensors, before the first step."""
@@ -108,83 +127,29 @@ def first_state(splats: Splats) -> State:
     return State(params, zeros, ids, len(splats), world_offset=splats.world_offset)
 
 
-@dataclass(frozen=True)
-class Ranks:
-    """Processes that train together, by torch.distributed; each processes photos of its own.
+class PhotoGradients(NamedTuple):
+    """The gradients of one photo, or the mean of several photos'; nothing waits for the device."""
 
-    All begin alike, draw the same random numbers and step by the same averaged gradients, so their
-    Gaussians stay the same without being sent.
-    """
-
-    number: int = 0  # of this process
-    count: int = 1
-
-    @classmethod
-    def here(cls) -> "Ranks":
-        """The process group that the program has joined; one process without a group."""
-        if dist.is_available() and dist.is_initialized():
-            return cls(dist.get_rank(), dist.get_world_size())
-        return cls()
-
-    @classmethod
-    @contextmanager
-    def of_torchrun(cls, device: str) -> Iterator["Ranks"]:
-        """Join the processes that `torchrun` has started, if any, within the block.
-
-        Each has a GPU of its own, or its share of the cores.
-        """
-        if "TORCHELASTIC_RUN_ID" not in os.environ or os.environ.get("WORLD_SIZE", "1") == "1":
-            yield cls.here()
-            return
-        number, count = int(os.environ["LOCAL_RANK"]), int(os.environ["LOCAL_WORLD_SIZE"])
-        if pick_device(device).type == "cuda":
-            gpus = torch.cuda.device_count()
-            if count > gpus:
-                raise StyleSplatError(
-                    f"There are {count} processes for {gpus} GPUs. Give torchrun "
-                    f"`--nproc-per-node {gpus}`, or train with `--device cpu`."
-                )
-            torch.cuda.set_device(number)
-            backend = "nccl"
-        else:
-            backend = "gloo"
-            share = max(1, numba.get_num_threads() // count)
-            numba.set_num_threads(share)
-            torch.set_num_threads(share)
-        dist.init_process_group(backend, timeout=PATIENCE)
-        try:
-            yield cls.here()
-        finally:
-            dist.destroy_process_group()
-
-    def add_up(self, tensors: Iterable[Tensor]) -> None:
-        """Replace each tensor by its sum over all processes; shapes are the same everywhere."""
-        if self.count > 1:
-            works = [dist.all_reduce(each, async_op=True) for each in tensors]
-            for work in works:
-                assert work is not None
-                work.wait()
-
-    def meet(self) -> None:
-        """Wait for all processes."""
-        if self.count > 1:
-            dist.barrier()
-
-    def largest(self, *numbers: float | int) -> list[float]:
-        """The largest of each number over all processes."""
-        if self.count == 1:
-            return [float(each) for each in numbers]
-        device = "cuda" if dist.get_backend() == "nccl" else "cpu"
-        maxima = torch.tensor(numbers, dtype=torch.float64, device=device)
-        dist.all_reduce(maxima, dist.ReduceOp.MAX)
-        return maxima.tolist()
+    state: State
+    """The tensors before the round, with these gradients; its step is the first photo's."""
+    visible: Bool[Tensor, " N"]
+    """Which Gaussians the cameras see."""
+    scores: Float[Tensor, "2"]
+    """Loss and PSNR."""
+    info: dict[str, Any]
+    """Of the render, for the strategy; that of one of several photos."""
+    photos: int
+    """How many photos they are the mean of."""
+    learns_identities: bool
+    """Whether identities are learned in this round, where the photo has a label map."""
 
 
-ALONE = Ranks()
+Exchange = Callable[[Sequence[PhotoGradients]], Sequence[PhotoGradients]]
+"""Takes the gradients of a process's own photos; returns those to step by."""
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class TrainingRun:
     """What stays the same in the course of training."""
 
     config: TrainConfig
@@ -201,30 +166,33 @@ class Run:
     """Moves, adds and removes Gaussians."""
     batch: int = 1
     """Photos of a round: their gradients are computed together, before the first step."""
-    ranks: Ranks = ALONE
-    """Which process this is; each has as many photos in a round."""
     pool: RenderPool = field(default_factory=lambda: RenderPool(1))
     """The threads that compute gradients."""
+    rank: int = 0
+    """Which process this is of those that train together; each takes one photo of a round."""
+    processes: int = 1
+    exchange: Exchange = tuple
 
     def progress(self, state: State) -> float:
         return self.config.progress(state.step, state.seconds)
 
-    def photos(self, state: State) -> range:
-        """Steps of the next round that are this process's; `row` gives the photo of each."""
-        own, number, count = self.batch, self.ranks.number, self.ranks.count
+    def own_steps(self, state: State) -> range:
+        """The steps of the next round whose photos, by `row`, are this process's."""
+        first, count = state.step, self.batch
+        if self.processes > 1:
+            return range(first + self.rank, first + self.rank + 1)
         if self.config.max_seconds is None:
-            own = max(1, min(own, -(-(self.config.steps - state.step) // count)))
-        return range(state.step + number, state.step + own * count, count)
+            count = max(1, min(count, self.config.steps - first))  # one beyond the last, to warm up
+        return range(first, first + count)
 
-    def every(self, rounds: int, step: int) -> bool:
-        """Whether a step is in every n-th round; all processes agree on it."""
-        first = step - self.ranks.number  # the same step of the first process
-        return first // (self.batch * self.ranks.count) % rounds == 0
+    def is_due(self, rounds: int, step: int) -> bool:
+        """Whether a step is in every n-th round."""
+        return step // self.batch % rounds == 0
 
     def row(self, step: int) -> int:
         """The photo of a step: every photo once, in random order, then all over again."""
         epoch, place = divmod(step, len(self.rows))
-        shuffle = _generator(self.config.seed, EPOCHS, epoch, torch.device("cpu"))
+        shuffle = _generator(self.config.seed, RandomStream.EPOCH, epoch, torch.device("cpu"))
         return self.rows[int(torch.randperm(len(self.rows), generator=shuffle)[place])]
 
     def all_views(self, what: str, progress: float) -> Iterator[TrainingView]:
@@ -234,18 +202,20 @@ class Run:
             alpha, valid = (None if t is None else t.cpu() for t in (view.alpha, view.valid))
             yield view._replace(photo=view.photo.cpu(), alpha=alpha, valid=valid)
 
-    def generator(self, step: int, purpose: int = NUMBERS) -> torch.Generator:
+    def generator(self, step: int, stream: RandomStream = RandomStream.STEP) -> torch.Generator:
         """Randomness of one step, on the device; it follows from seed and step alone."""
-        return _generator(self.config.seed, purpose, step, self.device)
+        return _generator(self.config.seed, stream, step, self.device)
 
     def offset(self, step: int) -> tuple[int, int]:
         """The first row and column of the pixels whose identities a step samples."""
         # The CPU draws it, so that nothing waits for the device
-        draw = _generator(self.config.seed, OFFSETS, step, torch.device("cpu"))
+        draw = _generator(self.config.seed, RandomStream.OFFSET, step, torch.device("cpu"))
         y, x = torch.randint(self.config.identity_stride, (2,), generator=draw).tolist()
         return y, x
 
 
-def _generator(seed: int, purpose: int, number: int, device: torch.device) -> torch.Generator:
-    mixed = (seed * STRIDE + number) * PURPOSES + purpose
+def _generator(
+    seed: int, stream: RandomStream, number: int, device: torch.device
+) -> torch.Generator:
+    mixed = (seed * SEED_STRIDE + number) * len(RandomStream) + stream
     return torch.Generator(device).manual_seed(mixed % 2**63)

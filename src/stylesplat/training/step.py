@@ -2,18 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial, reduce
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int, Integer
+import torch.distributed as dist
+from jaxtyping import Float, Int, Integer
 from torch import Tensor
 
 from stylesplat.imaging.similarity import decibels
 from stylesplat.rendering.render import rasterize
 from stylesplat.training import per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
-from stylesplat.training.densification import accepted
+from stylesplat.training.config import LEVELS, TrainConfig, means_decay
+from stylesplat.training.densification import supported_kwargs
 from stylesplat.training.losses import (
     NO_CLASS,
     identity_loss,
@@ -22,9 +24,15 @@ from stylesplat.training.losses import (
     sample_neighbors,
     split_render,
 )
-from stylesplat.training.state import CLASSIFIER, MOVES, PER_PHOTO, Run, State
-from stylesplat.training.train_config import LEVELS, TrainConfig, means_decay
-from stylesplat.training.training_views import AHEAD
+from stylesplat.training.state import (
+    CLASSIFIER,
+    PER_PHOTO,
+    PhotoGradients,
+    RandomStream,
+    State,
+    TrainingRun,
+)
+from stylesplat.training.views import AHEAD
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
@@ -40,54 +48,41 @@ NEIGHBOR_SAMPLES = 1000
 NEIGHBORS = 5
 
 
-class PhotoGradients(NamedTuple):
-    """The gradients of one photo, or the mean of several photos'; nothing waits for the device."""
-
-    state: State
-    """The tensors before the round, with these gradients; its step is the first photo's."""
-    visible: Bool[Tensor, " N"]
-    """Which Gaussians the cameras see."""
-    scores: Float[Tensor, "2"]
-    """Loss and PSNR."""
-    info: dict[str, Any]
-    """Of the render, for the strategy; that of the first photo, for several."""
-    photos: int = 1
-
-
-def train_step(run: Run, state: State) -> tuple[State, Float[Tensor, "2"]]:
+def train_step(run: TrainingRun, state: State) -> tuple[State, Float[Tensor, "2"]]:
     """Train on the photos of one more round.
 
     Threads compute the photos' gradients in parallel. Then Adam takes one step per photo, with
     gradients that are as old as the round. For a few photos this costs no measurable quality
     (Langford, Smola and Zinkevich 2009, "Slow learners are fast") and needs no other rates. The
-    strategy then moves, adds and removes Gaussians. Several processes take one step for the whole
-    round, by the mean of all their gradients, which are sent once.
+    strategy then moves, adds and removes Gaussians. Several GPUs exchange their gradients, and take
+    one step for the whole round by the mean.
 
     Returns:
         The next state, in the same tensors unless Gaussians were moved or added; and the means of
         loss and PSNR.
     """
-    photos = [*run.pool.in_order(partial(compute_gradients, run, state), run.photos(state))]
-    if run.ranks.count > 1:
-        photos = [average_gradients(run, photos)]
+    compute = partial(photo_gradients, run, state)
+    photos = run.exchange([*run.pool.in_order(compute, run.own_steps(state))])
     apply_gradients(run, photos)
     scores = torch.stack([each.scores for each in photos]).mean(dim=0)
     return densify(run, state, photos), scores
 
 
-def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
+def photo_gradients(run: TrainingRun, state: State, step: int) -> PhotoGradients:
     """Compare a render with the photo of a step.
 
     Where a photo is transparent, it and the render are laid over the same colour, by default a
     random one: only Gaussians that are as transparent fit all colours.
     """
-    state, config, generator = state.with_own_gradients(step), run.config, run.generator(step)
+    state = state.detached_copy(state.step if run.processes > 1 else step)
+    config, generator = run.config, run.generator(step)
     params, progress, row = state.params, run.progress(state), run.row(step)
     place = run.rows.index(row)  # in the `PER_PHOTO` tensors
     view = run.views(row, config.photo_downscale(progress, run.cameras[row].size))
-    later = run.row(step + AHEAD * run.ranks.count)
+    later = run.row(step + AHEAD * run.processes)
     run.views.expect(later, config.photo_downscale(progress, run.cameras[later].size))
-    classes = view.classes if run.every(config.identity_every, step) else None
+    learns_identities = run.is_due(config.identity_every, state.step)
+    classes = view.classes if learns_identities else None
     splats, changes, camera = state.splats, params.get("color_maps"), view.camera
     if "pose_shifts" in params:
         camera = per_photo.shift_cameras(
@@ -105,7 +100,7 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
         features=None if classes is None else splats.identities,
         features_move_geometry=config.identity_geometry,
         background=background if changes is None else None,
-        sh_degree=config.active_sh_degree(progress, step),
+        sh_degree=config.active_sh_degree(progress, state.step),
         raise_clamped=True,
     )
     image, identities = render.squeeze(0), None
@@ -124,28 +119,29 @@ def compute_gradients(run: Run, state: State, step: int) -> PhotoGradients:
         if view.valid is not None:
             sampled = sampled.where(view.valid[y::stride, x::stride], NO_CLASS)
         loss = loss + _identity_losses(run, state, (identities, sampled), generator)
-    (width, height), first = camera.size, step - run.ranks.number  # alike in all processes
-    info = {**info, **_run_info(run, state, first), "loss": loss, "n_cameras": 1}
+    width, height = camera.size
+    info = {**info, **_run_info(run, state), "loss": loss, "n_cameras": 1}
     info |= {"width": width, "height": height, "gaussian_ids": None}  # as gsplat's, not packed
-    run.strategy.step_pre_backward(*state.gaussians(), state.strategy_state, step, info)
+    run.strategy.step_pre_backward(*state.gaussians(), state.strategy_state, state.step, info)
     loss = info.pop("loss")
     loss.backward()
     visible = (info["radii"][0] > 0).all(dim=-1)
-    return PhotoGradients(state, visible, torch.stack([loss.detach(), decibels(error)]), info)
+    scores = torch.stack([loss.detach(), decibels(error)])
+    return PhotoGradients(state, visible, scores, info, run.processes, learns_identities)
 
 
-def _run_info(run: Run, state: State, step: int) -> dict[str, Any]:
+def _run_info(run: TrainingRun, state: State) -> dict[str, Any]:
     """What a strategy is told of the run; see `Strategy`."""
     return {
         "progress": run.progress(state),
         "first_count": state.first_count,
         "classifier": state.splats.classifier,
-        "generator": run.generator(step, MOVES),
+        "generator": run.generator(state.step, RandomStream.MOVE),
     }
 
 
 def _identity_losses(
-    run: Run,
+    run: TrainingRun,
     state: State,
     view: tuple[Float[Tensor, "h w 16"], Integer[Tensor, "h w"]],
     generator: torch.Generator,
@@ -155,7 +151,7 @@ def _identity_losses(
     assert splats.identities is not None and splats.classifier is not None
     pixels, targets = (each.flatten(0, 1) for each in view)
     loss = identity_loss(pixels, targets, splats.classifier)
-    compares = run.every(run.config.identity_every * NEIGHBOR_EVERY, state.step)
+    compares = run.is_due(run.config.identity_every * NEIGHBOR_EVERY, state.step)
     if compares and len(splats) > NEIGHBORS:
         means, count = splats.means.detach(), min(NEIGHBOR_SAMPLES, len(splats))
         sample, neighbors = sample_neighbors(means, count, NEIGHBORS, generator)
@@ -171,30 +167,29 @@ def take_rows(
     return table.index_select(0, rows.flatten()).unflatten(0, rows.shape)
 
 
-def average_gradients(run: Run, photos: Sequence[PhotoGradients]) -> PhotoGradients:
-    """The mean gradients of a round over all processes, sent once; changes those of the photos.
+def exchange_gradients(own: Sequence[PhotoGradients]) -> Sequence[PhotoGradients]:
+    """The mean gradients over all processes' photos, one of each; changes those of the photo.
 
     `PER_PHOTO` tensors get sums, because each row has the gradient of its photo alone.
     """
-    first, count = photos[0], run.ranks.count * len(photos)
-    learned = any(run.every(run.config.identity_every, each.state.step) for each in photos)
-    skipped = () if learned else ("identities", *CLASSIFIER)
-    params = first.state.params
-    for name in params.keys() - {*skipped}:
-        own = [each.state.params[name].grad for each in photos]
-        found = [gradient for gradient in own if gradient is not None]  # else: no label map
-        params[name].grad = reduce(Tensor.add_, found or [torch.zeros_like(params[name])])
-    gradients = {name: p.grad for name, p in params.items() if p.grad is not None}
-    visible = torch.stack([each.visible for each in photos]).sum(dim=0, dtype=torch.int32)
-    scores = torch.stack([each.scores for each in photos]).sum(dim=0)
-    run.ranks.add_up([*gradients.values(), visible, scores])
+    (photo,) = own
+    skipped = () if photo.learns_identities else ("identities", *CLASSIFIER)
+    gradients = dict[str, Tensor]()
+    for name, param in photo.state.params.items():
+        if name not in skipped:
+            param.grad = torch.zeros_like(param) if param.grad is None else param.grad
+            gradients[name] = param.grad  # zeros without a label map
+    visible, scores = photo.visible.int(), photo.scores
+    tensors = (*gradients.values(), visible, scores)
+    for work in [dist.all_reduce(each, async_op=True) for each in tensors]:
+        assert work is not None
+        work.wait()
     for name in gradients.keys() - {*PER_PHOTO}:
-        gradients[name].div_(count)
-    start = replace(first.state, step=first.state.step - run.ranks.number)
-    return PhotoGradients(start, visible > 0, scores.div_(count), first.info, count)
+        gradients[name].div_(photo.photos)
+    return [photo._replace(visible=visible > 0, scores=scores / photo.photos)]
 
 
-def apply_gradients(run: Run, photos: Sequence[PhotoGradients]) -> None:
+def apply_gradients(run: TrainingRun, photos: Sequence[PhotoGradients]) -> None:
     """Adam for each photo in turn, in place."""
     updates = [
         AdamUpdate(
@@ -211,7 +206,7 @@ def apply_gradients(run: Run, photos: Sequence[PhotoGradients]) -> None:
             per_photo.step_photo(run, replace(each.state, step=step))
 
 
-def _means_unit(run: Run, state: State) -> float:
+def _means_unit(run: TrainingRun, state: State) -> float:
     return run.extent * means_decay(run.progress(state))
 
 
@@ -221,15 +216,14 @@ def learning_rates(config: TrainConfig, unit: float) -> dict[str, float]:
     return RATES | classifier | {"means": config.means_rate * unit, "shN": config.bands_rate}
 
 
-def densify(run: Run, state: State, photos: Sequence[PhotoGradients]) -> State:
+def densify(run: TrainingRun, state: State, photos: Sequence[PhotoGradients]) -> State:
     """The state after the round: the strategy has its turn after each step."""
     end = state.step + sum(each.photos for each in photos)
     gaussians, after = state.gaussians(), run.strategy.step_post_backward
     for each in photos:
-        step = each.state.step
-        info = each.info | _run_info(run, each.state, step)
+        info = each.info | _run_info(run, each.state)
         info |= {"photos": each.photos, "round": range(state.step, end)}
         rates = learning_rates(run.config, _means_unit(run, each.state))
-        rate = accepted(after, lr=rates["means"])
-        after(*gaussians, state.strategy_state, step, info, **rate)
+        rate = supported_kwargs(after, lr=rates["means"])
+        after(*gaussians, state.strategy_state, each.state.step, info, **rate)
     return replace(state.with_gaussians(*gaussians), step=end)

@@ -33,7 +33,7 @@ from stylesplat.stylization.config import Precision, StyleConfig, with_settings,
 from stylesplat.stylization.style import Style, digest
 from stylesplat.stylization.target import PaintTarget, load_network, paint_context
 from stylesplat.stylization.views import Box, find_boxes
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.config import TrainConfig
 from stylesplat.verbs.stylize import flat_metrics
 
 VIEWS = 4  # by default

@@ -18,11 +18,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.objects import with_names
-from stylesplat.training.lifting import lift
-from stylesplat.training.loop import fit
-from stylesplat.training.per_photo import with_refined_cameras
-from stylesplat.training.state import Ranks
-from stylesplat.training.train_config import (
+from stylesplat.training.config import (
     PRESETS,
     SEGMENTS,
     PhotoBackground,
@@ -31,7 +27,10 @@ from stylesplat.training.train_config import (
     refuse_identity_settings,
     refuse_two_lengths,
 )
-from stylesplat.training.training_views import learned_ids, split_views
+from stylesplat.training.lifting import lift
+from stylesplat.training.loop import fit, rank_and_processes
+from stylesplat.training.per_photo import with_refined_cameras
+from stylesplat.training.views import learned_ids, split_views
 
 COMPARED = 8  # photos trained on that are compared with their renders
 LIBRARIES = ("stylesplat", "torch", "numba")
@@ -108,7 +107,7 @@ def train(
         "color_maps" in state.params, "pose_shifts" in state.params, scene_extent(capture.cameras)
     )
     metrics = {}
-    if held_out and Ranks.here().number == 0:  # of processes that train together, one measures
+    if held_out and rank_and_processes()[0] == 0:  # of processes that train together, one measures
         options = {"fits": fits, "background": config.background}
         metrics = evaluate_views(splats, capture, held_out, **options)
         metrics["train_psnr"] = _train_psnr(splats, capture, rows, **options)

@@ -1,8 +1,8 @@
 """pycolmap, whose logging takes SIGTERM and prints a stack: import it from here."""
 
-from stylesplat.signals import kept_signals
+from stylesplat.interrupts import preserve_signal_handlers
 
-with kept_signals():
+with preserve_signal_handlers():
     import pycolmap
 
 __all__ = ["pycolmap"]

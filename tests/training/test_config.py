@@ -8,14 +8,14 @@ from typing import get_type_hints
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.training.losses import DSSIM_WEIGHT, MAX_POINTS, NEIGHBOR_WEIGHT
-from stylesplat.training.step import NEIGHBOR_EVERY, NEIGHBOR_SAMPLES, NEIGHBORS, learning_rates
-from stylesplat.training.train_config import (
+from stylesplat.training.config import (
     PRESETS,
     SEGMENTS,
     TrainConfig,
     means_decay,
 )
+from stylesplat.training.losses import DSSIM_WEIGHT, MAX_POINTS, NEIGHBOR_WEIGHT
+from stylesplat.training.step import NEIGHBOR_EVERY, NEIGHBOR_SAMPLES, NEIGHBORS, learning_rates
 
 NAN = math.nan
 WRONG = {
@@ -44,7 +44,7 @@ KINDS_PROGRAM = """
 from math import nan
 import numpy as np
 from stylesplat.errors import StyleSplatError
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.config import TrainConfig
 wrong = [(name, value) for name in COUNTS for value in (True, 1.5, "10", nan)]
 wrong += [("growth_end", True), ("growth_end", None), ("growth_end", "1"), ("max_seconds", True)]
 wrong += [("coarse_to_fine", 1), ("coarse_to_fine", None), ("color_correction", True)]

@@ -16,7 +16,7 @@ from stylesplat.progress import say, track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, ids_of, resize_labels, shrink_mask
 from stylesplat.scene.sequences import GIB, Cache
-from stylesplat.training.train_config import TrainConfig
+from stylesplat.training.config import TrainConfig
 
 KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
 AHEAD = 4  # photos decoded in advance for a GPU, by as many threads: each takes up to two steps

@@ -111,8 +111,8 @@ class TrainConfig:
     photos_at_once: int | None = None
     """Photos whose gradients are computed in parallel, before a step is taken for each.
 
-    None: on the CPU one per thread, at most 4; on a GPU one. Several processes take one step for
-    all their photos: on the CPU these are at most 4 in all, or one per process.
+    None: on the CPU one per thread, at most 4; on a GPU one. Several GPUs look at one photo each,
+    and take one step for all of them.
     """
     max_memory: float | None = None
     """GiB for decoded photos and label maps; the others are read again each time.

@@ -10,7 +10,7 @@ from balls import CAMERAS, enlarged
 from fake_cuda import cuda  # noqa: F401  (a fixture)
 from stylesplat.scene.capture import Capture, resize_labels
 from stylesplat.scene.sequences import GIB, Lazy
-from stylesplat.training.training_views import (
+from stylesplat.training.views import (
     TrainingViews,
     learned_ids,
     split_views,
