@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 
 from stylesplat.imaging.similarity import mask_iou
 from stylesplat.options import PickSize
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Mask, ids_of, resize_labels
 from stylesplat.scene.scene import Scene

@@ -23,7 +23,7 @@ import torch
 import tyro
 from bench import capture, machine, table
 
-from stylesplat.rendering.at_once import RenderPool
+from stylesplat.rendering.view_pool import RenderPool
 from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.densification import MCMCStrategy

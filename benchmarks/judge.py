@@ -21,7 +21,7 @@ from stylesplat.evaluation.changes import largest_area, view_consistency
 from stylesplat.evaluation.style import content_ssim
 from stylesplat.imaging.color import LUMA
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats

@@ -34,7 +34,7 @@ from stylesplat.meshes.mesh_files import write_mesh
 from stylesplat.meshes.rasterize import NOTHING
 from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras, look_at, up_vector
 from stylesplat.scene.content import extent_of
 from stylesplat.scene.scene import Scene

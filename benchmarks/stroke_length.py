@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats

@@ -31,7 +31,7 @@ from torch.nn import functional as F
 
 import stylesplat as ss
 from stylesplat.io.style_pictures import read_style, resize
-from stylesplat.rendering.shares import COVERED
+from stylesplat.rendering.weights import COVERED
 from stylesplat.selection.labels import pick
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork, load_weights

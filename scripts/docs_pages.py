@@ -29,7 +29,10 @@ NOUNS = ("Capture", "Cameras", "Splats", "Scene", "Style", "Stroke", "StyleSplat
 CONFIGS = ("training.config.TrainConfig", "stylization.config.StyleConfig")
 CORE = (  # the functions over tensors that docs/python.md names
     "rendering.render.rasterize",
-    "rendering.linear.contributions",
+    "rendering.weights.composite",
+    "rendering.weights.backproject",
+    "rendering.weights.pixels_in",
+    "rendering.weights.contributions",
     "training.loop.fit",
     "training.lifting.lift",
     "selection.pick.pick",

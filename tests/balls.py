@@ -169,7 +169,8 @@ def cropped(
     splats: Splats, boxes: Sequence[Box], mask: Tensor, network: FeatureNetwork, **options: Any
 ) -> list[ObjectView]:
     """Views of some Gaussians, for the features of one block."""
-    target = PaintTarget("object", mask, (), StyleConfig(block=options.pop("block", 2)))
+    config = StyleConfig(block=options.pop("block", 2), published=True)  # colours by direction, too
+    target = PaintTarget("object", mask, (), config)
     context = paint_context(splats, CAMERAS, network)
     return object_views(context, target, boxes, options.pop("zoom", 1.0), **options)
 

@@ -27,7 +27,7 @@ from balls import CAMERAS, PICKS, SPLATS
 from scenes import layer_towards
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.compose import with_layers
-from stylesplat.scene.layer import without_identities
+from stylesplat.scene.layer import appearance_only
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.studio_app.session import Session
@@ -190,7 +190,7 @@ def scene() -> Scene:
     layers = [layer_towards(before, after, PICKED[name], name) for name in ("red", "blue")]
     rows = PICKED["red"].nonzero()[::7, 0]
     canvas = replace(after[rows], means=after.means[rows] + 0.01, opacities=before.opacities[rows])
-    canvas = without_identities(canvas)
+    canvas = appearance_only(canvas)
     colors = {"canvas": canvas, "canvas_sh0": before.sh0[rows], "parents": rows}
     relief = torch.zeros(len(layers[0].rows) + len(rows))
     layers[0] = replace(layers[0], **colors, relief=relief)

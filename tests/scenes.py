@@ -14,7 +14,7 @@ import torch
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.content import Content
-from stylesplat.scene.layer import Layer, Source, without_identities
+from stylesplat.scene.layer import Layer, Source, appearance_only
 from stylesplat.scene.projection import is_in_image
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Classifier, Splats
@@ -175,7 +175,7 @@ def plain_layer(
         return torch.randn(*shape, generator=generator)
 
     factors = torch.rand(count, generator=generator)
-    new = without_identities(random_splats(canvas, seed=seed + 1))
+    new = appearance_only(random_splats(canvas, seed=seed + 1))
     new = replace(new, shN=0.1 * noise(canvas, *bands))
     picks = torch.randint(count, (canvas,), generator=generator)
     layer = Layer(
@@ -198,7 +198,7 @@ def plain_layer(
 def layer_towards(base: Splats, shown: Splats, picked: torch.Tensor, name: str) -> Layer:
     """The layer that gives picked rows the colours and opacities of other splats."""
     rows = picked.nonzero()[:, 0]
-    nothing = without_identities(base[rows[:0]])
+    nothing = appearance_only(base[rows[:0]])
     factors = torch.sigmoid(shown.opacities[rows]) / torch.sigmoid(base.opacities[rows])
     return Layer(
         object=name,

@@ -27,7 +27,7 @@ from still_life.label_faults import FaultConfig, corrupt_label_maps
 from stylesplat.evaluation.changes import farther_than
 from stylesplat.evaluation.style import content_ssim
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, resize_labels
 from stylesplat.scene.projection import crop

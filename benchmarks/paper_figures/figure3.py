@@ -15,7 +15,7 @@ from paper_figures.story import Block, Figure, Row, Table, Text, digits
 from paper_figures.subject import Subject, cut, each, shot
 from stylesplat.figures.pictures import label_colors, render_pictures
 from stylesplat.imaging.similarity import object_iou
-from stylesplat.rendering.shares import COVERED, coverage
+from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import THRESHOLD, each_object, render_labels

@@ -9,7 +9,7 @@ from balls import CAMERAS, RED, SPLATS, TRAINED, enlarged, write_pictures
 from balls import PAINTED_FAST as FAST
 from stylesplat.evaluation.changes import farther_than, measure_changes
 from stylesplat.evaluation.summary import style_lines
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.weights import coverage
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import crop
 from stylesplat.scene.scene import Scene, SceneObject

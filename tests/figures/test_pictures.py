@@ -7,7 +7,7 @@ import torch
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import identity_colors, label_colors, render_pictures
-from stylesplat.rendering.shares import expected_depth
+from stylesplat.rendering.weights import expected_depth
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import pick, render_labels
 

@@ -14,7 +14,7 @@ from stylesplat.masks import box_propagation
 from stylesplat.masks.box_propagation import Images, propagate_boxes, view_images
 from stylesplat.masks.grabcut import cut_box
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.weights import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats

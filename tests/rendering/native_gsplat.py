@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from stylesplat.rendering import cpu, reference
-from stylesplat.rendering.gaussians import EPS2D, FAR_PLANE, NEAR_PLANE, Gaussians, Projected, View
+from stylesplat.rendering.reference import EPS2D, FAR_PLANE, NEAR_PLANE, Gaussians, Projected, View
 from stylesplat.scene.splats import sh_basis
 
 SUPPORTED = {1, 2, 3, 4, 5, 8, 9, 16, 17, 32, 33, 64, 65, 128, 129, 256, 257, 512, 513}

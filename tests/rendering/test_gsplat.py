@@ -8,6 +8,7 @@ import torch
 from rendering.native_gsplat import Calls, install
 from scenes import leaf, randn, random_splats, two_cameras, weigh_and_backward
 from stylesplat.rendering.render import Backend, rasterize
+from stylesplat.rendering.weights import backproject, composite
 
 # Both sides are float64 and the same formulas; only the order of sums differs.
 ROUNDING = 1e-10
@@ -71,3 +72,20 @@ def test_images_and_gradients_are_the_references_and_each_channel_is_blended_onc
         assert gradient is not None and other is not None, name
         assert (gradient - other).norm() < ROUNDING * (1 + gradient.norm()), name
     assert calls.blended_channels == passes and calls.projections == calls.sorts == 1
+
+
+@pytest.mark.parametrize("count", [0, len(SPLATS)])
+def test_weights_are_the_references(calls: Calls, count: int):
+    splats, camera = leaf(SPLATS[torch.arange(count)], torch.float64), two_cameras()[0]
+    values, image = randn(count, 20).double(), randn(52, 70, 20).double()
+    expected, found = (
+        [
+            composite(splats, camera, values, backend=backend),
+            backproject(splats, camera, image, backend=backend),
+        ]
+        for backend in ("reference", "cuda")
+    )
+    for wanted, given in zip(expected, found, strict=True):
+        assert wanted.shape == given.shape
+        assert (wanted - given).norm() <= ROUNDING * (1 + wanted.norm())
+    assert calls.blended_channels == ([16, 4] * 2 if count else [])

@@ -8,7 +8,7 @@ import torch
 from scenes import joined, random_splats, two_cameras
 from stylesplat.rendering import render as rendering
 from stylesplat.rendering import visibility
-from stylesplat.rendering.gaussians import activated
+from stylesplat.rendering.reference import activated
 from stylesplat.rendering.render import rasterize, render
 from stylesplat.rendering.visibility import in_view, visible
 from stylesplat.scene.projection import crop

@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.masks.box_propagation import pick_in_boxes
 from stylesplat.options import PickSize
 from stylesplat.progress import Observer, Task, observed
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.weights import coverage
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.surface_cut import pick_masked

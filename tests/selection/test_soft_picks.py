@@ -7,7 +7,7 @@ import torch
 from balls import BALLS, CAMERAS, SPLATS, enlarged
 from balls import RED as BALL
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.weights import coverage
 from stylesplat.scene.splats import Splats
 from stylesplat.selection import shares as surveying
 from stylesplat.selection.labels import each_object

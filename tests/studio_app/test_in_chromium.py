@@ -13,7 +13,7 @@ from balls import CAMERAS, SPLATS, enlarged
 from browser import QUICK, Tab, needs_chromium, studio_tab, until
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.splats.splat_files import read_splats
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.weights import coverage
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.edits import recolor_objects
 from stylesplat.studio_app.gallery import MOST_BYTES

@@ -10,7 +10,7 @@ from balls import CAMERAS, ROWS, SPLATS, enlarged, same
 from balls import RED as PICKED
 from stylesplat.imaging.similarity import psnr
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import colors_and_coverage, coverage
+from stylesplat.rendering.weights import colors_and_coverage, coverage
 from stylesplat.scene.compose import compose
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas

@@ -10,7 +10,7 @@ from torch import Tensor
 from balls import CAMERAS, LIGHT, PICKED, WAYS, cropped, dense_ball, enlarged
 from scenes import rand
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.weights import coverage
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork

@@ -11,9 +11,9 @@ from torch.overrides import TorchFunctionMode
 from balls import CAMERAS, FAST, RED, SPLATS, ball, enlarged, same
 from balls import STRIPED_SCENE as SCENE
 from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
-from stylesplat.rendering.linear import linear_view
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.render import colors_of
 from stylesplat.rendering.visibility import in_view, pixel_bounds, visible
+from stylesplat.rendering.weights import contributions, coverage
 from stylesplat.selection.shares import own_shares
 from stylesplat.stylization import canvas as fitting
 from stylesplat.stylization import paint as cutting
@@ -59,18 +59,18 @@ def test_what_is_visible(cuda: str):  # noqa: F811
 def test_linear_views(cuda: str):  # noqa: F811
     camera, pixels = CAMERAS[0], torch.zeros(CAMERAS[0].size[::-1], dtype=torch.bool)
     pixels[10:] = True
-    view = linear_view(SPLATS, camera, RED)
-    found = linear_view(SPLATS.to(cuda), camera, RED.to(cuda))
+    view = contributions(SPLATS, camera, RED)
+    found = contributions(SPLATS.to(cuda), camera, RED.to(cuda))
     assert set(found.gaussians.tolist()) == set(view.gaussians.tolist())
     torch.testing.assert_close(found.coverage.cpu(), view.coverage, atol=1e-3, rtol=0)
-    for some in (None, pixels):
-        sums = [torch.zeros(len(SPLATS)) for _ in range(2)]
-        sums[0][view.gaussians] = view.weights(some)
-        there = found.weights(some if some is None else some.to(cuda))
-        sums[1][found.gaussians.cpu()] = there.cpu()
-        torch.testing.assert_close(sums[1], sums[0], atol=1e-2, rtol=1e-2)
-    image = found.render(SPLATS.to(cuda)).cpu()
-    torch.testing.assert_close(image, view.render(SPLATS), atol=2e-3, rtol=0)
+    for some in (torch.ones_like(pixels), pixels):
+        there = found.pixels_in(some.to(cuda)).cpu()
+        torch.testing.assert_close(there, view.pixels_in(some), atol=1e-2, rtol=1e-2)
+    images = []
+    for each, splats in ((view, SPLATS), (found, SPLATS.to(cuda))):
+        origin = camera.positions.to(splats.means)
+        images.append(each.render(colors_of(splats, each.gaussians, origin)).cpu())
+    torch.testing.assert_close(*images, atol=2e-3, rtol=0)
 
 
 def test_own_shares(cuda: str):  # noqa: F811

@@ -9,8 +9,8 @@ from torch import Tensor
 from balls import CAMERAS, SPLATS, ball
 from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
 from stylesplat.imaging.similarity import blur_matrix
-from stylesplat.rendering.linear import RasterizedContributions
 from stylesplat.rendering.render import rasterize
+from stylesplat.rendering.weights import RasterizedContributions
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.optimize import paint_steps

@@ -13,7 +13,7 @@ from balls import STRIPED_SCENE as SCENE
 from scenes import rand
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.weights import coverage
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import compose
 from stylesplat.scene.splats import Splats, rgb_from_sh0

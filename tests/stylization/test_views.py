@@ -5,7 +5,7 @@ import torch
 
 from balls import CAMERAS, CENTRE, COUNT, LIGHT, PICKED, SPLATS, WAYS, ball, cropped, dense_ball
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.weights import coverage
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.views import find_boxes, typical_length, windows
 

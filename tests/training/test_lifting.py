@@ -64,7 +64,7 @@ def test_labels_are_distinct_however_many_there_are(monkeypatch, count: int):
     table = torch.zeros(len(PLAIN), count)
     for labels, pixels in ((own, 70), (one, 10), (other, 20)):
         table[rows, labels] += pixels
-    monkeypatch.setattr(lifting, "label_votes", lambda *_: (tuple(range(count)), csr_array(table)))
+    monkeypatch.setattr(lifting, "label_pixels", lambda *_: (tuple(range(count)), csr_array(table)))
     found = class_probabilities(lift(PLAIN, capture(TRUTH)))
     most = table.max(dim=1)
     sure = most.values > 65  # where both others are one, a little closer to it

@@ -9,7 +9,7 @@ import torch
 
 from processes import begun
 from scenes import random_splats
-from stylesplat.rendering.at_once import RenderPool
+from stylesplat.rendering.view_pool import RenderPool
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.config import TrainConfig

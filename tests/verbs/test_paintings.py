@@ -24,7 +24,7 @@ from balls import PAINTED_FAST as FAST
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.json_yaml import read_json
-from stylesplat.rendering.shares import coverage
+from stylesplat.rendering.weights import coverage
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject

@@ -13,12 +13,12 @@ from torch.nn import functional as F
 
 from stylesplat.imaging.similarity import decibels
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import (
+from stylesplat.rendering.weights import (
     COVERED,
     colors_and_coverage,
+    composite,
     coverage,
-    label_votes,
-    render_shares,
+    pixels_in,
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, Mask, resize_labels
@@ -191,16 +191,15 @@ def largest_stain(
     beside = dict(islice(_beside(base, cameras, capture, ids, picks), STAIN_VIEWS))
     if not beside:
         return {}
-    _, votes = label_votes(base, cameras, ((row, mask.long()) for row, mask in beside.items()))
-    table = votes.toarray()  # of each Gaussian: its pixels on the objects, and beside them
-    totals = np.maximum(table.sum(axis=1, keepdims=True), np.finfo(table.dtype).tiny)
-    left_out = torch.from_numpy(table[:, 1:].sum(axis=1, keepdims=True) / totals).to(device)
+    masks = (torch.stack([~mask, mask], dim=-1) for mask in beside.values())
+    on, off = pixels_in(base, cameras[[*beside]], masks).split(1, dim=1)
+    left_out = off / (on + off).clamp(min=torch.finfo(off.dtype).tiny)
     stains = {}
     for row, mask in beside.items():
         camera = cameras[row]
         pair = (render(each, camera)[0].clamp(0, 1) for each in (base, styled))
         changed = torch.sub(*pair).abs().amax(dim=-1) > CHANGED
-        elsewhere = render_shares(base, camera, left_out)[..., 0] > MOST
+        elsewhere = composite(base, camera, left_out)[..., 0] > MOST
         stains[camera.names[0]] = largest_area(mask & (changed & elsewhere).cpu())
     view = max(stains, key=lambda name: stains[name])
     found: dict[str, int | str] = {"stain_pixels": stains[view]}

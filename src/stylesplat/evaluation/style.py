@@ -14,7 +14,7 @@ from stylesplat.imaging.color import LUMA, cells, distinct, lab_from_rgb, neares
 from stylesplat.imaging.similarity import ssim_map
 from stylesplat.progress import say
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import COVERED, colors_and_coverage
+from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats

@@ -15,9 +15,9 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import CELL
 from stylesplat.imaging.color import lab_from_rgb
 from stylesplat.progress import track
-from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import colors_and_coverage, coverage
+from stylesplat.rendering.view_pool import map_views
+from stylesplat.rendering.weights import colors_and_coverage, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import solid
 from stylesplat.scene.projection import crop, share_in_images
@@ -63,7 +63,7 @@ def find_views(
     def mask(row: int) -> Tensor:
         return coverage(splats, survey_view(cameras[row]), picked) > MIN_COVERAGE
 
-    found = track(at_once(mask, rows, splats.device), "looking for the object", total=len(rows))
+    found = track(map_views(mask, rows, splats.device), "looking for the object", total=len(rows))
     masks = dict(zip(rows, found, strict=True))
     scores = {row: visibility(mask) for row, mask in masks.items()}
     return [ObjectMask(row, masks[row]) for row in best_rows(cameras, surface, scores, count)]

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.io.images import ColorPicture, ViewPicture
-from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import expected_depth
+from stylesplat.rendering.view_pool import map_views
+from stylesplat.rendering.weights import expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE, render_labels, require_identities
@@ -92,7 +92,7 @@ def render_pictures(
             raise StyleSplatError(f"{what} has no background. Leave --background out.")
         behind = parse_background(background)
     draw = _renderer(splats.detach(), cameras, what, picked, behind)
-    return at_once(lambda row: draw(cameras[row]).cpu(), range(len(cameras)), splats.device)
+    return map_views(lambda row: draw(cameras[row]).cpu(), range(len(cameras)), splats.device)
 
 
 def label_colors(labels: Int[Tensor, "H W"]) -> UInt8[Tensor, "H W 3"]:

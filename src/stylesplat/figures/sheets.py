@@ -31,9 +31,9 @@ from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
 from stylesplat.imaging.similarity import psnr
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.progress import track
-from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.render import pick_device, render
-from stylesplat.rendering.shares import colors_and_coverage
+from stylesplat.rendering.view_pool import map_views
+from stylesplat.rendering.weights import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, at_most, ids_of
 from stylesplat.scene.compose import require_painted
@@ -86,7 +86,7 @@ def object_sheet(
     searched = evenly(range(len(cameras)), SURVEY_VIEWS)
     views = [survey_view(cameras[row]) for row in searched]
     scores: dict[int, dict[int, float]] = {id: {} for id in ids}  # by object and row
-    labelled = at_once(lambda view: render_labels(splats, view), views, splats.device)
+    labelled = map_views(lambda view: render_labels(splats, view), views, splats.device)
     for row, labels in zip(
         searched, track(labelled, "looking for objects", total=len(views)), strict=True
     ):

@@ -26,7 +26,7 @@ from stylesplat.io.splats.packing import LARGEST, kmeans, morton_order, smallest
 from stylesplat.io.splats.splat_files import say_left_out
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
-from stylesplat.rendering.gaussians import MIN_ALPHA
+from stylesplat.rendering.reference import MIN_ALPHA
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import mask_of, splats_without_paint
 from stylesplat.scene.content import extent_of

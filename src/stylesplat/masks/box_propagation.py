@@ -33,12 +33,11 @@ from stylesplat.masks.grabcut import (
 )
 from stylesplat.options import PickSize
 from stylesplat.progress import task
-from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import COVERED, PRIOR, contributed, coverage, render_shares
+from stylesplat.rendering.weights import COVERED, PRIOR, composite, coverage, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, Mask
 from stylesplat.scene.projection import depths_of
-from stylesplat.scene.splats import IDENTITY_SIZE, Splats
+from stylesplat.scene.splats import Splats
 from stylesplat.selection.surface_cut import pick_clicked, pick_masked
 from stylesplat.selection.surface_graph import NothingToPick
 
@@ -162,9 +161,9 @@ def view_images(splats: Splats, capture: Capture) -> Images:
         camera = capture.cameras[row]
         depths = depths_of(splats.means, camera)
         inverse = 1 / depths.clamp(min=1e-6 * float(depths.abs().max()))
-        image, alphas = render(splats, camera, features=inverse[:, None], sh_degree=0)
-        inverse_depth = (image[..., 3] / alphas[..., 0].clamp(min=MIN_ALPHA)).cpu()
-        return grabcut_image(colors(row), inverse_depth)
+        values = torch.stack([inverse, torch.ones_like(inverse)], dim=1)
+        summed, alphas = composite(splats, camera, values).cpu().unbind(dim=-1)
+        return grabcut_image(colors(row), summed / alphas.clamp(min=MIN_ALPHA))
 
     return Images(colors, with_depth)
 
@@ -194,7 +193,7 @@ def lift_masks(splats: Splats, cameras: Cameras, masks: Mapping[int, Mask]) -> M
     votes = splats.means.new_zeros(len(splats), 2)
     closest = splats.means.new_zeros(len(splats))
     for row, mask in masks.items():
-        pixels = _pixels_in(splats, cameras[row], mask, ~mask)
+        pixels = pixels_in(splats, cameras[row], [torch.stack([mask, ~mask], dim=-1)])
         votes += pixels
         closest = torch.maximum(closest, pixels.sum(dim=1))
     return MaskVotes(frozenset(masks), votes, closest)
@@ -207,11 +206,10 @@ def render_votes(
     new = torch.zeros_like(votes.closest)
     if row not in votes.rows:
         width, height = cameras[row].size
-        everywhere = torch.ones(height, width, dtype=torch.bool)
-        new += _pixels_in(splats, cameras[row], everywhere)[:, 0] > CLOSER * votes.closest
-    features = torch.stack([votes.share, new], dim=1)
-    image, _ = render(splats, cameras[row], features=features, sh_degree=0)
-    probability, novelty = image[..., 3:].clamp(0, 1).cpu().unbind(dim=-1)
+        everywhere = pixels_in(splats, cameras[row], [torch.ones(height, width)])
+        new += everywhere > CLOSER * votes.closest
+    image = composite(splats, cameras[row], torch.stack([votes.share, new], dim=1))
+    probability, novelty = image.clamp(0, 1).cpu().unbind(dim=-1)
     return probability, novelty
 
 
@@ -316,12 +314,13 @@ def spread_marks(
     """
     is_marked = splats.means.new_zeros(len(splats), 2)
     for row, *given in marks:
-        pixels = _pixels_in(splats, cameras[row], *given, torch.ones_like(given[0]))
+        masks = torch.stack([*given, torch.ones_like(given[0])], dim=-1)
+        pixels = pixels_in(splats, cameras[row], [masks])
         shows = pixels[:, 2:] > MIN_SHOWN
         is_marked[(pixels[:, :2] > 0.5 * pixels[:, 2:]) & shows] = 1
     views = list[tuple[Mask, Mask]]()
     for camera in cameras:
-        kept, dropped = (render_shares(splats, camera, is_marked) > COVERED).cpu().unbind(dim=2)
+        kept, dropped = (composite(splats, camera, is_marked) > COVERED).cpu().unbind(dim=2)
         views.append((kept, dropped))
     for row, kept, dropped in marks:
         views[row] = (views[row][0] & ~dropped) | kept, (views[row][1] & ~kept) | dropped
@@ -360,11 +359,3 @@ def _refine_views(
             found |= zip(group, masks, strict=True)
             advance(len(group))
     return found
-
-
-def _pixels_in(splats: Splats, camera: Cameras, *masks: Mask) -> Float[Tensor, "N M"]:
-    """How many pixels of each mask each Gaussian makes up."""
-    wanted = splats.means.new_zeros(*masks[0].shape, IDENTITY_SIZE)
-    for column, mask in enumerate(masks):
-        wanted[..., column] = mask
-    return contributed(splats, camera, wanted)[:, : len(masks)]

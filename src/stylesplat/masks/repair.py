@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from stylesplat.progress import task, track
-from stylesplat.rendering.shares import PRIOR, label_votes, largest_shown, scaled_rows
+from stylesplat.rendering.weights import PRIOR, label_pixels, render_argmax
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Labels, OwnLabels, resize_labels
 from stylesplat.scene.splats import Splats
@@ -87,8 +87,8 @@ def _gaussian_pixels(
     """The ids of a label map, background first, and their pixels of every Gaussian, [N, K]."""
     small = camera.at_most(SIDE)
     width, height = small.size
-    ids, votes = label_votes(splats, small, [(0, resize_labels(labels, (height, width)))])
-    pixels = csr_array(votes * (labels.numel() / (width * height)))
+    ids, pixels = label_pixels(splats, small, [(0, resize_labels(labels, (height, width)))])
+    pixels = csr_array(pixels * (labels.numel() / (width * height)))
     pixels.data[pixels.data <= FAINT] = 0
     pixels.eliminate_zeros()
     return ids, pixels
@@ -243,12 +243,12 @@ def _render_votes(
     rows = np.arange(len(splats) + 1)
     prior = np.full(len(splats), PRIOR, np.float32), 0 * rows[1:], rows
     votes = votes + csr_array(prior, shape=votes.shape)
-    shares = scaled_rows(votes, 1 / votes.sum(axis=1))
+    shares = csr_array(votes.multiply(1 / votes.sum(axis=1)[:, None]))
     counts = np.diff(shares.indptr)
     largest = shares.data == np.repeat(shares.max(axis=1).toarray(), counts)
     firsts = np.unique(shares.indices[largest & np.repeat(visible, counts)])
     columns = np.union1d([0], firsts)  # others win nowhere: less to render
-    certainty, best = largest_shown(splats, camera.at_most(SIDE), shares[:, columns])
+    certainty, best = render_argmax(splats, camera.at_most(SIDE), shares[:, columns])
     width, height = camera.size
     winner = resize_labels(torch.from_numpy(columns)[best], (height, width))
     return winner, resize_labels(certainty, (height, width))

@@ -11,12 +11,13 @@ from typing import Any
 import torch
 from jaxtyping import Float, UInt8
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
 from scipy.spatial.distance import cdist
 from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.imaging.similarity import pairwise_iou
-from stylesplat.rendering.shares import PRIOR, label_votes, largest_shown, scaled_rows
+from stylesplat.rendering.weights import PRIOR, label_pixels, render_argmax
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Labels, Mask
 from stylesplat.scene.splats import Splats
@@ -112,11 +113,11 @@ def propagate_through_splat(
     if not seeds:
         return [{} for _ in rows]
     labels = masks_to_labels(seeds, next(iter(seeds.values())).shape)
-    ids, votes = label_votes(splats, cameras, [(rows[0], labels)])
-    shares = scaled_rows(votes, 1 / (votes.sum(axis=1) + PRIOR))
+    ids, pixels = label_pixels(splats, cameras, [(rows[0], labels)])
+    shares = csr_array(pixels.multiply(1 / (pixels.sum(axis=1) + PRIOR)[:, None]))
     known, found = torch.tensor(ids), [dict(seeds)]
     for row in rows[1:]:
-        certainty, column = largest_shown(splats, cameras[row], shares)
+        certainty, column = render_argmax(splats, cameras[row], shares)
         labels = torch.where(certainty > MIN_CERTAINTY, known[column], BACKGROUND)
         found.append(labels_to_masks(labels))
     return found

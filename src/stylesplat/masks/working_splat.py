@@ -19,15 +19,19 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import linear_rgb
+from stylesplat.imaging.similarity import psnr
 from stylesplat.progress import say, track
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.capture import Capture, OwnLabels, at_most, resize_labels
-from stylesplat.scene.frames import SAME, with_poses_of
+from stylesplat.scene.frames import SAME, Frame, move_cameras, with_poses_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import Lazy, evenly
 from stylesplat.scene.splats import Splats
+<<<<<<< HEAD
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.lifting import CHECK_SIZE, CLOSER, frame_fits
+=======
+>>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
 from stylesplat.training.loop import fit
 
 PHOTOS = 48  # that tell what stands still
@@ -110,6 +114,9 @@ def _moving(photo: UInt8[Tensor, "H W 3"], still: Float[Tensor, "H W 3"]) -> Boo
 QUICK = TrainConfig(steps=3000, max_gaussians=30_000, test_every=0, sh_degree=1)
 QUICK_SIZE = 480  # pixels of the longer side of its photos
 CACHED_RENDERS = 256  # of 2 MB each
+COMPARED_VIEWS = 5  # in which a splat is compared with photos
+CHECK_SIZE = 240  # pixels of the longer side: smaller photos are enough for the comparison
+CLOSER = 2.0  # dB above the photo's mean colour, from which a splat belongs to the photos
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,3 +179,26 @@ def rendered_capture(scene: Scene, device: torch.device) -> Capture:
 
     rows = range(len(scene.cameras))
     return Capture(scene.cameras, Lazy([partial(photo, row) for row in rows]))
+
+
+@torch.no_grad()
+def frame_fits(splats: Splats, capture: Capture, frames: Mapping[str, Frame]) -> dict[str, float]:
+    """How much closer to the photos renders are than their mean colour, in each frame.
+
+    A frame turns the capture's world into the splat's. Returns the median over a few views of the
+    gain in PSNR, in dB; more than `CLOSER` fits. Small photos are enough.
+    """
+    rows = evenly(range(len(capture.cameras)), COMPARED_VIEWS)
+    photos = [capture.photos[row].to(splats.means) / 255 for row in rows]
+    found = {}
+    for name, frame in frames.items():
+        cameras = move_cameras(capture.cameras[rows], frame)
+        gains = []
+        for row, photo in enumerate(photos):
+            valid = capture.valid(rows[row])
+            image = render(splats, cameras[row])[0].clamp(0, 1).flatten(0, 1)
+            kept = slice(None) if valid is None else valid.flatten().to(image.device)
+            image, photo = image[kept], photo.flatten(0, 1)[kept]
+            gains.append(psnr(image, photo) - psnr(photo.mean(dim=0).expand_as(photo), photo))
+        found[name] = float(torch.stack(gains).median())
+    return found

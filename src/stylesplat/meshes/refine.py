@@ -18,7 +18,7 @@ from stylesplat.meshes.rasterize import draw_mesh, pixel_of, projection_of
 from stylesplat.meshes.surface import MeshViews, Surface, face_normals, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import COVERED, without_looks
+from stylesplat.rendering.weights import COVERED, geometry_only
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import per_view
 
@@ -44,7 +44,7 @@ def refine(surface: Surface, splats: Splats, views: MeshViews) -> Surface:
 
     By turns to where the trusted views agree most about colours, and to the outlines in them.
     """
-    shape, rows = without_looks(splats), views.trusted.nonzero()[0].tolist()
+    shape, rows = geometry_only(splats), views.trusted.nonzero()[0].tolist()
 
     def look(row: int) -> np.ndarray:
         return (render(shape, views.cameras[row])[1][..., 0] > COVERED).numpy()

@@ -24,7 +24,7 @@ from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.surface import MeshViews, face_areas
 from stylesplat.meshes.texture import Texels, TexturedMesh, texels_of
 from stylesplat.progress import task
-from stylesplat.rendering.shares import COVERED
+from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.layer import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings, without_retired
@@ -70,11 +70,11 @@ class TexelView(ObjectView):
         colors = rgb_from_sh0(splats.sh0.index_select(0, self.texels)[:, 0])
         return _Product.apply(colors, self.matrix).view_as(self.background) + self.background
 
-    def backproject(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 3"]:
+    def backproject(self, splats: Splats, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
         """The sum of an image times the weights of each texel."""
         assert self.texels is not None and self.matrix is not None
         sums = torch.from_numpy(self.matrix.T @ image.flatten(0, 1).numpy())
-        return image.new_zeros(len(splats), 3).index_add_(0, self.texels, sums)
+        return image.new_zeros(len(splats), image.shape[-1]).index_add_(0, self.texels, sums)
 
 
 class _Product(Function):

@@ -22,7 +22,7 @@ from torch.nn import functional as F
 from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.rasterize import pixel_of, projection_of
 from stylesplat.rendering.kernels.jit import kernel
-from stylesplat.rendering.shares import COVERED, expected_depth, without_looks
+from stylesplat.rendering.weights import COVERED, expected_depth, geometry_only
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import extent_of
 from stylesplat.scene.projection import (
@@ -156,7 +156,7 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
     from skimage.measure import marching_cubes
 
     extent = extent_of(splats, torch.ones(len(splats), dtype=torch.bool))
-    alone, side = without_looks(splats), float(extent.size.max())
+    alone, side = geometry_only(splats), float(extent.size.max())
     voxel = side / voxels
     margin = 2 * TRUNCATION * voxel
     low = (extent.low - margin).numpy()

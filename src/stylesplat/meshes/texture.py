@@ -22,7 +22,7 @@ from stylesplat.meshes.rasterize import (
 from stylesplat.meshes.surface import MeshViews, Surface, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import TINY_COVERAGE
+from stylesplat.rendering.weights import TINY_COVERAGE
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import per_view

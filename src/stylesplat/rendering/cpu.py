@@ -1,4 +1,4 @@
-"""Rendering on the CPU: numba kernels behind three differentiable functions.
+"""Rendering on the CPU: numba kernels behind differentiable functions.
 
 Float32 by construction. Gradients reach means, quats, scales, opacities and colours, and the
 cameras' poses where these ask for them; intrinsics are taken as fixed.
@@ -16,30 +16,23 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
-from stylesplat.rendering.gaussians import Gaussians, Projected, View, views_of
-from stylesplat.rendering.kernels import (
-    blend,
-    blend_backward,
-    project,
-    sh_colors,
-    tiles,
-    vecs,
-)
-from stylesplat.rendering.kernels.blend import Picture
+from stylesplat.rendering.kernels import blend, linear_blocks, project, sh_colors, tiles, vec
+from stylesplat.rendering.kernels.blend import FlatImage
+from stylesplat.rendering.kernels.linear_blocks import BlockWeights
 from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
-from stylesplat.rendering.kernels.vec import LANES, Rows
-from stylesplat.rendering.reference import Info
+from stylesplat.rendering.kernels.vec import LANES, FlatRows
+from stylesplat.rendering.reference import Gaussians, Info, Projected, View, views_of
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import sh_bases
 
 CHANNELS = 3, 6, 19  # colours; with some features; with identities: compiled for these alone
 PARTIAL_BYTES = 2**30  # a million Gaussians in view with 19 channels take 128 MB a thread
 
-Noun = TypeVar("Noun", bound=tuple)
+Struct = TypeVar("Struct", bound=tuple)
 
 
-def arrays(noun: Noun) -> Noun:
+def arrays(noun: Struct) -> Struct:
     """The noun as kernels take it, without gradients: arrays that share the tensors' memory."""
     return type(noun)(*_as_arrays(*noun))
 
@@ -128,7 +121,7 @@ class Tiled(NamedTuple):
 
     order: np.ndarray
     """The Gaussian of each rank, nearest first."""
-    rows: Rows
+    rows: FlatRows
     """What blending reads, one row per rank; see `tiles.pack_rows`."""
     lists: TileLists
     """Ranks and masks by tile; blending strikes from them what other Gaussians hide."""
@@ -150,22 +143,23 @@ def rasterize_to_pixels(projected: Projected, colors: Tensor, size: tuple[int, i
     depths, radii = _as_arrays(projected.depths, projected.radii)
     order = tiles.depth_order(depths, radii)
     stride = tiles.row_stride(channels)
-    rows = Rows(colors.new_zeros(len(order) * stride).numpy(), stride)  # torch aligns, numpy not
+    flat = colors.new_zeros(len(order) * stride).numpy()  # torch aligns, numpy not
+    rows = FlatRows(flat, stride)
     ellipses = Ellipses(*projected[:3], colors)
     tiles.pack_rows(order, arrays(ellipses), rows)
     image = colors.new_empty(height, width, channels)
     alphas = colors.new_empty(height, width, 1)
-    lists = _blend_groups(order, rows, radii, as_picture(image, alphas), channels)
+    lists = _blend_groups(order, rows, radii, flat_image(image, alphas), channels)
     return Raster(Tiled(order, rows, lists), image, alphas)
 
 
 def _blend_groups(
-    order: np.ndarray, rows: Rows, radii: np.ndarray, picture: Picture, channels: int
+    order: np.ndarray, rows: FlatRows, radii: np.ndarray, picture: FlatImage, channels: int
 ) -> TileLists:
     """Fill a picture from ranks, as many at a time as memory has room for; see `tiles`."""
     size, threads = (picture.width, picture.height), get_num_threads()
     groups = tiles.rank_groups(order, rows, radii, size)
-    channel_vecs, parts, first = vecs.channels(channels), list[TileLists](), 0
+    channel_vecs, parts, first = vec.channels(channels), list[TileLists](), 0
     blocks = tiles.tile_count(size) * blend.BLOCKS if len(groups) > 1 else 0
     states = np.zeros(blocks * blend.state_length(channel_vecs), np.float32)
     for totals in groups:
@@ -192,11 +186,11 @@ def reaching(tiled: Tiled) -> Bool[np.ndarray, " R"]:
     return reaching
 
 
-def as_picture(image: Tensor, alphas: Tensor) -> Picture:
+def flat_image(image: Tensor, alphas: Tensor) -> FlatImage:
     """An image and its coverage, or their gradients, as kernels take them."""
     height, width, _ = image.shape
     colors, coverage = _as_arrays(image.flatten(), alphas.flatten())
-    return Picture(colors, coverage, width, height)
+    return FlatImage(colors, coverage, width, height)
 
 
 class _Blend(Function):
@@ -212,18 +206,18 @@ class _Blend(Function):
     def backward(ctx, v_image, v_alphas):
         image, alphas = ctx.saved_tensors
         (order, rows, lists), channels = ctx.tiled, image.shape[-1]
-        partial = partial_sums(len(order), blend_backward.gradient_stride(channels))
-        blend_backward.blend_backward(
-            blend_backward.split_channels(channels, ctx.geometry_channels),
+        partial = partial_sums(len(order), blend.gradient_stride(channels))
+        blend.blend_backward(
+            blend.split_channels(channels, ctx.geometry_channels),
             rows,
             lists,
-            as_picture(image, alphas),
-            as_picture(v_image, v_alphas),
+            flat_image(image, alphas),
+            flat_image(v_image, v_alphas),
             partial.flatten(1).numpy(),
         )
         shapes = (ctx.count, 2), (ctx.count, 3), (ctx.count,), (ctx.count, channels)
         v_ellipses = Ellipses(*(image.new_zeros(shape) for shape in shapes))
-        blend_backward.collect_gradients(order, rows, partial.numpy(), arrays(v_ellipses))
+        blend.collect_gradients(order, rows, partial.numpy(), arrays(v_ellipses))
         *v_projected, v_colors = v_ellipses
         return None, None, v_colors, *v_projected, None, None
 
@@ -291,6 +285,64 @@ def blend_projected(
     """
     raster = rasterize_to_pixels(projected, colors, size)
     return _Blend.apply(raster, geometry_channels, colors, *projected)
+
+
+def composite(
+    projected: Projected, values: Float[Tensor, "N D"], size: tuple[int, int]
+) -> Float[Tensor, "H W D"]:
+    """Composite values of projected Gaussians; see `reference.composite`."""
+    image, _ = blend_projected(projected, padded(values), size, geometry_channels=3)
+    return image[..., : values.shape[1]]
+
+
+def store_weights(
+    tiled: Tiled, numbers: np.ndarray, size: tuple[int, int], max_bytes: float
+) -> BlockWeights | None:
+    """The weights of numbered ranks (-1 for others), unless they take more bytes."""
+    starts, firsts = np.zeros((2, len(tiled.lists.starts)), np.int64)
+    linear_blocks.count_pairs(tiled.lists, numbers, starts, firsts)
+    if 2 * LANES * int(firsts[-1]) > max_bytes:  # float16
+        return None
+    gaussians, masks = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint16)
+    weights = np.empty(firsts[-1] * LANES, np.uint16)
+    blocks = BlockWeights(starts, firsts[:-1].copy(), gaussians, masks, weights)
+    threads = get_num_threads()
+    linear_blocks.store_weights(tiled.rows, tiled.lists, numbers, size, blocks, threads)
+    return blocks
+
+
+class _ComposeBlocks(Function):
+    @staticmethod
+    def forward(ctx, colors, blocks, background):
+        height, width, _ = background.shape
+        image = torch.empty_like(background)
+        rows = torch.nn.functional.pad(colors.detach(), (0, 1))
+        flat = (each.view(-1).numpy() for each in (rows, background, image))
+        linear_blocks.render_linear(blocks, *flat, (width, height), get_num_threads())
+        ctx.blocks, ctx.count = blocks, len(colors)
+        return image
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_image):
+        return backproject_blocks(v_image, ctx.blocks, ctx.count), None, None
+
+
+def compose_blocks(
+    colors: Float[Tensor, "M 3"], blocks: BlockWeights, background: Float[Tensor, "H W 3"]
+) -> Float[Tensor, "H W 3"]:
+    """The background and what Gaussians of stored weights add; gradients reach the colours."""
+    return _ComposeBlocks.apply(colors, blocks, background)
+
+
+def backproject_blocks(
+    image: Float[Tensor, "H W 3"], blocks: BlockWeights, count: int
+) -> Float[Tensor, "M 3"]:
+    """The sum over pixels of an image times the stored weights of each Gaussian."""
+    height, width, _ = image.shape
+    partial, flat = partial_sums(count, LANES), image.contiguous().view(-1).numpy()
+    linear_blocks.compose_backward(blocks, flat, (width, height), partial.flatten(1).numpy())
+    return partial.sum(dim=0)[:, :3]
 
 
 def _stacked(tensors: tuple[Tensor, ...]) -> Tensor:

@@ -7,19 +7,19 @@ from typing import Any
 
 import gsplat
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.rendering import reference
-from stylesplat.rendering.gaussians import (
+from stylesplat.rendering.reference import (
     EPS2D,
     FAR_PLANE,
     NEAR_PLANE,
     Gaussians,
+    Info,
     Projected,
     View,
 )
-from stylesplat.rendering.reference import Info
 from stylesplat.scene.cameras import Cameras
 
 CHANNELS_AT_ONCE = 32  # gsplat's default: its kernels become slow beyond
@@ -66,27 +66,28 @@ def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
     return Projected(means2d[0], conics[0], opacities, depths[0], radii[0])
 
 
-def reaching_pixels(projected: Projected, size: tuple[int, int]) -> Bool[Tensor, " N"]:
-    """Which projected Gaussians reach a pixel of an image of a width and height."""
+def composite(
+    projected: Projected, values: Float[Tensor, "N D"], size: tuple[int, int]
+) -> Float[Tensor, "H W D"]:
+    """Composite values of projected Gaussians; see `reference.composite`."""
+    if not len(values):
+        return reference.composite(projected, values, size)
     width, height = size
-    opacities = projected.opacities
     columns, rows = -(-width // TILE), -(-height // TILE)
     places = projected.means2d[None], projected.radii[None], projected.depths[None]
     _, tiles, order = gsplat.isect_tiles(*places, TILE, columns, rows)
     info = {
         "means2d": projected.means2d[None],
         "conics": projected.conics[None],
-        "opacities": opacities[None],
+        "opacities": projected.opacities[None],
         "width": width,
         "height": height,
         "tile_size": TILE,
         "isect_offsets": gsplat.isect_offset_encode(tiles, 1, columns, rows),
         "flatten_ids": order,
     }
-    with torch.enable_grad():
-        carried = opacities.new_zeros(1, len(opacities), 1).requires_grad_()
-        (weights,) = torch.autograd.grad(_blended(carried, info).sum(), carried)
-    return weights[0, :, 0] > 0
+    parts = [_blended(part[None], info)[0] for part in values.split(CHANNELS_AT_ONCE, dim=-1)]
+    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=-1)
 
 
 def rasterize(

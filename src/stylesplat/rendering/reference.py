@@ -1,35 +1,109 @@
-"""The rasteriser's specification: plain torch, any dtype, autograd for the gradients.
+"""The rasteriser's specification, and what every backend shares: nouns, and constants.
 
-Slow by design; every other backend is tested against it. Semantics are those of gsplat 1.5.3
-(`rasterization`, in its classic mode and, for antialiased Gaussians, its antialiased one).
+Plain torch, any dtype, autograd for the gradients. Slow by design; every other backend is tested
+against it. Semantics are those of gsplat 1.5.3 (`rasterization`, in its classic mode and, for
+antialiased Gaussians, its antialiased one). The CPU kernels take the nouns with arrays in the place
+of tensors.
 """
 
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, Literal, NamedTuple
+
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from stylesplat.rendering.gaussians import (
-    EPS2D,
-    FAR_PLANE,
-    FOV_MARGIN,
-    MAX_ALPHA,
-    MAX_EXTENT,
-    MAX_RADIUS,
-    MIN_ALPHA,
-    MIN_TRANSMITTANCE,
-    NEAR_PLANE,
-    Gaussians,
-    Projected,
-    View,
-    views_of,
-)
+from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.splats import sh_basis
+from stylesplat.scene.splats import Splats, sh_basis
+
+Backend = Literal["auto", "reference", "cpu", "cuda"]
+Info = dict[str, Tensor]
+
+EVERYONE = slice(None)
+
+# The numbers that define what a rendered image is. All are gsplat 1.5.3's.
+EPS2D = 0.3  # variance in square pixels added to every projected Gaussian: a low-pass filter
+NEAR_PLANE = 0.01  # Gaussians nearer than this are not drawn
+FAR_PLANE = 1e10  # nor those farther
+MIN_ALPHA = 1 / 255  # fainter contributions are skipped
+MAX_ALPHA = 0.999  # the clamp of version 1.5; the backward pass divides by 1 - alpha
+MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before it becomes darker than this
+MAX_EXTENT = 3.33  # standard deviations at which a Gaussian of opacity 1 falls below MIN_ALPHA
+MAX_RADIUS = 1 << 30  # pixels: radii are int32
+FOV_MARGIN = 0.3  # how far outside the image, in half fields of view, the Jacobian is exact
+LARGEST_SCALE = 23.0  # logarithm: squares of a standard deviation of 1e10 in pixels fit float32
 
 PIXELS_AT_ONCE = 4096  # bounds the pixels x Gaussians matrix
 FLAT = 1e-12  # share of an area, whose root makes all opacities invisible: a root has no slope at 0
 
-Info = dict[str, Tensor]
+
+class Gaussians(NamedTuple):
+    """Activated splats."""
+
+    means: Float[Tensor, "N 3"]
+    quats: Float[Tensor, "N 4"]
+    """wxyz, any norm."""
+    scales: Float[Tensor, "N 3"]
+    """Standard deviations along the axes."""
+    opacities: Float[Tensor, " N"]
+    """From 0 to 1."""
+    antialiased: bool = False
+    """Whether projection scales opacities by how much the low-pass filter enlarges a Gaussian."""
+
+
+class View(NamedTuple):
+    viewmat: Float[Tensor, "4 4"]
+    K: Float[Tensor, "3 3"]
+    width: int
+    height: int
+
+
+class Projected(NamedTuple):
+    """Gaussians in the pixels of one camera."""
+
+    means2d: Float[Tensor, "N 2"]
+    conics: Float[Tensor, "N 3"]
+    """Inverse covariances: xx, xy, yy."""
+    opacities: Float[Tensor, " N"]
+    """Those of the Gaussians; of antialiased ones as this camera sees them."""
+    depths: Float[Tensor, " N"]
+    radii: Int[Tensor, "N 2"]
+    """Whole pixels in x and y; 0 for Gaussians out of view."""
+
+
+def views_of(cameras: Cameras) -> list[View]:
+    """The cameras one by one; they share an image size."""
+    matrices = zip(cameras.viewmats, cameras.Ks, strict=True)
+    return [View(viewmat, K, *cameras.size) for viewmat, K in matrices]
+
+
+def activated(splats: Splats, part: slice = EVERYONE) -> Gaussians:
+    """The Gaussians of splats, or of a part of them, as renderers take them."""
+    scales = splats.scales[part].clamp(max=LARGEST_SCALE).exp()
+    opacities = torch.sigmoid(splats.opacities[part])
+    places = splats.means[part], splats.quats[part]
+    return Gaussians(*places, scales, opacities, splats.antialiased)
+
+
+def with_matrices_of(splats: Splats, cameras: Cameras) -> Cameras:
+    """The cameras with matrices of the splats' type and device."""
+    viewmats, Ks = cameras.viewmats.to(splats.means), cameras.Ks.to(splats.means)
+    return replace(cameras, viewmats=viewmats, Ks=Ks)
+
+
+def backend_module(backend: Backend, device: torch.device) -> Any:
+    """The module of a backend: it has `rasterize`, `composite` and the like, as this one has."""
+    if backend == "auto":
+        backend = "cuda" if device.type == "cuda" else "cpu"
+    if backend == "cuda" and find_spec("gsplat") is None:
+        raise StyleSplatError(
+            "Rendering on a GPU needs gsplat, which is not installed. "
+            "Run `pip install stylesplat[cuda]`, or choose the cpu device."
+        )
+    return import_module(f"stylesplat.rendering.{backend}")
 
 
 def spherical_harmonics(
@@ -150,6 +224,13 @@ def blend(
         parts.append(torch.cat([weights @ moving, weights.detach() @ other, alphas], dim=1))
     image = torch.cat(parts).reshape(height, width, -1)
     return image[..., :-1], image[..., -1:]
+
+
+def composite(
+    projected: Projected, values: Float[Tensor, "N D"], size: tuple[int, int]
+) -> Float[Tensor, "H W D"]:
+    """Composite values of one camera's projected Gaussians; gradients reach the values alone."""
+    return blend(projected, values, size, geometry_channels=0)[0]
 
 
 def _blend_weights(pixels: Tensor, means2d: Tensor, conics: Tensor, opacities: Tensor) -> Tensor:

@@ -6,10 +6,6 @@ the memory of what is in view.
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
 
-from importlib import import_module
-from importlib.util import find_spec
-from typing import Literal
-
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -17,15 +13,23 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from stylesplat.errors import StyleSplatError
+<<<<<<< HEAD
 from stylesplat.interrupts import check
 from stylesplat.rendering.gaussians import activated, with_matrices_of
 from stylesplat.rendering.reference import Info
 from stylesplat.rendering.visibility import PART, in_view, visible
+=======
+from stylesplat.rendering.reference import (
+    Backend,
+    Info,
+    activated,
+    backend_module,
+    with_matrices_of,
+)
+from stylesplat.rendering.visibility import MANY, PART, in_view, visible
+>>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-
-Backend = Literal["auto", "reference", "cpu", "cuda"]
-MANY = 1 << 21  # Gaussians in view, from which features are gathered of the visible ones alone
 
 
 def pick_device(name: torch.device | str = "auto") -> torch.device:
@@ -87,23 +91,25 @@ def rasterize(
     Raises:
         StyleSplatError: If the cameras differ in size or gsplat is not installed.
     """
+<<<<<<< HEAD
     check()
     backend_module = _module(backend, splats.device)
+=======
+    module = backend_module(backend, splats.device)
+>>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
     cameras = with_matrices_of(splats, cameras)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
     clamp = clamp and not raise_clamped  # which clamps below
     views = []
     for origin in cameras.positions:
         dirs = splats.means - origin
-        views.append(
-            backend_module.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=clamp)
-        )
+        views.append(module.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=clamp))
     colors = torch.stack(views)  # [C, N, 3]
     if raise_clamped:
         colors = _ColorClamp.apply(colors)
     if features is not None:
         colors = torch.cat([colors, features.expand(len(cameras), -1, -1)], dim=-1)
-    render_colors, render_alphas, info = backend_module.rasterize(
+    render_colors, render_alphas, info = module.rasterize(
         activated(splats),
         colors,
         cameras,
@@ -137,18 +143,6 @@ def over_background(
         return colors
     padding = background.new_zeros(colors.shape[-1] - 3)
     return colors + (1 - alphas) * torch.cat([background, padding]).to(colors)
-
-
-def _module(backend: Backend, device: torch.device):
-    """The module of a backend, with `rasterize` and `spherical_harmonics` as `reference` has."""
-    if backend == "auto":
-        backend = "cuda" if device.type == "cuda" else "cpu"
-    if backend == "cuda" and find_spec("gsplat") is None:
-        raise StyleSplatError(
-            "Rendering on a GPU needs gsplat, which is not installed. "
-            "Run `pip install stylesplat[cuda]`, or choose the cpu device."
-        )
-    return import_module(f"stylesplat.rendering.{backend}")
 
 
 @torch.no_grad()
@@ -199,7 +193,7 @@ def colors_of(
     features: Float[Tensor, "N F"] | None = None,
 ) -> Float[Tensor, "M D"]:
     """Colours of some Gaussians as seen from a point; their features follow."""
-    backend = _module("auto", splats.device)
+    backend = backend_module("auto", splats.device)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
     tensors = splats.means, splats.sh0, splats.shN[:, : (degree + 1) ** 2 - 1]
     parts = []

@@ -13,19 +13,28 @@ from jaxtyping import Bool, Float, Int, Real
 from torch import Tensor
 from torch.nn.functional import pad
 
+<<<<<<< HEAD
 from stylesplat.interrupts import check
 from stylesplat.rendering.gaussians import (
     Gaussians,
+=======
+from stylesplat.rendering.reference import (
+    EVERYONE,
+    Backend,
+>>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
     Projected,
     activated,
+    backend_module,
     views_of,
     with_matrices_of,
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import overlapping
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 
 LARGE = 400_000  # Gaussians of a scene; culling a smaller one takes as long as it saves
+MANY = 1 << 21  # Gaussians in view, from which features are gathered of the visible ones alone
+CHANNELS_PER_PASS = IDENTITY_SIZE  # the CPU kernels are compiled for this many and for fewer
 PART = 1 << 17  # Gaussians whose numbers stay in the processor's cache
 
 
@@ -51,24 +60,36 @@ class InView(NamedTuple):
 
 
 @torch.no_grad()
-def in_view(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"] | None = None) -> InView:
+def in_view(
+    splats: Splats,
+    camera: Cameras,
+    pixels: Bool[Tensor, "H W"] | None = None,
+    backend: Backend = "auto",
+) -> InView:
     """The Gaussians that may reach the image of one camera, if there were no others.
 
     With `pixels`, without those that cannot reach one of these.
     """
+<<<<<<< HEAD
     check()  # all loops over views pass here
     camera = with_matrices_of(splats, camera)
+=======
+>>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
     starts = range(0, max(1, len(splats)), PART)
-    parts = [_part_in_view(splats, camera, start, pixels) for start in starts]
+    parts = [_part_in_view(splats, camera, start, pixels, backend) for start in starts]
     columns = parts[0] if len(parts) == 1 else map(torch.cat, zip(*parts, strict=True))
     rows, *projected = columns
     return InView(rows, Projected(*projected))
 
 
 def _part_in_view(
-    splats: Splats, camera: Cameras, start: int, pixels: Bool[Tensor, "H W"] | None
+    splats: Splats,
+    camera: Cameras,
+    start: int,
+    pixels: Bool[Tensor, "H W"] | None,
+    backend: Backend,
 ) -> tuple[Tensor, ...]:
-    projected = _project(activated(splats, slice(start, start + PART)), camera)
+    projected = project_splats(splats, camera, slice(start, start + PART), backend)
     rows = (projected.radii[:, 0] > 0).nonzero()[:, 0]
     if pixels is not None:
         low, high = (corner.index_select(0, rows) for corner in bounds(projected))
@@ -76,13 +97,14 @@ def _part_in_view(
     return start + rows, *(each.index_select(0, rows) for each in projected)
 
 
-def _project(gaussians: Gaussians, camera: Cameras) -> Projected:
-    """Project Gaussians by the backend of their device."""
-    if gaussians.means.device.type == "cpu":
-        from stylesplat.rendering import cpu as backend
-    else:
-        from stylesplat.rendering import cuda as backend
-    return backend.project_gaussians(gaussians, views_of(camera)[0])
+@torch.no_grad()
+def project_splats(
+    splats: Splats, camera: Cameras, part: slice = EVERYONE, backend: Backend = "auto"
+) -> Projected:
+    """Splats, or a part of them, in the pixels of one camera."""
+    (view,) = views_of(with_matrices_of(splats, camera))
+    module = backend_module(backend, splats.device)
+    return module.project_gaussians(activated(splats, part), view)
 
 
 def touching(
@@ -103,14 +125,42 @@ def touching(
     return touched.index_fill(0, rows[counts > 0], True)
 
 
+def composite_projected(
+    projected: Projected,
+    values: Float[Tensor, "M K"],
+    size: tuple[int, int],
+    backend: Backend = "auto",
+) -> Float[Tensor, "H W K"]:
+    """Composite values of projected Gaussians, as many channels at a time as kernels take."""
+    blend = backend_module(backend, values.device).composite
+    parts = [blend(projected, part, size) for part in values.split(CHANNELS_PER_PASS, dim=1)]
+    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=-1)
+
+
+def backproject_projected(
+    projected: Projected,
+    image: Float[Tensor, "H W K"],
+    size: tuple[int, int],
+    backend: Backend = "auto",
+) -> Float[Tensor, "M K"]:
+    """The adjoint, as a gradient: an image is linear in what Gaussians carry."""
+    parts = list[Tensor]()
+    for part in image.split(CHANNELS_PER_PASS, dim=-1):
+        values = image.new_zeros(len(projected.depths), part.shape[-1]).requires_grad_()
+        with torch.enable_grad():
+            shown = composite_projected(projected, values, size, backend)
+        parts += torch.autograd.grad(shown, values, part)
+    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+
 @torch.no_grad()
 def visible(near: InView, camera: Cameras) -> InView:
     """The Gaussians that reach a pixel of the camera, though others hide some."""
     if near.rows.device.type != "cpu":
-        from stylesplat.rendering import cuda
-
-        reached = cuda.reaching_pixels(near.projected, camera.size)
-        return near.some(reached.nonzero()[:, 0])
+        width, height = camera.size
+        image = near.projected.means2d.new_ones(height, width, 1)
+        pixels = backproject_projected(near.projected, image, camera.size)
+        return near.some(pixels.nonzero()[:, 0])
     from stylesplat.rendering import cpu
 
     colors = near.projected.means2d.new_zeros(len(near.rows), 3)
@@ -122,7 +172,7 @@ def visible(near: InView, camera: Cameras) -> InView:
 @torch.no_grad()
 def pixel_bounds(splats: Splats, camera: Cameras) -> tuple[Int[Tensor, "N 2"], Int[Tensor, "N 2"]]:
     """The pixels that each Gaussian may reach, from and to; none if it is out of view."""
-    projected = _project(activated(splats), with_matrices_of(splats, camera))
+    projected = project_splats(splats, camera)
     outside = (projected.radii <= 0).any(dim=1, keepdim=True)  # whose places gsplat does not write
     low, high = (corner.masked_fill(outside, 0) for corner in bounds(projected))
     return low.long(), high.long()

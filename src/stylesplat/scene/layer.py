@@ -130,7 +130,7 @@ def recoloring(
     )
 
 
-def without_identities(splats: Splats) -> Splats:
+def appearance_only(splats: Splats) -> Splats:
     return replace(splats, identities=None, classifier=None, confidence=None)
 
 

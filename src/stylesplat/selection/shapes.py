@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.options import check_point
-from stylesplat.rendering.shares import COVERED, expected_depth
+from stylesplat.rendering.weights import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import FAINT, Extent, solid
 from stylesplat.scene.projection import crop, overlapping, unproject

@@ -13,10 +13,9 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.progress import track
-from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.linear import linear_view
-from stylesplat.rendering.shares import COVERED, without_looks
+from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.visibility import LARGE, bounds, in_view, pixel_bounds, visible
+from stylesplat.rendering.weights import COVERED, contributions, geometry_only
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.projection import crop, overlapping
@@ -51,23 +50,22 @@ def own_shares(
 
     `labels` are the likeliest label ids, if they are known already.
     """
-    bare, alone = without_looks(splats), without_looks(splats)[picked.nonzero()[:, 0]]
+    bare, alone = geometry_only(splats), geometry_only(splats)[picked.nonzero()[:, 0]]
     if labels is None and splats.classifier is not None:
         labels = likeliest(splats)
     ids = None if labels is None else _own_ids(labels, picked)
 
-    def sums_in(camera: Cameras) -> Float[Tensor, "N 2"]:
+    def look(camera: Cameras) -> Float[Tensor, "N 2"]:
         """The contribution of each Gaussian to the object's pixels, and to all."""
-        view = linear_view(bare, camera, picked, in_view(alone, camera).box(camera))
+        view = contributions(bare, camera, picked, in_view(alone, camera).box(camera))
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
         if ids is not None and len(ids) and unsure.any():
             pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
-        sums = torch.stack([view.weights(pixels), view.weights()], dim=1)
-        return sums.new_zeros(len(splats), 2).index_copy_(0, view.gaussians, sums)
+        return view.pixels_in(torch.stack([pixels, torch.ones_like(pixels)], dim=-1))
 
     views = sampled_views(cameras)
-    found = at_once(sums_in, views, splats.device)
+    found = map_views(look, views, splats.device)
     found = track(found, "finding contours", total=len(views))
     inside, everywhere = sum(found, splats.means.new_zeros(len(splats), 2)).unbind(dim=1)
     parts = inside / everywhere.clamp(min=UNSEEN)
@@ -133,14 +131,14 @@ def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
     """Survey a scene; None for small scenes and on a GPU, where that saves no time."""
     if len(splats) < LARGE or splats.device.type != "cpu":
         return None
-    bare = without_looks(splats)
+    bare = geometry_only(splats)
 
     def find(camera: Cameras) -> tuple[Cameras, Tensor, Tensor, Tensor]:
         near = visible(in_view(bare, camera), camera)
         low, high = bounds(near.projected)
         return camera, near.rows.int(), low.int(), high.int()
 
-    found = at_once(find, cameras)
+    found = map_views(find, cameras)
     return Survey(splats, [*track(found, "finding visible Gaussians", total=len(cameras))])
 
 

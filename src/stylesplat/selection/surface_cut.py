@@ -17,6 +17,7 @@ outline: there the depth jumps. A piece of a wall ends where something nearer hi
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -31,8 +32,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.options import PickSize, check_point
 from stylesplat.progress import track
-from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import AT_ONCE, COVERED, TINY_COVERAGE, contributed, without_looks
+from stylesplat.rendering.weights import COVERED, TINY_COVERAGE, composite, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Mask
 from stylesplat.scene.projection import crop, depths_of
@@ -133,13 +133,14 @@ def occluding_share(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]
     farther, whole, shown = 0, 0, 0
     jump = FARTHER * extent(splats.means[picked]) if picked.any() else 0.0
     for camera in evenly(sampled_views(cameras), VIEWS):
-        features = torch.stack([depths_of(splats.means, camera), picked.to(splats.means)], dim=1)
-        image, alphas = render(splats, camera, features=features, sh_degree=0)
-        depths = (image[..., 3] / alphas[..., 0].clamp(min=TINY_COVERAGE)).numpy()
-        inside = (image[..., 4] > COVERED).numpy()
+        depths = depths_of(splats.means, camera)
+        values = torch.stack([depths, picked.to(depths), torch.ones_like(depths)], dim=1)
+        summed, own_alphas, alphas = composite(splats, camera, values).unbind(dim=-1)
+        depths = (summed / alphas.clamp(min=TINY_COVERAGE)).numpy()
+        inside = (own_alphas > COVERED).numpy()
         beside = (cv2.dilate(inside.astype(np.uint8), ring) > 0) & ~inside
         own = cv2.dilate(np.where(inside, depths, 0).astype(np.float32), ring)
-        empty = (alphas[..., 0] < COVERED).numpy()
+        empty = (alphas < COVERED).numpy()
         farther += int((beside & ((depths > own + jump) | empty)).sum())
         whole += int(beside.sum())
         shown += int(inside.sum())
@@ -193,7 +194,7 @@ class ClusterGraph:
 def cluster_graph(splats: Splats, cameras: Cameras) -> ClusterGraph:
     """The graph over the surface of a splat on the CPU."""
     rng = np.random.default_rng(0)
-    seen, towards = _seen(without_looks(splats), sampled_views(cameras))
+    seen, towards = _pixels_and_directions(splats, sampled_views(cameras))
     rows = np.flatnonzero(seen > SEEN)
     if len(rows) <= NEIGHBOURS:
         raise NothingToPick("Hardly any Gaussian shows in the views. Select by --box3d.")
@@ -226,12 +227,13 @@ def cluster_graph(splats: Splats, cameras: Cameras) -> ClusterGraph:
     return ClusterGraph(owners, *middles, touching, gap, planes)
 
 
-def _seen(splats: Splats, cameras: Sequence[Cameras]) -> tuple[np.ndarray, np.ndarray]:
-    """The contribution of each Gaussian to all views, and its mean direction to their cameras."""
+def _pixels_and_directions(
+    splats: Splats, cameras: Sequence[Cameras]
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
+    """The pixels of each Gaussian in all views, and the sum of its directions to their cameras."""
     seen, towards = torch.zeros(len(splats)), torch.zeros(len(splats), 3)
     for camera in track(cameras, "finding the surface"):
-        everywhere = torch.ones(*camera.size[::-1], AT_ONCE)
-        part = contributed(splats, camera, everywhere)[:, 0]
+        part = pixels_in(splats, camera, [torch.ones(camera.size[::-1])])
         rays = camera.positions.to(splats.means) - splats.means
         towards += part[:, None] * rays / rays.norm(dim=1, keepdim=True).clamp(min=1e-12)
         seen += part
@@ -268,12 +270,12 @@ def pick_masked(
         The picked Gaussians; none if the masks show none but those of large planes.
     """
     surface = cluster_graph(splats, cameras)
+    rows, insides, outsides = zip(*masks, strict=True)
+    everywhere = map(torch.ones_like, insides)
+    shown = map(partial(torch.stack, dim=-1), zip(insides, outsides, everywhere, strict=True))
+    pixels = pixels_in(splats, cameras[rows], shown).double().numpy()
     seen = np.zeros((len(surface.points) + 1, 3))
-    for row, inside, outside in masks:
-        wanted = torch.zeros(*inside.shape, AT_ONCE)
-        wanted[..., 0], wanted[..., 1], wanted[..., 2] = inside, outside, 1
-        pixels = contributed(without_looks(splats), cameras[row], wanted)[:, :3].double().numpy()
-        np.add.at(seen, surface.owners, pixels)  # those of background go into the last row
+    np.add.at(seen, surface.owners, pixels)  # those of background go into the last row
     inside, outside, everywhere = seen[:-1].T
     seeds = np.flatnonzero((everywhere > 2 * SEEN) & (inside > SURE * everywhere))
     rivals = np.flatnonzero((everywhere > 2 * SEEN) & (outside > OTHER * everywhere))
@@ -442,7 +444,7 @@ def _patch_at(
     camera = cameras[cameras.index(view)]
     check_point(point, camera.size, view)
     pixel = crop(camera, (int(point[0]), int(point[1])), (1, 1))
-    shown = contributed(without_looks(splats), pixel, torch.ones(1, 1, AT_ONCE))[:, 0].numpy()
+    shown = pixels_in(splats, pixel, [torch.ones(1, 1)]).numpy()
     if shown.sum() < COVERED:
         raise NothingToPick(
             f"Nothing solid shows at {point[0]:g},{point[1]:g} in {view}. Choose another pixel."

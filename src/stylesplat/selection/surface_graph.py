@@ -15,18 +15,17 @@ from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
-from torch.nn.functional import normalize, pad
+from torch.nn.functional import normalize
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import (
-    AT_ONCE,
+from stylesplat.rendering.weights import (
     COVERED,
     TINY_COVERAGE,
-    contributed,
-    without_looks,
+    geometry_only,
+    pixels_in,
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, pixel_centres, unproject
@@ -140,13 +139,13 @@ def symmetric(
 @cached_while_alive  # more clicks on the same splat
 def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     """The graph over the surface of a splat on the CPU."""
-    bare = without_looks(splats)
+    bare = geometry_only(splats)
     found, sums = [], torch.zeros(len(splats), 4)
     for camera in track(sampled_views(cameras), "finding the surface"):
         points, valid, *others = _surface_points(bare, camera)
         found.append([each[valid] for each in (points, *others)])
         known = torch.cat([points * valid[..., None], valid[..., None]], dim=-1)
-        sums += contributed(bare, camera, pad(known, (0, AT_ONCE - 4)))[:, :4]
+        sums += pixels_in(bare, camera, [known])
     points, colors, normals, spacing = (
         torch.cat(each).double().numpy() for each in zip(*found, strict=True)
     )

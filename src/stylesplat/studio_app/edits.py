@@ -10,11 +10,10 @@ import torch
 from jaxtyping import Bool, Float
 from PIL import Image, ImageDraw
 from torch import Tensor
-from torch.nn.functional import pad
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.hub import is_at_hand
-from stylesplat.rendering.shares import AT_ONCE, contributed
+from stylesplat.rendering.weights import pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import with_layers
 from stylesplat.scene.layer import RECOLOR, Layer
@@ -181,9 +180,8 @@ def pick_drawn(
 ) -> StudioState:
     """Pick what shows mostly inside a region of a picture, and lies close beneath that."""
     splats = state.scene.splats
-    pixels = torch.stack([inside, ~inside], dim=-1).to(splats.means)
-    weights = contributed(splats, camera, pad(pixels, (0, AT_ONCE - 2)))
-    within, beside = weights[:, 0], weights[:, 1]
+    masks = torch.stack([inside, ~inside], dim=-1)
+    within, beside = pixels_in(splats, camera, [masks]).unbind(dim=1)
     rows = (within > beside) & (within > LEAST_SHOWN)
     if not rows.any():
         raise StyleSplatError("Nothing shows inside the line. Draw it around an object.")

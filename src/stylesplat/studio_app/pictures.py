@@ -27,7 +27,7 @@ from stylesplat.figures.pictures import to_uint8
 from stylesplat.figures.web_page import pack
 from stylesplat.io.images import jpeg
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import coverage, render_shares
+from stylesplat.rendering.weights import composite, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import splats_without_paint
 from stylesplat.scene.projection import depths_of
@@ -162,7 +162,7 @@ class Pictures:
         counts = torch.tensor([int(mask.sum()) for mask in masks])
         columns = [display.shown(mask).to(splats.means) for mask in masks]
         columns += [torch.ones_like(splats.opacities), depths_of(splats.means, camera)]
-        image = render_shares(splats, camera, torch.stack(columns, dim=1)).cpu()
+        image = composite(splats, camera, torch.stack(columns, dim=1)).cpu()
         alphas, depths = image[..., -2], image[..., -1]
         ids = torch.zeros(alphas.shape, dtype=torch.uint8)
         if names:

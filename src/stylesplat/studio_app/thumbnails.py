@@ -13,7 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.best_views import close_up
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import jpeg
-from stylesplat.rendering.shares import colors_and_coverage
+from stylesplat.rendering.weights import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene, SceneObject
 from stylesplat.scene.splats import Splats

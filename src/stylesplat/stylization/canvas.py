@@ -17,11 +17,11 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.progress import track
-from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import colors_of, rasterize
-from stylesplat.rendering.shares import COVERED, coverage, without_looks
+from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.visibility import in_view
+from stylesplat.rendering.weights import COVERED, coverage, geometry_only
 from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.sequences import drawn
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
@@ -171,12 +171,11 @@ def fade_hidden(canvas: Canvas) -> Canvas:
     """Fade the object's Gaussians as far as the discs hide them."""
     before, splats, count = canvas.before, canvas.splats, len(canvas.before)
     others = ~canvas.mask | canvas.is_disc
-    bare, is_disc = without_looks(splats[others]), canvas.is_disc[others]
+    bare, is_disc = geometry_only(splats[others]), canvas.is_disc[others]
 
     def look(view: UnpaintedView) -> Tensor:
-        hidden, linear = coverage(bare, view.camera, is_disc) > COVERED, view.linear
-        sums = torch.stack([linear.weights(hidden), linear.weights()], dim=1)
-        return sums.new_zeros(count, 2).index_copy_(0, linear.gaussians, sums)
+        hidden = coverage(bare, view.camera, is_disc) > COVERED
+        return view.linear.pixels_in(torch.stack([hidden, torch.ones_like(hidden)], dim=-1))
 
     found = per_view(look, canvas.views, "looking under the canvas", splats.device)
     hidden, everywhere = torch.stack([*found]).sum(dim=0).unbind(dim=1)
@@ -190,7 +189,7 @@ def fade_hidden(canvas: Canvas) -> Canvas:
 @torch.no_grad()
 def fill_holes(canvas: Canvas) -> Canvas:
     """Give the Gaussians that show in holes between the discs their opacity back."""
-    faded, mask = without_looks(canvas.splats), canvas.mask
+    faded, mask = geometry_only(canvas.splats), canvas.mask
 
     def look(view: UnpaintedView) -> Tensor:
         linear = view.linear
@@ -198,7 +197,9 @@ def fill_holes(canvas: Canvas) -> Canvas:
         covered = (linear.coverage > COVERED).cpu().numpy().astype(np.uint8)
         inner = torch.from_numpy(cv2.erode(covered, np.ones((2 * RIM + 1, 2 * RIM + 1))))
         inner = inner.to(lost)
-        return linear.gaussians[linear.weights(lost & inner) > IN_HOLES * linear.weights()]
+        masks = torch.stack([lost & inner, torch.ones_like(lost)], dim=-1)
+        in_holes, everywhere = linear.pixels_in(masks).unbind(dim=1)
+        return (in_holes > IN_HOLES * everywhere).nonzero()[:, 0]
 
     found = per_view(look, canvas.views, "looking for holes of the canvas", faded.device)
     rows = torch.cat([*found])
@@ -228,10 +229,10 @@ def fit_canvas(canvas: Canvas, *, seed: int) -> Canvas:
         splats, camera = canvas.splats, before.camera
         rows = in_view(splats, camera).rows
         colors = colors_of(splats, rows, camera.positions)
-        baked = replace(without_looks(splats)[rows], sh0=sh0_from_rgb(colors)[:, None])
+        baked = replace(geometry_only(splats)[rows], sh0=sh0_from_rgb(colors)[:, None])
         return _View(before, rows, baked)
 
-    views = [*at_once(look, canvas.views, canvas.splats.device)]
+    views = [*map_views(look, canvas.views, canvas.splats.device)]
     leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in RATES}
     moments, own = Moments.zeros(leaves), canvas.mask.to(canvas.splats.means)
     generator = torch.Generator().manual_seed(seed)

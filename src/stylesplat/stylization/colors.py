@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from stylesplat.imaging.color import LUMA, Palette, color_map, map_colors, mapped
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import COVERED
+from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import SH_C0, Splats, rgb_from_sh0, sh0_from_rgb

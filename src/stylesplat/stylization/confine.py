@@ -13,10 +13,9 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.imaging.color import LUMA
-from stylesplat.rendering.linear import linear_view
 from stylesplat.rendering.reference import rotation_matrices
-from stylesplat.rendering.shares import COVERED, coverage, full_coverage, without_looks
 from stylesplat.rendering.visibility import pixel_bounds, touching
+from stylesplat.rendering.weights import COVERED, contributions, coverage, geometry_only
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.compose import UNSEEN
 from stylesplat.scene.projection import crop
@@ -107,13 +106,13 @@ def _find_outside(
     splats: Splats, mask: Tensor, protected: Tensor | None, cameras: Sequence[Cameras]
 ) -> list[Outside]:
     """Where there is nothing of an object, haze away from its edge, or what is protected."""
-    bare = without_looks(splats)
+    bare = geometry_only(splats)
     own = bare[mask]
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * EDGE + 1, 2 * EDGE + 1))
 
     def look(camera: Cameras) -> list[Outside]:
         covered = coverage(bare, camera, mask)
-        alone = full_coverage(own, camera)  # whatever hides it
+        alone = coverage(own, camera)  # whatever hides it
         solid = (alone > COVERED).cpu().numpy().astype(np.uint8)
         edge = torch.from_numpy(cv2.dilate(solid, disc)).bool().to(covered.device)
         found = [Outside(camera, (covered == 0) | ((covered < FAINT) & ~edge))]
@@ -128,7 +127,7 @@ def _overflow(
     canvas: Canvas, outside: Sequence[Outside]
 ) -> tuple[Int[Tensor, " M"], list[Outside]]:
     """The discs that show outside the object, and where others may next."""
-    bare, is_disc = without_looks(canvas.splats), canvas.is_disc
+    bare, is_disc = geometry_only(canvas.splats), canvas.is_disc
 
     def look(view: Outside) -> tuple[Tensor, Outside]:
         camera, rows, pixels = view.camera, view.rows, view.pixels
@@ -138,8 +137,8 @@ def _overflow(
         suspects = touching(low, high, pixels) & is_disc[rows]
         pixels = pixels & reached_pixels(part[suspects], camera)
         there = touching(low, high, pixels).nonzero()[:, 0]
-        seen = linear_view(part[there], camera, is_disc[rows[there]])
-        found = rows[there[seen.gaussians[seen.weights(pixels) > view.most]]]
+        seen = contributions(part[there], camera, is_disc[rows[there]])
+        found = rows[there[seen.pixels_in(pixels) > view.most]]
         return found, view._replace(
             pixels=pixels & reached_pixels(bare[found], camera), rows=rows[there]
         )
@@ -151,7 +150,7 @@ def _overflow(
 
 def reached_pixels(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
     """The pixels in which some Gaussians would show if there were no others."""
-    return full_coverage(without_looks(splats), camera) > 0
+    return coverage(geometry_only(splats), camera) > 0
 
 
 @torch.no_grad()

@@ -12,7 +12,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import Palette, build_palette, color_map, mapped
 from stylesplat.progress import say
-from stylesplat.rendering.shares import COVERED, colors_and_coverage
+from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.sequences import drawn, evenly
 from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.selection.shares import own_shares
@@ -45,7 +45,6 @@ from stylesplat.stylization.views import (
     Box,
     ObjectView,
     box_cameras,
-    matte_views,
     object_views,
     require_boxes,
     stage_views,
@@ -113,14 +112,13 @@ class _Object:
 
     def stage_views(self, stage: Stage, generator: torch.Generator) -> list[ObjectView]:
         surface = self.canvas.surface
-        views = stage_views(self.context, self.target, self.boxes, stage, generator, surface)
-        return views if self.target.config.published else matte_views(views)
+        return stage_views(self.context, self.target, self.boxes, stage, generator, surface)
 
     def views(self, length: float) -> tuple[list[ObjectView], float]:
         """A few views of the whole object, which is as long in them."""
         few, zoom = evenly(self.boxes, COLOR_VIEWS), length / typical_length(self.boxes)
         views = object_views(self.context, self.target, few, zoom, max_memory=math.inf)
-        return views if self.target.config.published else matte_views(views), length
+        return views, length
 
 
 def paint_steps(

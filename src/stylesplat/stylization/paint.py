@@ -12,13 +12,13 @@ from torch import Tensor
 
 from stylesplat.io.style_pictures import Picture, read_style
 from stylesplat.progress import task
-from stylesplat.rendering.shares import coverage, without_looks
 from stylesplat.rendering.visibility import LARGE, in_view, visible
+from stylesplat.rendering.weights import coverage, geometry_only
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.compose import compose, family_of
-from stylesplat.scene.layer import Layer, without_identities
+from stylesplat.scene.layer import Layer, appearance_only
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig, plain_settings
 from stylesplat.stylization.confine import reached_pixels
@@ -137,7 +137,7 @@ def crop_scene(
     names = {*context.all_cameras.names}
     if len(splats) < LARGE or len(names) < len(views):
         return everything
-    bare, own = without_looks(splats), target.mask.nonzero()[:, 0]
+    bare, own = geometry_only(splats), target.mask.nonzero()[:, 0]
     others = replace(bare, opacities=bare.opacities.masked_fill(target.mask, -torch.inf))
     alone, square = bare[own], np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
 
@@ -190,7 +190,7 @@ def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) 
         sh0=mean(after.sh0[own]),
         shN=mean(after.shN[own]),
         opacity_factors=mean(torch.where(is_fading, factors, torch.ones_like(factors))),
-        canvas=without_identities(after[count:]).map(torch.clone),  # without the rest's memory
+        canvas=appearance_only(after[count:]).map(torch.clone),  # without the rest's memory
         canvas_sh0=before.sh0[count:].clone(),
         parents=family[state.parents[count:]],
         relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),

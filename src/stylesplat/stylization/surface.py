@@ -10,9 +10,16 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.rendering.gaussians import with_matrices_of
-from stylesplat.rendering.linear import LinearView, linear_view
-from stylesplat.rendering.shares import COVERED, TINY_COVERAGE, full_coverage, without_looks
+from stylesplat.rendering.reference import with_matrices_of
+from stylesplat.rendering.render import colors_of
+from stylesplat.rendering.weights import (
+    COVERED,
+    TINY_COVERAGE,
+    Contributions,
+    contributions,
+    coverage,
+    geometry_only,
+)
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import (
     depths_of,
@@ -42,7 +49,7 @@ class UnpaintedView(NamedTuple):
     """What one camera sees of an object before a canvas is laid on it."""
 
     camera: Cameras
-    linear: LinearView
+    linear: Contributions
     """The contributions of the object's Gaussians."""
     image: Float[Tensor, "H W 3"]
 
@@ -55,8 +62,9 @@ def unpainted_views(
 
     def look(camera: Cameras) -> UnpaintedView:
         camera = with_matrices_of(splats, camera)
-        linear = linear_view(splats, camera, mask)
-        return UnpaintedView(camera, linear, linear.render(splats))
+        linear = contributions(splats, camera, mask)
+        colors = colors_of(splats, linear.gaussians, camera.positions)
+        return UnpaintedView(camera, linear, linear.render(colors))
 
     cameras = box_cameras(boxes, LENGTH, VIEWS, MARGIN)
     return [*per_view(look, cameras, "looking at the object", splats.device)]
@@ -73,10 +81,10 @@ def find_surface(
         them; their colours; the typical size of a pixel if the object is `LENGTH` pixels long.
     """
     far = BEHIND * extent(splats.means[mask])
-    alone = without_looks(splats[mask])
+    alone = geometry_only(splats[mask])
 
     def look(view: UnpaintedView) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-        return *_points_of_view(splats.means, view, far), full_coverage(alone, view.camera)
+        return *_points_of_view(splats.means, view, far), coverage(alone, view.camera)
 
     found = per_view(look, views, "looking for the surface", splats.device)
     *parts, silhouettes = zip(*found, strict=True)
@@ -151,8 +159,8 @@ def _mean_depths(
 ) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
     """The coverage of some of the object's visible Gaussians and their mean depth."""
     middle = depths.mean()  # offsets from it are exacter: weights may be float16
-    values = torch.stack([counted, counted * (depths - middle), 0 * counted], dim=1)
-    covered, offsets, _ = view.linear.composite(values).unbind(dim=2)
+    values = torch.stack([counted, counted * (depths - middle)], dim=1)
+    covered, offsets = view.linear.composite(values).unbind(dim=2)
     return covered, middle + offsets / covered.clamp(min=TINY_COVERAGE)
 
 

@@ -13,14 +13,19 @@ from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say, track
-from stylesplat.rendering.at_once import at_once
-from stylesplat.rendering.linear import LinearView, linear_view
-from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.shares import COVERED, contributed, coverage
+from stylesplat.rendering.render import colors_of, rasterize
+from stylesplat.rendering.view_pool import map_views
+from stylesplat.rendering.weights import (
+    COVERED,
+    Contributions,
+    backproject,
+    contributions,
+    coverage,
+)
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop, project
 from stylesplat.scene.sequences import evenly
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.stylization.config import Stage
 from stylesplat.stylization.target import PaintContext, PaintTarget
 
@@ -64,26 +69,26 @@ class ObjectView:
     """Which features are the object's."""
     pixels: Bool[Tensor, "H W"]
     """Those of the object."""
-    linear: LinearView | None = None
+    linear: Contributions | None = None
     """The image as a function of the object's colours; None rasterises the scene every time."""
+    is_view_independent: bool = False
+    """Whether the object's colours have no higher bands, which is quicker."""
 
     def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
         """Render splats that differ from the scene at most in the object's colours."""
-        if self.linear is not None:
-            return self.linear.render(splats)
-        return rasterize(splats, self.camera)[0][0]
+        if self.linear is None:
+            return rasterize(splats, self.camera)[0][0]
+        rows = self.linear.gaussians
+        if self.is_view_independent:
+            return self.linear.render(rgb_from_sh0(splats.sh0[:, 0].index_select(0, rows)).relu())
+        return self.linear.render(colors_of(splats, rows, self.camera.positions.to(splats.means)))
 
-    def backproject(self, splats: Splats, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "N 3"]:
+    def backproject(self, splats: Splats, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
         """The sum of an image times the weights of each Gaussian; right for the object's alone."""
         if self.linear is None:
-            return contributed(splats, self.camera, image)
-        sums = image.new_zeros(len(splats), 3)
+            return backproject(splats, self.camera, image)
+        sums = image.new_zeros(len(splats), image.shape[-1])
         return sums.index_add_(0, self.linear.gaussians, self.linear.backproject(image))
-
-
-def matte_views(views: Sequence[ObjectView]) -> list[ObjectView]:
-    """Views that are quicker, for splats whose object has no higher bands."""
-    return [replace(view, linear=view.linear and view.linear.as_matte()) for view in views]
 
 
 def total_weights(
@@ -92,7 +97,7 @@ def total_weights(
     """The contribution of each of the object's Gaussians, summed over all views."""
     weights = splats.means.new_zeros(len(splats))
     for view in views:
-        weights += view.backproject(splats, weights.new_ones(*view.pixels.shape, 3))[:, 0]
+        weights += view.backproject(splats, weights.new_ones(*view.pixels.shape, 1))[:, 0]
     return weights[mask]
 
 
@@ -100,7 +105,7 @@ def per_view(
     function: Callable[[T], R], items: Sequence[T], what: str, device: torch.device | str = "cpu"
 ) -> Iterator[R]:
     """The results of a function for each view, in order, with their progress."""
-    return track(at_once(function, items, device), what, total=len(items))
+    return track(map_views(function, items, device), what, total=len(items))
 
 
 def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[Box]:
@@ -157,12 +162,13 @@ def object_views(
     # what features depend on around a box
     margins = min(MARGIN, cells.before), min(MARGIN, cells.size - cells.before)
     is_linear = max_memory > 0 or splats.device.type != "cpu"
+    is_view_independent = not target.config.published
 
-    def prepare(box: Box) -> tuple[Cameras, Tensor, LinearView | None]:
+    def prepare(box: Box) -> tuple[Cameras, Tensor, Contributions | None]:
         camera, inside = crop_to_box(box, zoom, margins)
         camera = camera.to(splats.device)  # not in every step
         kept = is_linear and not full
-        return camera, inside, linear_view(splats, camera, mask) if kept else None
+        return camera, inside, contributions(splats, camera, mask) if kept else None
 
     prepared = per_view(prepare, boxes, "preparing the views", splats.device)
     for camera, inside, linear in prepared:
@@ -174,7 +180,8 @@ def object_views(
             used += linear.nbytes if linear else 0
             full = used > max_memory
             linear = None if full else linear
-            views.append(ObjectView(camera, own_cells, covered > COVERED, linear))
+            own = covered > COVERED
+            views.append(ObjectView(camera, own_cells, own, linear, is_view_independent))
     if not views:
         raise StyleSplatError(
             f"Cannot stylise {target.name}: it is hardly visible in the {len(boxes)} views that "

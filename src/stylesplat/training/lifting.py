@@ -10,13 +10,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.imaging.similarity import psnr
 from stylesplat.progress import track
-from stylesplat.rendering.render import render
-from stylesplat.rendering.shares import NOBODY, PRIOR, label_votes
+from stylesplat.rendering.weights import NOBODY, PRIOR, label_pixels
 from stylesplat.scene.capture import BACKGROUND, MAX_ID, Capture
-from stylesplat.scene.frames import Frame, move_cameras
-from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 
 SHARPNESS = 12.0  # logits of a Gaussian that all pixels agree on; half of them leave 0.5
@@ -50,7 +46,7 @@ def lift(
         StyleSplatError: If the capture has no label maps, or no Gaussian shows in them.
     """
     maps = _label_maps(capture, rows)
-    ids, votes = label_votes(splats, capture.cameras, maps)
+    ids, votes = label_pixels(splats, capture.cameras, maps)
     if not votes.nnz:
         raise StyleSplatError(
             "None of the Gaussians shows in the capture's label maps. Check that the splat and the "
@@ -166,36 +162,3 @@ def _label_maps(
         valid = capture.valid(index)
         if labels is not None:
             yield index, labels if valid is None else labels.int().where(valid, NOBODY)
-
-
-# A splat compared with photos
-FIT_VIEWS = 5  # that are compared
-
-
-CHECK_SIZE = 240  # pixels of the longer side: smaller photos are enough for the comparison
-
-
-CLOSER = 2.0  # dB above the photo's mean colour, from which a splat belongs to the photos
-
-
-@torch.no_grad()
-def frame_fits(splats: Splats, capture: Capture, frames: Mapping[str, Frame]) -> dict[str, float]:
-    """How much closer to the photos renders are than their mean colour, in each frame.
-
-    A frame turns the capture's world into the splat's. Returns the median over a few views of the
-    gain in PSNR, in dB; more than `CLOSER` fits. Small photos are enough.
-    """
-    rows = evenly(range(len(capture.cameras)), FIT_VIEWS)
-    photos = [capture.photos[row].to(splats.means) / 255 for row in rows]
-    found = {}
-    for name, frame in frames.items():
-        cameras = move_cameras(capture.cameras[rows], frame)
-        gains = []
-        for row, photo in enumerate(photos):
-            valid = capture.valid(rows[row])
-            image = render(splats, cameras[row])[0].clamp(0, 1).flatten(0, 1)
-            kept = slice(None) if valid is None else valid.flatten().to(image.device)
-            image, photo = image[kept], photo.flatten(0, 1)[kept]
-            gains.append(psnr(image, photo) - psnr(photo.mean(dim=0).expand_as(photo), photo))
-        found[name] = float(torch.stack(gains).median())
-    return found

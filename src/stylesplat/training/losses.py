@@ -14,8 +14,8 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import cross_entropy, kl_div, l1_loss, log_softmax
 
 from stylesplat.imaging.similarity import ssim
+from stylesplat.rendering.kernels.ssim import Photometric
 from stylesplat.scene.splats import Classifier
-from stylesplat.training.photometric_cpu import Photometric
 
 DSSIM_WEIGHT = 0.2
 NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val

@@ -14,6 +14,7 @@ from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import evaluate_views, measured_rows
 from stylesplat.io.gaussian_lists import read_objects
 from stylesplat.io.splats.splat_files import declared_up, read_drawable
+from stylesplat.masks.working_splat import CHECK_SIZE, CLOSER, frame_fits
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
@@ -32,7 +33,7 @@ from stylesplat.scene.world_offset import offset_text, place_text
 from stylesplat.selection.labels import object_ids
 from stylesplat.selection.objects import with_names
 from stylesplat.selection.transfer import transfer_annotations
-from stylesplat.training.lifting import CHECK_SIZE, CLOSER, frame_fits, labelled, lift
+from stylesplat.training.lifting import labelled, lift
 
 FrameName = Literal["capture", "nerfstudio", "nerfstudio-axes", "nerfstudio-colmap"]
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]

@@ -7,10 +7,10 @@ import torch
 
 from scenes import random_splats, two_cameras
 from stylesplat.rendering import cpu
-from stylesplat.rendering.gaussians import activated, views_of
 from stylesplat.rendering.kernels import tiles
 from stylesplat.rendering.kernels.tiles import Ellipses
-from stylesplat.rendering.kernels.vec import Rows
+from stylesplat.rendering.kernels.vec import FlatRows
+from stylesplat.rendering.reference import activated, views_of
 
 GAUSSIANS = activated(random_splats())
 SIZE = (70, 52)  # 5 x 4 tiles, the last ones cut
@@ -22,7 +22,7 @@ def test_lists_are_front_to_back_whatever_the_threads():
     ellipses = Ellipses(*projected[:3], colors)
     radii = projected.radii.numpy()
     order = tiles.depth_order(projected.depths.numpy(), radii)
-    rows = Rows(torch.zeros(len(order) * 16).numpy(), 16)
+    rows = FlatRows(torch.zeros(len(order) * 16).numpy(), 16)
     tiles.pack_rows(order, cpu.arrays(ellipses), rows)
     (totals,) = tiles.rank_groups(order, rows, radii, SIZE)
     starts, ranks, masks = expected = tiles.tile_lists(order, rows, radii, SIZE, totals, 1)
@@ -38,7 +38,7 @@ def test_lists_are_front_to_back_whatever_the_threads():
 
 def test_ranks_are_cut_where_lists_would_become_too_long():
     count, size = 300, (3200, 3200)  # 40,000 tiles
-    rows = Rows(np.full(count * 16, 1600, np.float32), 16)
+    rows = FlatRows(np.full(count * 16, 1600, np.float32), 16)
     order = np.arange(count, dtype=np.int32)
     small, large = np.full((count, 2), 3, np.int32), np.full((count, 2), 1 << 30, np.int32)
     (whole,) = tiles.rank_groups(order, rows, small, size)

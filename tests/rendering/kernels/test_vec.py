@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 
-from stylesplat.rendering.kernels import vec, vecs
+from stylesplat.rendering.kernels import vec
 
 RNG = np.random.default_rng(0)
 NUMBERS = RNG.normal(size=64).astype(np.float32)
@@ -46,8 +46,8 @@ def test_exp_is_accurate_on_its_range():
 @numba.njit
 def lane_sums(a, out, channels):
     x, y = vec.load(a, 0), vec.load(a, 16)
-    moments = vecs.add_moments(vecs.zeros((0,) * 6), vec.load(a, 32), x, y)
-    vecs.add_lane_sums(out, 0, moments, vecs.load_vecs(a, 0, channels))
+    moments = vec.add_moments(vec.zeros((0,) * 6), vec.load(a, 32), x, y)
+    vec.add_lane_sums(out, 0, moments, vec.load_vecs(a, 0, channels))
 
 
 def test_lane_sums_add_to_what_is_there():
@@ -62,10 +62,10 @@ def test_lane_sums_add_to_what_is_there():
 
 @numba.njit
 def channel_products(a, row, out, channels):
-    x = vecs.load_vecs(a, 0, channels)
-    vec.store(out, 0, vecs.dot_row(x, row, 1))
-    grown = vecs.add_scaled_row(vecs.zeros(channels), vec.load(a, 32), row, 0)
-    vecs.store_vecs(out, 16, vecs.add_products(grown, vec.load(a, 48), x))
+    x = vec.load_vecs(a, 0, channels)
+    vec.store(out, 0, vec.dot_row(x, row, 1))
+    grown = vec.add_scaled_row(vec.zeros(channels), vec.load(a, 32), row, 0)
+    vec.store_vecs(out, 16, vec.add_products(grown, vec.load(a, 48), x))
 
 
 def test_channel_products():

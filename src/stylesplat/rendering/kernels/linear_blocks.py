@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from stylesplat.rendering.kernels import vec, vecs
+from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.blend import (
     BLOCKS,
+    NONE,
     PIXELS,
     aligned,
     block_corner,
@@ -24,8 +25,7 @@ from stylesplat.rendering.kernels.blend import (
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
 from stylesplat.rendering.kernels.vec import RowPlace, spread_row
 
-COLORS = vecs.channels(3)
-NONE = vecs.channels(0)
+COLORS = vec.channels(3)
 
 
 class BlockWeights(NamedTuple):
@@ -140,9 +140,9 @@ def render_linear(blocks, colors, background, image, size, threads):
                     place = vec.lowest_bit(todo) * (3 * PIXELS)
                     todo &= todo - 1
                     weight = vec.load_halves(weights, pair * PIXELS)
-                    sums = vecs.load_vecs(state, place, COLORS)
-                    sums = vecs.add_scaled_row(sums, weight, colors, row)
-                    vecs.store_vecs(state, place, sums)
+                    sums = vec.load_vecs(state, place, COLORS)
+                    sums = vec.add_scaled_row(sums, weight, colors, row)
+                    vec.store_vecs(state, place, sums)
                     pair += 1
             write_tile(state, image, corner, size)
 
@@ -161,12 +161,12 @@ def compose_backward(blocks, v_image, size, out):
             pair = firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 todo = np.int64(masks[entry])
-                sums = vecs.zeros(COLORS)
+                sums = vec.zeros(COLORS)
                 while todo != 0:
                     place = vec.lowest_bit(todo) * (3 * PIXELS)
                     todo &= todo - 1
                     weight = vec.load_halves(weights, pair * PIXELS)
-                    sums = vecs.add_products(sums, weight, vecs.load_vecs(state, place, COLORS))
+                    sums = vec.add_products(sums, weight, vec.load_vecs(state, place, COLORS))
                     pair += 1
                 row = np.int64(gaussians[entry]) * vec.LANES
-                vecs.add_lane_sums(mine, row, vecs.zeros(NONE), sums)
+                vec.add_lane_sums(mine, row, vec.zeros(NONE), sums)

@@ -2,7 +2,7 @@
 
 The mathematics is that of `reference.project_gaussians`, for 16 Gaussians at a time: a number is a
 `Vec` with one lane per Gaussian, a vector is a tuple of three numbers, a matrix is a tuple of three
-rows. The nouns are those of `rendering/gaussians.py`, with arrays.
+rows. The nouns are those of `rendering/reference.py`, with arrays.
 """
 
 from math import log, sqrt
@@ -11,7 +11,9 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from stylesplat.rendering.gaussians import (
+from stylesplat.rendering.kernels import vec
+from stylesplat.rendering.kernels.jit import inner, kernel
+from stylesplat.rendering.reference import (
     EPS2D,
     FAR_PLANE,
     FOV_MARGIN,
@@ -20,8 +22,6 @@ from stylesplat.rendering.gaussians import (
     MIN_ALPHA,
     NEAR_PLANE,
 )
-from stylesplat.rendering.kernels import vec
-from stylesplat.rendering.kernels.jit import inner, kernel
 
 
 class Gaussian(NamedTuple):

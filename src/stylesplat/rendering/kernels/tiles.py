@@ -17,10 +17,10 @@ import numba
 import numpy as np
 from torch import Tensor
 
-from stylesplat.rendering.gaussians import MIN_ALPHA
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel, serial_kernel
-from stylesplat.rendering.kernels.vec import RowPlace, Rows, spread_row
+from stylesplat.rendering.kernels.vec import FlatRows, RowPlace, spread_row
+from stylesplat.rendering.reference import MIN_ALPHA
 
 TILE = 16
 BLOCK = 4
@@ -242,7 +242,7 @@ def tile_count(size: tuple[int, int]) -> int:
 
 
 def rank_groups(
-    order: np.ndarray, rows: Rows, radii: np.ndarray, size: tuple[int, int]
+    order: np.ndarray, rows: FlatRows, radii: np.ndarray, size: tuple[int, int]
 ) -> list[np.ndarray]:
     """Cut the ranks into groups, mostly one, whose lists take bounded memory.
 
@@ -264,7 +264,7 @@ def rank_groups(
 
 def tile_lists(
     order: np.ndarray,
-    rows: Rows,
+    rows: FlatRows,
     radii: np.ndarray,
     size: tuple[int, int],
     totals: np.ndarray,

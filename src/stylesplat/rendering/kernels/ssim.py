@@ -36,7 +36,7 @@ class Pair(NamedTuple):
     stride: int
 
 
-def framed(image: Tensor, stride: int) -> np.ndarray:
+def pad_for_ssim(image: Tensor, stride: int) -> np.ndarray:
     """An image [H, W, 3] in a frame of zeros, flat."""
     rows = image.detach().float().flatten(1)
     behind = stride - rows.shape[1] - MARGIN
@@ -44,7 +44,7 @@ def framed(image: Tensor, stride: int) -> np.ndarray:
 
 
 @inner
-def products_down(window, x, y, row, stride, out):
+def filter_columns_products(window, x, y, row, stride, out):
     """Filter x, y, x x, y y and x y along y at one row, into the five rows of `out`."""
     for j in range(0, stride, vec.LANES):
         mean_x, mean_y = vec.zero(), vec.zero()
@@ -64,7 +64,7 @@ def products_down(window, x, y, row, stride, out):
 
 
 @inner
-def down(window, framed, row, stride, out):
+def filter_columns(window, framed, row, stride, out):
     """Filter a framed image along y at one row."""
     for j in range(0, stride, vec.LANES):
         total = vec.zero()
@@ -75,7 +75,7 @@ def down(window, framed, row, stride, out):
 
 
 @inner
-def across(window, row, start):
+def filter_rows(window, row, start):
     """Filter 16 numbers of a framed row along x."""
     total = vec.zero()
     for tap in range(WINDOW):
@@ -112,15 +112,15 @@ def forward(pair, inside, v_maps, totals):
     for thread in numba.prange(threads):
         blurred, lanes = np.zeros(5 * stride, np.float32), np.empty(3 * vec.LANES, np.float32)
         for row in range(thread * height // threads, (thread + 1) * height // threads):
-            products_down(window, x, y, row, stride, blurred)
+            filter_columns_products(window, x, y, row, stride, blurred)
             ssim, absolute, squared = vec.zero(), vec.zero(), vec.zero()
             for j in range(0, stride - FRAME, vec.LANES):
                 value, v_mean, v_xx, v_xy = similarity(
-                    across(window, blurred, j),
-                    across(window, blurred, stride + j),
-                    across(window, blurred, 2 * stride + j),
-                    across(window, blurred, 3 * stride + j),
-                    across(window, blurred, 4 * stride + j),
+                    filter_rows(window, blurred, j),
+                    filter_rows(window, blurred, stride + j),
+                    filter_rows(window, blurred, 2 * stride + j),
+                    filter_rows(window, blurred, 3 * stride + j),
+                    filter_rows(window, blurred, 4 * stride + j),
                 )
                 at, mask = (row + HALF) * stride + MARGIN + j, vec.load(inside, j)
                 vec.store(v_maps, at, v_mean * mask)
@@ -150,13 +150,13 @@ def backward(pair, v_maps, factors, v_x, threads):
         for row in range(thread * height // threads, (thread + 1) * height // threads):
             for k in range(3):
                 v_map = v_maps[k * x.shape[0] : (k + 1) * x.shape[0]]
-                down(window, v_map, row, stride, blurred[k * stride :])
+                filter_columns(window, v_map, row, stride, blurred[k * stride :])
             for j in range(0, stride - FRAME, vec.LANES):
                 at = (row + HALF) * stride + MARGIN + j
                 u, v = vec.load(x, at), vec.load(y, at)
-                total = 2 * u * across(window, blurred, stride + j)
-                total = vec.fma(v, across(window, blurred, 2 * stride + j), total)
-                total = v_ssim * (total + across(window, blurred, j))
+                total = 2 * u * filter_rows(window, blurred, stride + j)
+                total = vec.fma(v, filter_rows(window, blurred, 2 * stride + j), total)
+                total = v_ssim * (total + filter_rows(window, blurred, j))
                 sign = vec.select(vec.greater(u, v), v_absolute, -v_absolute)
                 vec.store(gradient, j, total + vec.select(vec.equal(u, v), 0, sign))
             for j in range(n):
@@ -170,7 +170,7 @@ class Photometric(Function):
     def forward(ctx, image, target, dssim_weight):
         height, n = len(image), image[0].numel()
         stride = -(-n // vec.LANES) * vec.LANES + FRAME  # whole vectors, and the frame
-        x, y = framed(image, stride), framed(target, stride)
+        x, y = pad_for_ssim(image, stride), pad_for_ssim(target, stride)
         inside = np.zeros(stride, np.float32)
         inside[:n] = 1
         v_maps = np.zeros(3 * len(x), np.float32)

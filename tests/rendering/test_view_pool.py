@@ -8,9 +8,9 @@ from numba import get_num_threads
 
 from scenes import random_splats, two_cameras
 from stylesplat.progress import say
-from stylesplat.rendering.at_once import at_once
 from stylesplat.rendering.kernels.jit import SHARED
 from stylesplat.rendering.render import rasterize
+from stylesplat.rendering.view_pool import map_views
 
 
 def render(seed: int) -> torch.Tensor:
@@ -23,7 +23,7 @@ def loaded_kernels() -> None:
 
 
 def test_order():
-    pictures = [*at_once(render, range(7))]
+    pictures = [*map_views(render, range(7))]
     assert len(pictures) == 7
     assert all(torch.equal(a, render(b)) for a, b in zip(pictures, range(7), strict=True))
 
@@ -38,7 +38,7 @@ def test_at_a_time():
             both.wait()
         return item
 
-    assert [*at_once(meet, range(3))] == [0, 1, 2]
+    assert [*map_views(meet, range(3))] == [0, 1, 2]
 
 
 def test_gradients_as_outside():
@@ -46,14 +46,14 @@ def test_gradients_as_outside():
         return torch.is_grad_enabled()
 
     with torch.no_grad():
-        assert not any(at_once(enabled, range(5)))
+        assert not any(map_views(enabled, range(5)))
     with torch.enable_grad():
-        assert all(at_once(enabled, range(5)))
+        assert all(map_views(enabled, range(5)))
 
 
 def test_listeners_hear_what_threads_say(said: list[str]):
-    assert [*at_once(lambda item: say(f"{item}"), range(5))] == [None] * 5
-    assert sorted(said) == [*"01234"] and [*at_once(say, [])] == []
+    assert [*map_views(lambda item: say(f"{item}"), range(5))] == [None] * 5
+    assert sorted(said) == [*"01234"] and [*map_views(say, [])] == []
 
 
 def test_failure():
@@ -62,7 +62,7 @@ def test_failure():
             raise ValueError("three")
         return item
 
-    found = at_once(fail, range(9))
+    found = map_views(fail, range(9))
     assert [next(found) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(ValueError, match="three"):
         next(found)

@@ -60,7 +60,7 @@ class RenderPool:
             self._pool.shutdown(cancel_futures=True)
 
 
-def at_once(
+def map_views(
     function: Callable[[T], R], items: Sequence[T], device: torch.device | str = "cpu"
 ) -> Generator[R]:
     """The results of a function for each item, in order; several items at a time on the CPU.
