@@ -192,7 +192,7 @@ def wanted(key: Name, options: Options, settings: Mapping[str, Any]) -> Iterator
 def opened(key: Name, options: Options) -> Subject:
     """An object of a test scene, which is made if it has to be."""
     scene = find_scene(OBJECTS[key].scene, options.scenes)
-    picked = find_object(scene, OBJECTS[key].name)
+    picked = scene.to_splats(find_object(scene, OBJECTS[key].name))
     training, held_out = scene.working_views()
     sights = find_sights(scene.splats, held_out or training, picked, options.views)
     capture = photos_of(scene)

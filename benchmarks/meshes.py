@@ -146,13 +146,14 @@ def measure(options: Options, object: str) -> list[str]:
     """A row of the table."""
     folder, name = object.split(":")
     scene = ss.open(options.scenes / folder)
-    picked = find_object(scene, name)
+    mask = find_object(scene, name)
+    picked = scene.to_splats(mask)
     own, start = scene.splats[picked], time.process_time()
     config = MeshConfig(options.faces, options.texture_size, options.repaint)
     paint = None
     if options.repaint:
         (layer,) = (each for each in scene.layers if each.object == name)
-        paint = layer, scene.unpainted[picked[: len(scene.unpainted)]]
+        paint = layer, scene.base[mask]
     path, made = options.output / f"{folder.replace('/', '_')}_{name}.glb", list[TexturedMesh]()
 
     def work() -> None:

@@ -199,8 +199,9 @@ def large(scene: Path, styles: Path) -> Iterator[list[str]]:
     with tempfile.TemporaryDirectory() as folder:
         small_scene = ss.open(scene)
         splats = resized(small_scene.splats, LARGE)
-        ss.save(replace(small_scene, splats=splats, objects={}, path=None), Path(folder) / "scene")
-        del small_scene, splats
+        larger = replace(small_scene, base=splats, layers=(), objects={}, path=None)
+        ss.save(larger, Path(folder) / "scene")
+        del small_scene, splats, larger
         with studio_tab(size=SIZE, downloads=Path(folder)) as tab:
             start = time.perf_counter()
             with studio(Path(folder) / "scene", styles) as (url, pid):
@@ -223,7 +224,8 @@ def viewer(scene: Path) -> Iterator[list[str]]:
     for count, frames in VIEWER.items():
         with tempfile.TemporaryDirectory() as folder, launched(960, 540) as page:
             file = Path(folder) / "page.html"
-            ss.export(replace(opened, splats=resized(opened.splats, count), objects={}), file)
+            splats = resized(opened.splats, count)
+            ss.export(replace(opened, base=splats, layers=(), objects={}), file)
             page.open(as_url(file))
             until(lambda: page.evaluate("Boolean(window.viewer)"), "the viewer", 900.0)
             times = page.evaluate(f"""(() => {{

@@ -25,7 +25,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
 import stylesplat as ss
 from balls import BARE, LIGHT, PICKED, VIEWS, around, dense_ball, write_pictures
-from stylesplat.scene.scene import SceneObject
+from stylesplat.scene.objects import SceneObject
 from test_layers import ORDER, ROOT
 
 SMALL = 3  # lines of a function that a reader takes in at the call

@@ -40,7 +40,7 @@ CORE = (  # the functions over tensors that docs/python.md names
     "stylization.paint.paint",
     "stylization.optimize.paint_steps",
     "stylization.matching.nnfm_loss",
-    "scene.compose.compose",
+    "scene.layers.compose",
     "metrics.images.psnr",
     "metrics.images.ssim",
 )

@@ -17,9 +17,9 @@ from scenes import cloud, randn
 from stylesplat.imaging.similarity import mask_iou
 from stylesplat.io import scene_folder
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import mask_of
-from stylesplat.scene.layer import Layer
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.layers import Layer
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb
 from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.selection.labels import render_labels
@@ -184,7 +184,7 @@ def with_settings(job: PaintTarget, **settings) -> PaintTarget:
 PAINTED_FAST = StyleConfig(steps=3, block=1, object_size=30, intensity=0.6)
 PICKS = {"red": RED, "green": GREEN, "blue": BLUE, "both": RED | GREEN}
 TRAINED = Scene(
-    splats=replace(
+    base=replace(
         SPLATS,
         shN=0.1 * randn(len(SPLATS), 15, 3),
         confidence=ROWS / len(SPLATS),
@@ -256,7 +256,7 @@ def layer_of(scene: Scene, name: str) -> Layer:
 
 def own_rows(scene: Scene, name: str) -> torch.Tensor:
     """The Gaussians of a scene that belong to what a layer covers."""
-    return mask_of(layer_of(scene, name), scene)
+    return scene.to_splats(layer_of(scene, name).mask(len(scene.base)))
 
 
 def assert_same_layers(one: Scene, other: Scene) -> None:
@@ -289,5 +289,5 @@ def assert_same_objects(one: Scene, other: Scene) -> None:
     """Names, Gaussians and how they were found."""
     assert one.objects.keys() == other.objects.keys()
     for name, each in one.objects.items():
-        assert torch.equal(each.picked, other.objects[name].picked), name
+        assert torch.equal(each.mask, other.objects[name].mask), name
         assert each.how == other.objects[name].how

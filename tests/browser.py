@@ -26,9 +26,9 @@ from websockets.sync.connection import Connection
 from balls import CAMERAS, PICKS, SPLATS
 from scenes import layer_towards
 from stylesplat.io.scene_folder import open, save
-from stylesplat.scene.compose import with_layers
-from stylesplat.scene.layer import appearance_only
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.layers import appearance_only
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.studio_app.session import Session
 from stylesplat.stylization.config import StyleConfig
@@ -183,18 +183,18 @@ def scene() -> Scene:
     faded = torch.where(painted & (torch.arange(count) % 7 == 0), -16.0, before.opacities)
     after = replace(before, sh0=sh0, shN=shN, opacities=faded)
     scene = Scene(
-        splats=before,
+        base=before,
         cameras=CAMERAS,
         objects={name: SceneObject(picked) for name, picked in PICKED.items()},
     )
     layers = [layer_towards(before, after, PICKED[name], name) for name in ("red", "blue")]
     rows = PICKED["red"].nonzero()[::7, 0]
-    canvas = replace(after[rows], means=after.means[rows] + 0.01, opacities=before.opacities[rows])
-    canvas = appearance_only(canvas)
-    colors = {"canvas": canvas, "canvas_sh0": before.sh0[rows], "parents": rows}
+    surfels = replace(after[rows], means=after.means[rows] + 0.01, opacities=before.opacities[rows])
+    surfels = appearance_only(surfels)
+    colors = {"surfels": surfels, "surfels_sh0": before.sh0[rows], "parents": rows}
     relief = torch.zeros(len(layers[0].rows) + len(rows))
     layers[0] = replace(layers[0], **colors, relief=relief)
-    return with_layers(scene, layers)
+    return scene.with_layers(layers)
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ import pytest
 import torch
 
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import with_layers
 from stylesplat.scene.content import Content
-from stylesplat.scene.layer import Layer, Source, appearance_only
+from stylesplat.scene.layers import Layer, Source, appearance_only
+from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.projection import is_in_image
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Classifier, Splats
 
 
@@ -165,7 +165,7 @@ SETTINGS = {"steps": 5, "scale": 2.0, "layers": [3], "intensity": 1.0}
 
 
 def plain_layer(
-    base: Splats, rows: torch.Tensor, name: str, *, canvas: int = 0, seed: int = 0, **fields: Any
+    base: Splats, rows: torch.Tensor, name: str, *, surfels: int = 0, seed: int = 0, **fields: Any
 ) -> Layer:
     """A layer on some rows, with so many new Gaussians, half of whose rows fade."""
     generator = torch.Generator().manual_seed(seed)
@@ -175,9 +175,9 @@ def plain_layer(
         return torch.randn(*shape, generator=generator)
 
     factors = torch.rand(count, generator=generator)
-    new = appearance_only(random_splats(canvas, seed=seed + 1))
-    new = replace(new, shN=0.1 * noise(canvas, *bands))
-    picks = torch.randint(count, (canvas,), generator=generator)
+    new = appearance_only(random_splats(surfels, seed=seed + 1))
+    new = replace(new, shN=0.1 * noise(surfels, *bands))
+    picks = torch.randint(count, (surfels,), generator=generator)
     layer = Layer(
         object=name,
         rows=rows,
@@ -185,10 +185,10 @@ def plain_layer(
         sh0=noise(count, 1, 3),
         shN=noise(count, *bands),
         opacity_factors=torch.where(torch.arange(count) % 2 == 0, factors, 1.0),
-        canvas=new,
-        canvas_sh0=noise(canvas, 1, 3),
+        surfels=new,
+        surfels_sh0=noise(surfels, 1, 3),
         parents=rows[picks],
-        relief=noise(count + canvas).clamp(-1, 1) / 5,
+        relief=noise(count + surfels).clamp(-1, 1) / 5,
         styles=(Source(Path("/pictures/wave.jpg"), "12ab"),),
         settings=SETTINGS,
     )
@@ -207,8 +207,8 @@ def layer_towards(base: Splats, shown: Splats, picked: torch.Tensor, name: str) 
         sh0=shown.sh0[rows],
         shN=shown.shN[rows],
         opacity_factors=factors.clamp(max=1),
-        canvas=nothing,
-        canvas_sh0=nothing.sh0,
+        surfels=nothing,
+        surfels_sh0=nothing.sh0,
         parents=rows[:0],
         relief=torch.zeros(len(rows)),
     )
@@ -254,8 +254,8 @@ def full_scene() -> Scene:
     nothing = torch.zeros(COUNT, dtype=torch.bool)
     bare = replace(
         scene,
-        splats=replace(
-            scene.splats,
+        base=replace(
+            scene.base,
             identities=random(COUNT, 16),
             classifier=classifier,
             confidence=random(COUNT).sigmoid(),
@@ -269,11 +269,11 @@ def full_scene() -> Scene:
         info={"settings": {"steps": 500}},
         metrics={"psnr": 30.5},
     )
-    return with_layers(bare, layers(bare.splats))
+    return bare.with_layers(layers(bare.base))
 
 
 def layers(base: Splats) -> tuple[Layer, ...]:
-    fox = plain_layer(base, torch.arange(2), "fox", canvas=3, seed=4, strength=0.7, form=0.4)
+    fox = plain_layer(base, torch.arange(2), "fox", surfels=3, seed=4, strength=0.7, form=0.4)
     other = plain_layer(
         base,
         torch.tensor([4]),
@@ -285,7 +285,7 @@ def layers(base: Splats) -> tuple[Layer, ...]:
         weights=Source(Path("/nets/vgg19.pth"), "56ef"),
         precision="float32",
     )
-    hidden = plain_layer(base, torch.arange(3, 6), "Brücke", canvas=2, seed=6)
+    hidden = plain_layer(base, torch.arange(3, 6), "Brücke", surfels=2, seed=6)
     return fox, other, replace(hidden, visible=False, shN=0 * hidden.shN)
 
 
@@ -323,7 +323,9 @@ def plain_in(value: object) -> object:
 
 def assert_same(found: Scene, scene: Scene) -> None:
     """Everything is, but for the folder."""
-    found, scene = replace(found, path=None), replace(scene, path=None)
+    looks = zip(tensors_in(found.splats), tensors_in(scene.splats), strict=True)
+    assert all(torch.equal(one, other) for one, other in looks)
+    found, scene = (replace(each, path=None, composed=None) for each in (found, scene))
     assert plain_in(found) == plain_in(scene)
     pairs = zip(tensors_in(found), tensors_in(scene), strict=True)
     assert all(torch.equal(one, other) for one, other in pairs)

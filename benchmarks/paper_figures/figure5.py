@@ -9,7 +9,7 @@ from paper_figures.book import Cell, Outcome, Results
 from paper_figures.painting import default_config, painted, paper_config
 from paper_figures.story import Block, Figure, Row, Table, Text
 from paper_figures.subject import Subject, shot
-from stylesplat.stylization.paint import Painted
+from stylesplat.scene.layers import Composed, compose
 
 NAME = "figure5"
 CLAIM = "two objects take a style each, alone or together, and nothing else changes."
@@ -28,7 +28,7 @@ def _both(subject: Subject, way: str) -> Outcome:
     pictures = [*subject.styles.values()][:2]
     styles, config = dict(zip((one, other), pictures, strict=True)), WAYS[way](subject)
     alone = {id: painted(subject, {id: style}, config) for id, style in styles.items()}
-    together = Painted(subject.splats, tuple(each for a in alone.values() for each in a.layers))
+    together = compose(subject.splats, tuple(each for a in alone.values() for each in a.layers))
     picked = {id: subject.picked(id) for id in styles}
     numbers = {
         "objects": [subject.called(id) for id in styles],
@@ -45,9 +45,9 @@ def _both(subject: Subject, way: str) -> Outcome:
     return Outcome(numbers, shown | {"both": shot(together.splats, camera)})
 
 
-def _differing(alone: Painted, together: Painted, id: int, picked: dict[int, Tensor]) -> int:
+def _differing(alone: Composed, together: Composed, id: int, picked: dict[int, Tensor]) -> int:
     """Gaussians of an object, children included, that are not the same to the bit."""
-    owns = [picked[id][styled.family] for styled in (alone, together)]
+    owns = [picked[id][styled.parents] for styled in (alone, together)]
     sizes = [int(own.sum()) for own in owns]
     if sizes[0] != sizes[1]:
         return max(sizes)
@@ -58,7 +58,7 @@ def _differing(alone: Painted, together: Painted, id: int, picked: dict[int, Ten
     return int(rows.sum())
 
 
-def _elsewhere(subject: Subject, together: Painted, picked: dict[int, Tensor]) -> int:
+def _elsewhere(subject: Subject, together: Composed, picked: dict[int, Tensor]) -> int:
     """Gaussians of nothing that was painted that changed in any number."""
     others = ~torch.stack([*picked.values()]).any(dim=0)
     rows = torch.zeros(int(others.sum()), dtype=torch.bool)

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from paper_figures.subject import Subject
+from stylesplat.scene.layers import Composed
 from stylesplat.stylization import optimize
 from stylesplat.stylization.config import PRESETS, StyleConfig
-from stylesplat.stylization.paint import Painted, paint_context, paint_objects
+from stylesplat.stylization.paint import paint_context, paint_objects
 from stylesplat.stylization.target import PaintTarget
 
 
@@ -32,7 +33,7 @@ def painted(
     config: StyleConfig,
     *,
     side: int | None = None,
-) -> Painted:
+) -> Composed:
     """Some objects in a style each, from the training views, this long if that is said."""
     views = subject.training if side is None else subject.training.at_most(side)
     studio = paint_context(subject.splats, views, subject.network, held_out=subject.held_out)

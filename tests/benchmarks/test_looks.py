@@ -8,7 +8,8 @@ from looks import Options, main
 import stylesplat as ss
 from balls import CAMERAS, ball, enlarged
 from balls import STRIPED_SCENE as SCENE
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 
 
 def test_an_object_is_painted_judged_and_shown_once(tmp_path: Path):

@@ -17,7 +17,8 @@ from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from scenes import rand
 from stylesplat.io.captures.capture_folder import load
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.selection.labels import pick
 from stylesplat.stylization.features import load_weights
 

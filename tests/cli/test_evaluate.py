@@ -87,7 +87,7 @@ def test_nothing_is_downloaded(
 @pytest.fixture
 def darker(scene: Path) -> Path:
     folder = scene.with_name("darker & others")
-    ss.save(replace(ss.open(scene), splats=replace(SPLATS, sh0=SPLATS.sh0 - 0.5)), folder)
+    ss.save(replace(ss.open(scene), base=replace(SPLATS, sh0=SPLATS.sh0 - 0.5)), folder)
     return folder
 
 

@@ -154,7 +154,7 @@ def test_a_scene_without_photos(tmp_path: Path, capsys: pytest.CaptureFixture[st
     found = result(capsys, "mask", folder, "--box", box, "--device", "cpu")
     assert found["names"] == {"1": "red"} and found["of"] == 36
     assert (folder / "masks.jpg").is_file() and str(folder) == found["scene"]
-    assert agreement(scene_folder.open(folder).objects["red"].picked, 3) > 0.8
+    assert agreement(scene_folder.open(folder).objects["red"].mask, 3) > 0.8
     # Pictures of what a name no longer means are deleted
     assert not selection_file(folder, "red").exists() and selection_file(folder, "blue").is_file()
     listed = result(capsys, "objects", folder)

@@ -63,7 +63,7 @@ def test_stylize_changes_only_the_colours_of_the_object(scene: Path, style: Path
     assert metrics["steps"] == 3 and metrics["precision"].startswith(("float", "bfloat"))
     assert set(metrics["seconds_by_object"]) == {"red"}
     assert styled.painted_objects == ("red",)
-    assert torch.equal(styled.unpainted.sh0, before.sh0)
+    assert torch.equal(styled.base.sh0, before.sh0)
     recipe = json.loads((out / "recipe.json").read_text())
     assert len(recipe["objects"][0]["sha256"]) == 64
     assert recipe["settings"]["steps"] == 3

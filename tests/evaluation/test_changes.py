@@ -11,8 +11,9 @@ from stylesplat.evaluation.changes import farther_than, measure_changes
 from stylesplat.evaluation.summary import style_lines
 from stylesplat.rendering.weights import coverage
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.projection import crop
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import SH_C0
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.evaluate import evaluate
@@ -72,7 +73,7 @@ def test_borders_of_label_maps_may_err_by_a_few_pixels(clean: Scene, spilt: Scen
 
 
 def test_no_label_map_no_word_of_it(clean: Scene, spilt: Scene):
-    grown = {"red": SceneObject(spilt.objects["red"].picked, {"ids": [3], "grow": 0.2})}
+    grown = {"red": SceneObject(spilt.objects["red"].mask, {"ids": [3], "grow": 0.2})}
     for scene, capture in (
         (clean, None),
         (clean, replace(CAPTURE, label_maps=None)),

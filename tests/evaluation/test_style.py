@@ -24,9 +24,10 @@ from stylesplat.evaluation.style import (
 from stylesplat.imaging.color import PIXELS
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.layers import Composed
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.paint import Painted, paint_context, paint_objects
+from stylesplat.stylization.paint import paint_context, paint_objects
 from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import ObjectView
 
@@ -39,7 +40,7 @@ def measured(
     cameras: Cameras = CAMERAS,
     *,
     held_out: Cameras | None = None,
-) -> tuple[Painted, dict[str, Any]]:
+) -> tuple[Composed, dict[str, Any]]:
     studio = paint_context(SCENE, cameras, network, held_out=held_out)
     styled = paint_objects(studio, jobs)
     return styled, measure_painted([studio] * len(jobs), jobs, styled.splats, held_out=held_out)

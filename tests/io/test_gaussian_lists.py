@@ -12,7 +12,7 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_objects, read_rows, write_objects
 from stylesplat.io.ply import write_ply_rows
-from stylesplat.scene.scene import ListedObject, ListedObjects
+from stylesplat.scene.objects import ListedObject, ListedObjects
 
 COUNT = 8
 LABELS = [0, 3, 70_000, 0, 3, 0, 3, 0]

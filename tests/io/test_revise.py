@@ -9,7 +9,6 @@ import pytest
 from scenes import assert_same, contents, full_scene, plain_scene
 from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise
-from stylesplat.scene.compose import with_layers, with_strengths, without_layers
 from stylesplat.scene.scene import Scene
 
 
@@ -19,15 +18,15 @@ def inodes(folder: Path) -> dict[str, int]:
 
 
 EVERYTHING: list[Callable[[Scene], Scene]] = [
-    lambda scene: replace(without_layers(scene), splats=plain_scene().splats),
+    lambda scene: replace(scene.without_layers(), base=plain_scene().base),
     lambda scene: replace(scene, cameras=scene.cameras[[1]]),
     lambda scene: replace(scene, capture=None),
     lambda scene: replace(scene, objects={}),
-    without_layers,
-    lambda scene: without_layers(scene, ["fox"]),
-    lambda scene: with_layers(scene, scene.layers[::-1]),
-    lambda scene: with_layers(scene, (*scene.layers[1:], scene.layers[0])),
-    lambda scene: with_strengths(scene, {"fox": 0.2}, {"7": 1.0}),
+    Scene.without_layers,
+    lambda scene: scene.without_layers(["fox"]),
+    lambda scene: scene.with_layers(scene.layers[::-1]),
+    lambda scene: scene.with_layers((*scene.layers[1:], scene.layers[0])),
+    lambda scene: scene.with_strengths({"fox": 0.2}, {"7": 1.0}),
     lambda scene: replace(
         scene, layers=(replace(scene.layers[0], object="vixen"), *scene.layers[1:])
     ),
@@ -52,14 +51,14 @@ def test_layers_that_stay_are_not_written_again(tmp_path: Path):
     folder = tmp_path / "scene"
     scene_folder.save(full_scene(), folder)
     scene, before = scene_folder.open(folder), inodes(folder)
-    revise(scene, without_layers(scene, ["fox"]), folder)
+    revise(scene, scene.without_layers(["fox"]), folder)
     after = inodes(folder)
     assert after["layers/01-7.safetensors"] == before["layers/02-7.safetensors"]
     assert {name for name in after if name.startswith("layers/")} == {
         *("layers/01-7.safetensors", "layers/02-Br_cke.safetensors")
     }
     scene = scene_folder.open(folder)
-    revise(scene, with_strengths(scene, {"7": 0.3}), folder)
+    revise(scene, scene.with_strengths({"7": 0.3}), folder)
     assert inodes(folder)["layers/01-7.safetensors"] == before["layers/02-7.safetensors"]
     assert inodes(folder)["base.ply"] == before["base.ply"]
 
@@ -70,7 +69,7 @@ def test_a_folder_of_layers_that_leads_elsewhere_is_not_written_into(tmp_path: P
     (folder / "layers").rename(elsewhere)
     (folder / "layers").symlink_to(elsewhere)
     scene, before = scene_folder.open(folder), contents(elsewhere)
-    revise(scene, without_layers(scene, ["fox"]), folder)
+    revise(scene, scene.without_layers(["fox"]), folder)
     assert contents(elsewhere) == before
     assert scene_folder.open(folder).painted_objects == ("7", "Brücke")
 

@@ -9,12 +9,15 @@ from pathlib import Path
 import pytest
 import torch
 
-from scenes import assert_same, contents, full_scene, plain_scene
+from scenes import COUNT, assert_same, contents, full_scene, plain_scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.scene_folder import revise
-from stylesplat.scene.compose import compose, without_layers
+from stylesplat.io.splats.splat_ply import write_splat_ply
+from stylesplat.io.tensors import write_tensors
+from stylesplat.scene.layers import compose
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
 
 
 @pytest.mark.parametrize("make", [plain_scene, full_scene])
@@ -27,10 +30,10 @@ def test_round_trip(tmp_path: Path, make: Callable[[], Scene]):
 def test_what_is_read_composes_to_the_same(tmp_path: Path):
     scene_folder.save(full_scene(), tmp_path / "scene")
     found = scene_folder.open(tmp_path / "scene")
-    composed = compose(found.unpainted, found.layers)
+    composed = compose(found.base, found.layers).splats
     for name, tensor in found.splats.tensors().items():
         assert torch.equal(tensor, composed.tensors()[name]), name
-    bare = without_layers(found)
+    bare = found.without_layers()
     scene_folder.save(bare, tmp_path / "scene", overwrite=True)
     assert_same(scene_folder.open(tmp_path / "scene"), bare)
 
@@ -38,7 +41,7 @@ def test_what_is_read_composes_to_the_same(tmp_path: Path):
 def test_the_deepest_relief_that_painting_measures(tmp_path: Path):
     scene = full_scene()
     layers = [replace(layer, relief=layer.relief * 0 - 2) for layer in scene.layers]
-    scene = replace(scene, layers=tuple(layers), splats=compose(scene.unpainted, layers))
+    scene = scene.with_layers(layers)
     scene_folder.save(scene, tmp_path / "scene")
     assert_same(scene_folder.open(tmp_path / "scene"), scene)
 
@@ -68,18 +71,34 @@ def test_no_scene(tmp_path: Path):
         revise(plain_scene(), plain_scene(), tmp_path)
 
 
-def test_layers_of_another_scene(tmp_path: Path):
+@pytest.mark.parametrize("edit", [lambda splats: splats[:6], lambda splats: splats.map(torch.neg)])
+def test_a_splat_that_was_edited_is_refused_and_moved_away(
+    edit: Callable[[Splats], Splats], tmp_path: Path
+):
+    """Else it would be ignored silently: what a scene shows is composed."""
     scene_folder.save(full_scene(), tmp_path / "scene")
-    scene_folder.save(without_layers(full_scene()), tmp_path / "bare")
-    for name in ("splats.ply", "picks.safetensors", "identities.safetensors"):
-        (tmp_path / "scene" / name).write_bytes((tmp_path / "bare" / name).read_bytes())
-    with pytest.raises(StyleSplatError, match=r"base\.ply: .* do not make up the 6 Gaussians"):
+    path = tmp_path / "scene/splats.ply"
+    write_splat_ply(edit(full_scene().splats), path)
+    with pytest.raises(StyleSplatError, match=r"splats\.ply is not .*--like"):
         scene_folder.open(tmp_path / "scene")
+    path.rename(tmp_path / "edited.ply")
+    assert_same(scene_folder.open(tmp_path / "scene"), full_scene())
+
+
+def test_an_object_of_surfels_alone_gets_their_parents(tmp_path: Path):
+    """As earlier versions wrote them."""
+    scene = full_scene()
+    scene_folder.save(scene, tmp_path / "scene")
+    picks = {name: scene.to_splats(each.mask) for name, each in scene.objects.items()}
+    picks["fox"] = torch.arange(len(scene.splats)) == COUNT
+    write_tensors(picks, tmp_path / "scene/picks.safetensors")
+    (row,) = scene_folder.open(tmp_path / "scene").objects["fox"].mask.nonzero()[:, 0]
+    assert row == scene.layers[0].parents[0]
 
 
 def test_identities_that_were_not_lifted_have_no_confidence(tmp_path: Path):
-    scene = without_layers(full_scene())
-    scene = replace(scene, splats=replace(scene.splats, confidence=None))
+    scene = full_scene().without_layers()
+    scene = replace(scene, base=replace(scene.base, confidence=None))
     scene_folder.save(scene, tmp_path / "scene")
     assert_same(scene_folder.open(tmp_path / "scene"), scene)
 
@@ -90,9 +109,9 @@ def camera_with(**changes: object) -> Callable[[Scene], Scene]:
 
 def splats_with(name: str, value: float) -> Callable[[Scene], Scene]:
     def changed(scene: Scene) -> Scene:
-        tensor = getattr(scene.splats, name).clone()
+        tensor = getattr(scene.base, name).clone()
         tensor[0] = value
-        return replace(scene, splats=replace(scene.splats, **{name: tensor}))
+        return replace(scene, base=replace(scene.base, **{name: tensor}))
 
     return changed
 

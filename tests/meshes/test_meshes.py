@@ -23,8 +23,8 @@ from stylesplat.meshes.surface import Surface, find_mesh_surface, mesh_views, wi
 from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import with_layers
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.verbs.export import export
@@ -220,7 +220,7 @@ def test_what_cannot_be_repainted(tmp_path: Path):
     config = replace(SMALL, repaint=True)
     with pytest.raises(StyleSplatError, match="ball is not painted"):
         export(scene, tmp_path / "a.glb", objects=["ball"], mesh=config)
-    painted = with_layers(scene, [LAYER])
+    painted = scene.with_layers([LAYER])
     with pytest.raises(StyleSplatError, match="a picture of its style is gone"):
         export(painted, tmp_path / "a.glb", objects=["ball"], mesh=config)
 

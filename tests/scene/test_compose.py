@@ -5,39 +5,28 @@ from dataclasses import replace
 import pytest
 import torch
 
-from scenes import SETTINGS, plain_layer, random_splats, two_cameras
-from stylesplat.rendering.render import rasterize
-from stylesplat.scene.compose import (
-    beneath,
-    compose,
-    family,
-    splats_without_paint,
-    with_layers,
-    with_strengths,
-    without_layers,
-)
-from stylesplat.scene.layer import Layer
-from stylesplat.scene.scene import Scene, SceneObject
+from scenes import SETTINGS, plain_layer, rand, random_splats, two_cameras
+from stylesplat.scene.layers import Composed, Layer
+from stylesplat.scene.layers import compose as compose_whole
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import SH_C0, Classifier, Splats
 
 COUNT = 60
 ROWS = torch.arange(COUNT)
 CLASSIFIER = Classifier(torch.zeros(2, 16), torch.zeros(2), (0, 3))
 BASE = replace(random_splats(COUNT), classifier=CLASSIFIER, confidence=ROWS / COUNT)
-FOX = plain_layer(BASE, ROWS[:20], "fox", canvas=30, seed=1)
-POT = plain_layer(BASE, ROWS[40:], "pot", canvas=10, seed=2)
-BOTH = plain_layer(BASE, ROWS[10:50], "both", canvas=5, seed=3)  # above the two
+FOX = plain_layer(BASE, ROWS[:20], "fox", surfels=30, seed=1)
+POT = plain_layer(BASE, ROWS[40:], "pot", surfels=10, seed=2)
+BOTH = plain_layer(BASE, ROWS[10:50], "both", surfels=5, seed=3)  # above the two
 STACK = (FOX, POT, BOTH)
-SCENE = Scene(
-    BASE,
-    two_cameras(),
-    objects={
-        "fox": SceneObject(ROWS < 20, {"gaussians": 20}),
-        "nothing": SceneObject(ROWS < 0),
-    },
-    metrics={"psnr": 30.0},
-)
-PAINTED = replace(with_layers(SCENE, STACK), metrics={"train": SCENE.metrics})
+FOUND = {"fox": SceneObject(ROWS < 20), "nothing": SceneObject(ROWS < 0)}
+SCENE = Scene(BASE, two_cameras(), objects=FOUND, metrics={"psnr": 30.0})
+PAINTED = replace(SCENE.with_layers(STACK), metrics={"train": SCENE.metrics})
+
+
+def compose(base: Splats, layers: list[Layer] | tuple[Layer, ...]) -> Splats:
+    return compose_whole(base, layers).splats
 
 
 def assert_equal(one: Splats, other: Splats) -> None:
@@ -54,17 +43,17 @@ def test_what_does_not_show_is_as_if_it_was_removed(gone: Layer, way: str):
     left = [each for each in STACK if each is not gone]
     found = compose(BASE, [hidden if each is gone else each for each in STACK])
     assert_equal(found, compose(BASE, left))
-    assert_equal(without_layers(PAINTED, [gone.object]).splats, found)
+    assert_equal(PAINTED.without_layers([gone.object]).splats, found)
 
 
 def test_the_base_comes_first_and_canvases_in_the_order_of_the_stack():
     splats = PAINTED.splats
     assert len(splats) == COUNT + 45
-    assert torch.equal(splats.means, torch.cat([BASE.means, *(e.canvas.means for e in STACK)]))
+    assert torch.equal(splats.means, torch.cat([BASE.means, *(e.surfels.means for e in STACK)]))
     for name in ("means", "quats", "scales"):
         assert torch.equal(getattr(splats, name)[:COUNT], getattr(BASE, name))
     rows = torch.cat([ROWS, *(each.parents for each in STACK)])
-    assert torch.equal(family(PAINTED), rows)
+    assert torch.equal(PAINTED.parents, rows)
     for name in ("identities", "confidence"):
         assert torch.equal(getattr(splats, name), getattr(BASE, name)[rows])
     untouched = compose(BASE, [FOX])
@@ -80,9 +69,9 @@ def test_colours_go_as_far_as_strength_and_share_say():
             torch.testing.assert_close(getattr(found, name)[:20], wanted)
     whole = compose(BASE, [replace(FOX, shares=torch.ones(20))])
     assert torch.equal(whole.sh0[:20], FOX.sh0) and torch.equal(whole.shN[:20], FOX.shN)
-    assert torch.equal(whole.sh0[COUNT:], FOX.canvas.sh0), "a canvas carries its paint"
+    assert torch.equal(whole.sh0[COUNT:], FOX.surfels.sh0), "a canvas carries its paint"
     loud = compose(BASE, [replace(FOX, strength=1.5)])
-    farther = torch.lerp(FOX.canvas_sh0, FOX.canvas.sh0, torch.tensor(1.5))
+    farther = torch.lerp(FOX.surfels_sh0, FOX.surfels.sh0, torch.tensor(1.5))
     torch.testing.assert_close(loud.sh0[COUNT:], farther)
 
 
@@ -92,10 +81,10 @@ def test_opacities_fade_by_the_factors_and_canvases_appear():
     wanted = torch.sigmoid(BASE.opacities[:20]) * FOX.opacity_factors
     torch.testing.assert_close(torch.sigmoid(full[:20]), wanted)
     assert torch.equal(full[:20][~fading], BASE.opacities[:20][~fading])
-    assert torch.equal(full[COUNT:], FOX.canvas.opacities)
+    assert torch.equal(full[COUNT:], FOX.surfels.opacities)
     half = compose(BASE, [replace(FOX, strength=0.5)]).opacities
     assert torch.equal(half[:COUNT], BASE.opacities), "it fades once half of the canvas is there"
-    assert (half[COUNT:] < FOX.canvas.opacities).all()
+    assert (half[COUNT:] < FOX.surfels.opacities).all()
     strong = compose(BASE, [replace(FOX, strength=1.5)]).opacities
     assert torch.equal(strong, full), "more than all of it is not there"
     nearly = compose(BASE, [replace(FOX, strength=1 - 1e-6)]).opacities
@@ -104,9 +93,8 @@ def test_opacities_fade_by_the_factors_and_canvases_appear():
 
 def test_layers_keep_the_mode_that_their_base_is_rendered_in():
     """Files of layers have no mode of their own."""
-    scene = with_layers(replace(SCENE, splats=replace(BASE, antialiased=True)), STACK)
-    without = (splats_without_paint(scene), without_layers(scene).splats)
-    assert all(each.antialiased for each in (scene.splats, scene.unpainted, *without))
+    scene = replace(PAINTED, base=replace(BASE, antialiased=True))
+    assert scene.splats.antialiased
     assert not PAINTED.splats.antialiased
 
 
@@ -139,40 +127,59 @@ def test_form_adds_relief_to_the_paint():
     assert_equal(after[others], before[others])
 
 
-def test_objects_follow_their_gaussians():
-    fox = PAINTED.objects["fox"]
-    assert torch.equal(fox.picked, family(PAINTED) < 20)
-    assert fox.how["gaussians"] == int(fox.picked.sum())
-    assert not PAINTED.objects["nothing"].picked.any(), "what was nothing stays"
-    faint = with_strengths(PAINTED, {"fox": 0.0})
-    assert len(faint.splats) == COUNT + 15
-    assert torch.equal(with_strengths(faint, {"fox": 1.0}).objects["fox"].picked, fox.picked)
-    new = torch.arange(len(PAINTED.splats)) == COUNT + 35  # of the canvas of the pot
-    scene = replace(PAINTED, objects={"dot": SceneObject(new)})
-    less = without_layers(scene, ["fox"])
-    assert less.objects["dot"].picked.nonzero().tolist() == [[COUNT + 5]]
-    assert "dot" not in without_layers(scene, ["pot"]).objects
+def test_objects_are_rows_of_the_base_whatever_the_layers():
+    for scene in (PAINTED, PAINTED.with_strengths({"fox": 0.0}), PAINTED.without_layers(["fox"])):
+        assert scene.objects == SCENE.objects
+        assert torch.equal(scene.to_splats(FOUND["fox"].mask), scene.parents < 20)
+
+
+def test_what_comes_back_to_the_base_is_the_adjoint_of_what_goes_to_the_splats():
+    for shape in ((), (3,)):
+        own, all_ = rand(COUNT, *shape), rand(COUNT + 45, *shape, seed=1)
+        there, back = PAINTED.to_splats(own), PAINTED.to_base(all_)
+        torch.testing.assert_close((there * all_).sum(), (own * back).sum())
+    assert torch.equal(PAINTED.most_of(PAINTED.to_splats(ROWS % 3 == 0)), ROWS % 3 == 0)
+    sizes = PAINTED.parents.bincount()
+    halves = torch.arange(COUNT + 45) >= COUNT  # all surfels, no row of the base
+    assert torch.equal(PAINTED.most_of(halves), sizes > 2)
+
+
+def test_the_look_is_composed_once_and_kept_as_long_as_it_is_right():
+    splats = PAINTED.splats
+    assert replace(PAINTED, metrics={}).splats is splats is PAINTED.splats
+    changes = {"layers": STACK[:2]}, {"layers": STACK[::-1]}, {"base": BASE.detach()}
+    for change in changes:
+        changed = replace(PAINTED, **change)
+        assert changed.splats is not splats
+        assert_equal(changed.splats, compose(changed.base, changed.layers))
+    assert SCENE.splats is BASE and compose(BASE, ()) is BASE
+    assert PAINTED.without_layers().splats is BASE
+
+
+@pytest.mark.parametrize("count", range(4))
+def test_going_on_from_a_prefix_is_composing_anew(count: int):
+    """To the bit; and what is no prefix is of no use."""
+    stack = (FOX, replace(POT, visible=False), BOTH)
+    whole, known = (compose_whole(BASE, each) for each in (stack, stack[:count]))
+    others = compose_whole(BASE, stack[::-1]), Composed(BASE[ROWS], (), BASE, ROWS)
+    for each in (known, *others):
+        found = compose_whole(BASE, stack, each)
+        assert_equal(found.splats, whole.splats)
+        assert torch.equal(found.parents, whole.parents) and found.layers == stack
 
 
 def test_metrics_of_layers_that_are_gone_are_forgotten():
     scene = replace(PAINTED, metrics={"nnfm": 1, "train": {"psnr": 30.0}})
-    assert without_layers(scene, ["fox"]).metrics == {"train": {"psnr": 30.0}}
-    assert without_layers(scene).metrics == {"psnr": 30.0}
+    assert scene.without_layers(["fox"]).metrics == {"train": {"psnr": 30.0}}
+    assert scene.without_layers().metrics == {"psnr": 30.0}
 
 
-def test_what_lies_beneath_a_layer():
+def test_a_layer_is_replaced_in_its_place_or_goes_on_top():
     for place, layer in enumerate(STACK):
-        under, found = beneath(PAINTED, layer.object)
-        assert found == place
-        assert_equal(under.splats, compose(BASE, STACK[:place]))
-    under, place = beneath(PAINTED, "new")
-    assert under is PAINTED and place == 3
-
-
-def test_all_rows_before_show_what_was_there():
-    found = splats_without_paint(PAINTED)
-    assert len(found) == len(PAINTED.splats)
-    assert_equal(found[ROWS], BASE)
-    camera = two_cameras()[0]
-    one, other = (rasterize(each, camera, backend="reference")[0] for each in (found, BASE))
-    torch.testing.assert_close(one, other, atol=1e-5, rtol=0)
+        assert PAINTED.below(layer.name).layers == STACK[:place]
+        other = replace(layer, strength=0.5)
+        stack = PAINTED.with_layer(other).layers
+        assert stack == (*STACK[:place], other, *STACK[place + 1 :])
+    assert PAINTED.below("new") is PAINTED
+    new = replace(FOX, object="new")
+    assert PAINTED.with_layer(new).layers == (*STACK, new)

@@ -7,8 +7,8 @@ import torch
 import stylesplat as ss
 from balls import CAMERAS, SPLATS
 from scenes import plain_layer
-from stylesplat.scene.layer import Source
-from stylesplat.scene.scene import SceneObject
+from stylesplat.scene.layers import Source
+from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.sequences import Lazy
 
 
@@ -16,7 +16,7 @@ def test_nouns_are_one_line_that_says_what_they_are():
     vase = SceneObject(torch.arange(len(SPLATS)) < 20, {"ids": [3]})
     layer = plain_layer(SPLATS, torch.arange(20), "vase", strength=0.7, styles=(Source(None),))
     held_out, objects = CAMERAS.names[:1], {"vase": vase}
-    scene = ss.Scene(SPLATS, CAMERAS, held_out, 1.0, objects, SPLATS, (layer,), Path("garden"))
+    scene = ss.Scene(SPLATS, CAMERAS, held_out, 1.0, objects, (layer,), Path("garden"))
     for noun, facts in (
         (SPLATS, ("440 Gaussians", "SH degree 0", "identities")),
         (SPLATS.classifier, ("0 3 7 300",)),

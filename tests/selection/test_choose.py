@@ -18,7 +18,7 @@ BOX = (-1.1, -0.4, 0.02, -0.3, 0.4, 0.7)  # around the red ball
 
 
 def picked(scene: Scene, name: str) -> torch.Tensor:
-    return scene.objects[name].picked
+    return scene.objects[name].mask
 
 
 def test_the_background_is_what_no_label_id_has():

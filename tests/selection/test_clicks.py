@@ -42,7 +42,7 @@ def picked(
     """What clicks on balls select."""
     others = [] if but is None else [at(CENTRES[but])]
     clicks = [at(CENTRES[ball]) for ball in balls]
-    return select(BARE, "it", point=clicks, not_point=others, size=size).objects["it"].picked
+    return select(BARE, "it", point=clicks, not_point=others, size=size).objects["it"].mask
 
 
 def agreement(found: Bool[torch.Tensor, " N"], *balls: int) -> float:
@@ -63,7 +63,7 @@ def test_a_part_is_bounded_by_its_color_and_may_lie_flat_on_a_plane():
     red = torch.where((sheet | cap)[:, None, None], torch.tensor([1.5, -1.5, -1.5]), 0.0)
     scene = Scene(replace(BARE.splats, sh0=red), VIEWS)
     for wanted, place in ((sheet, (0.9, -0.9, 0.0)), (cap, (0.0, 1.2, 0.65))):
-        found = select(scene, "it", point=at(place), size="part").objects["it"].picked
+        found = select(scene, "it", point=at(place), size="part").objects["it"].mask
         assert float((found & wanted).sum() / (found | wanted).sum()) > 0.7
 
 
@@ -86,7 +86,7 @@ def test_a_click_on_a_curved_backdrop_is_refused():
     backdrop = (VIEWS.names[0], VIEWS[0].size[0] / 2, 4.0)
     with pytest.raises(StyleSplatError, match="nothing behind it"):
         select(scene, "backdrop", point=backdrop)
-    found = select(scene, "it", point=at(CENTRES[2])).objects["it"].picked
+    found = select(scene, "it", point=at(CENTRES[2])).objects["it"].mask
     assert agreement(found[: len(MEANS)], 2) > 0.7
 
 

@@ -13,8 +13,8 @@ from stylesplat.cli import main
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.progress import track
-from stylesplat.scene.compose import strengths_of
-from stylesplat.scene.scene import SceneObject
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import strengths_of
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.studio_app.edits import adjust_layer, pick_names, rename_picked
@@ -187,7 +187,7 @@ def test_a_drag_of_a_slider_is_one_step_of_undo(session: Session):
         )
     assert session.worker.settle()
     assert strengths_of(session.state.scene) == {"3": 0.0}
-    assert torch.equal(session.state.scene.splats.sh0, full.scene.unpainted.sh0)
+    assert torch.equal(session.state.scene.splats.sh0, full.scene.base.sh0)
     assert session.history.undo_note == "Strength of 3: 0%" and not session.history.redo_note
     session.step(-1)
     assert session.worker.settle()

@@ -11,7 +11,8 @@ from browser import QUICK, stripes
 from processes import LIMIT, needs_permissions, read_only
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.edits import pick_names, rename_picked
 from stylesplat.studio_app.files import AUTOSAVE
 from stylesplat.studio_app.history import replace_scene

@@ -11,7 +11,7 @@ from balls import RED as PICKED
 from stylesplat.imaging.similarity import psnr
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import colors_and_coverage, coverage
-from stylesplat.scene.compose import compose
+from stylesplat.scene.layers import compose
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.config import StyleConfig
@@ -127,10 +127,10 @@ def test_it_fades_in_as_strongly_as_is_wanted(laid: Canvas):
         assert torch.equal(first, rasterize(SOLID, FINE[index])[0][0])
         whole = last - first
         for share in (0.1, 0.25, 0.5, 0.75, 0.9, 1.0):
-            mixed = compose(SOLID, [replace(layer, strength=share)])
+            mixed = compose(SOLID, [replace(layer, strength=share)]).splats
             change = rasterize(mixed, FINE[index])[0][0] - first
             assert (change * whole).sum() / whole.square().sum() == pytest.approx(share, abs=0.1)
-    beyond = compose(SOLID, [replace(layer, strength=1.5)])
+    beyond = compose(SOLID, [replace(layer, strength=1.5)]).splats
     torch.testing.assert_close(beyond.opacities, after.opacities, atol=1e-3, rtol=1e-4)
     assert torch.equal(beyond.opacities[count:], after.opacities[count:])
     torch.testing.assert_close(beyond.sh0[count:], -2 * laid.splats.sh0[count:])

@@ -67,7 +67,7 @@ def test_painted_as_in_the_whole_scene(
     whole = paint_objects(studio, [job])
     assert not torch.equal(cut.splats.sh0, studio.splats.sh0)
     assert torch.equal(cut.splats.sh0, whole.splats.sh0)
-    assert torch.equal(cut.family, whole.family)
+    assert torch.equal(cut.parents, whole.parents)
     assert torch.equal(cut.layers[0].rows, job.mask.nonzero()[:, 0]), "rows of the whole base"
 
 
@@ -75,7 +75,7 @@ def test_nothing_else_changes_beside_a_canvas(studio: PaintContext, stripes: tor
     job = target(BALL, stripes, quality="normal")
     styled = paint_objects(studio, [job])
     count = len(studio.splats)
-    assert len(styled.splats) == len(styled.family) > count
-    assert job.mask[styled.family[count:]].all()
+    assert len(styled.splats) == len(styled.parents) > count
+    assert job.mask[styled.parents[count:]].all()
     for name, before in studio.splats.tensors().items():
         assert torch.equal(styled.splats.tensors()[name][:count][~job.mask], before[~job.mask])

@@ -15,13 +15,12 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import coverage
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.compose import compose
+from stylesplat.scene.layers import Composed, compose
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.stylization.config import PRESETS
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.optimize import PREVIEW_STEPS, paint_steps
 from stylesplat.stylization.paint import (
-    Painted,
     layer_of,
     paint,
     paint_context,
@@ -32,7 +31,7 @@ from stylesplat.stylization.target import PaintTarget
 from stylesplat.verbs.stylize import stylize
 
 
-def painted(jobs: Sequence[PaintTarget], network: FeatureNetwork, **options) -> Painted:
+def painted(jobs: Sequence[PaintTarget], network: FeatureNetwork, **options) -> Composed:
     return paint_objects(paint_context(SCENE, CAMERAS, network, **options), jobs)
 
 
@@ -70,8 +69,8 @@ def test_all_but_the_object_stays_to_the_bit(
         assert len(styled.splats) == count
         return
     assert count < len(styled.splats) <= count + 16 * job.mask.sum()
-    assert job.mask[styled.family[count:]].all()
-    assert not styled.layers[0].canvas.shN.any(), "a canvas is matte"
+    assert job.mask[styled.parents[count:]].all()
+    assert not styled.layers[0].surfels.shN.any(), "a canvas is matte"
 
 
 def test_colors_stay_in_range_where_gradients_exist(job: PaintTarget, network: FeatureNetwork):
@@ -89,9 +88,9 @@ def test_each_object_is_painted_on_those_before(job: PaintTarget, network: Featu
     both = paint_objects(paint_context(SCENE, CAMERAS, network), [job, second])
     assert [layer.object for layer in both.layers] == ["ball", "second"]
     first = painted([job], network)
-    assert same(compose(SCENE, both.layers[:1]), first.splats)
+    assert same(compose(SCENE, both.layers[:1]).splats, first.splats)
     studio = paint_context(first.splats, CAMERAS, network)
-    upon = paint_objects(studio, [replace(second, mask=second.mask[first.family])])
+    upon = paint_objects(studio, [replace(second, mask=second.mask[first.parents])])
     assert same(upon.splats, both.splats)
     neither = ~(job.mask | second.mask)
     assert same(both.splats[torch.arange(len(SCENE))[neither]], SCENE[neither])
@@ -104,13 +103,13 @@ def test_an_object_may_lie_on_the_canvas_of_another(job: PaintTarget, network: F
     over = replace(over, styles=(1 - job.styles[0],), mask=ball(0) | ball(1))
     both = painted([job, over], network)
     low, high = both.layers
-    assert len(low.canvas) and len(high.canvas)
+    assert len(low.surfels) and len(high.surfels)
     assert torch.equal(high.rows, over.mask.nonzero()[:, 0]), "rows of the base alone"
-    beneath = compose(SCENE, [low])
-    alone = compose(SCENE, [high])
+    beneath = compose(SCENE, [low]).splats
+    alone = compose(SCENE, [high]).splats
     shown = [rasterize(each, CAMERAS)[0] for each in (both.splats, alone, beneath)]
     assert (shown[0] - shown[1]).abs().mean() < (shown[0] - shown[2]).abs().mean() / 2
-    assert same(compose(SCENE, [low, replace(high, strength=0.0)]), beneath)
+    assert same(compose(SCENE, [low, replace(high, strength=0.0)]).splats, beneath)
 
 
 def test_intensity_blends_renders(job: PaintTarget, network: FeatureNetwork):
@@ -221,7 +220,7 @@ def test_states_lead_to_the_same(job: PaintTarget, network: FeatureNetwork):
     assert [state.step for state in late] == list(range(6, total + 1))
     assert all(state.steps == total and math.isfinite(state.nnfm) for state in early + late)
     layer = layer_of(late[-1], job, torch.arange(len(SCENE)))
-    assert same(compose(SCENE, [layer]), painted([job], network).splats)
+    assert same(compose(SCENE, [layer]).splats, painted([job], network).splats)
     assert torch.equal(early[-1].splats.sh0, kept), "later steps leave earlier states alone"
     assert not torch.equal(early[-2].splats.sh0, kept)
     assert len(early[0].splats) == len(early[0].parents) == len(SCENE), "the preview comes first"

@@ -16,7 +16,7 @@ from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.verbs.evaluate import compare
 
 SCENE = Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:2])
-DARKER = replace(SCENE, splats=replace(SPLATS, sh0=SPLATS.sh0 - 0.5))
+DARKER = replace(SCENE, base=replace(SPLATS, sh0=SPLATS.sh0 - 0.5))
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.layer import Source
+from stylesplat.scene.layers import Source
 from stylesplat.scene.scene import Scene
 from stylesplat.verbs.evaluate import EVALUATION, evaluate
 

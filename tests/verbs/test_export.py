@@ -10,9 +10,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.io.splats.splat_ply import read_splat_ply
-from stylesplat.scene.compose import compose
-from stylesplat.scene.scene import SceneObject
-from stylesplat.selection.objects import cut_out, rows_of_part
+from stylesplat.scene.objects import SceneObject
+from stylesplat.selection.objects import cut_out, part_mask
 from stylesplat.verbs.export import export, export_each
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
@@ -69,7 +68,7 @@ def test_parts_fit_together_again(tmp_path: Path):
 
 def test_each_object_has_a_file_and_so_has_the_rest(tmp_path: Path):
     plain = replace(TRAINED.splats, identities=None, classifier=None)
-    one = replace(TRAINED, splats=plain, objects={"red": TRAINED.objects["red"]})
+    one = replace(TRAINED, base=plain, objects={"red": TRAINED.objects["red"]})
     files = export_each(one, tmp_path / "parts", suffix=".splat")
     assert [path.name for path in files] == ["red.splat", "rest.splat"]
     assert {*(tmp_path / "parts").iterdir()} == {*files}
@@ -86,14 +85,13 @@ def test_each_object_has_a_file_and_so_has_the_rest(tmp_path: Path):
 
 def test_a_part_of_a_painted_scene_knows_what_was_before(stack: Path, tmp_path: Path):
     scene = open(stack / "twice")
-    part = cut_out(scene, rows_of_part(scene, ["red"]))
-    own = scene.objects["red"].picked[: len(scene.unpainted)]
-    assert_same_splats(part.unpainted, scene.unpainted[own])
-    assert_same_splats(part.splats, scene.splats[scene.objects["red"].picked])
+    part = cut_out(scene, part_mask(scene, ["red"]))
+    own = scene.objects["red"].mask
+    assert_same_splats(part.base, scene.base[own])
+    assert_same_splats(part.splats, scene.splats[scene.to_splats(own)])
     assert part.painted_objects == ("red",), "of the other nothing is there"
-    assert_same_splats(compose(part.unpainted, part.layers), part.splats)
-    rest = cut_out(scene, rows_of_part(scene, without=["both"]))
-    assert rest.layers == () and rest.base is None
+    rest = cut_out(scene, part_mask(scene, without=["both"]))
+    assert rest.layers == ()
     export(scene, tmp_path / "green.html", objects=["green"])
     assert (tmp_path / "green.html").stat().st_size > 10_000
 
@@ -102,7 +100,7 @@ def test_what_cannot_be_cut_out_is_told(tmp_path: Path):
     with pytest.raises(StyleSplatError, match="no object 'vase'"):
         export(TRAINED, tmp_path / "a.ply", objects=["vase"])
     red = TRAINED.objects["red"]
-    empty = {**TRAINED.objects, "red": replace(red, picked=torch.zeros_like(red.picked))}
+    empty = {**TRAINED.objects, "red": replace(red, mask=torch.zeros_like(red.mask))}
     with pytest.raises(StyleSplatError, match="red: it has no Gaussians"):
         export(replace(TRAINED, objects=empty), tmp_path / "a.ply", objects=["red"])
     with pytest.raises(StyleSplatError, match="Nothing is left"):
@@ -111,7 +109,7 @@ def test_what_cannot_be_cut_out_is_told(tmp_path: Path):
         export(TRAINED.splats, tmp_path / "a.ply", objects=["red"])
     plain = replace(TRAINED.splats, identities=None, classifier=None)
     with pytest.raises(StyleSplatError, match="has no objects"):
-        export_each(replace(TRAINED, splats=plain, objects={}), tmp_path / "parts")
+        export_each(replace(TRAINED, base=plain, objects={}), tmp_path / "parts")
     called = replace(TRAINED, objects={"rest": SceneObject(RED)})
     with pytest.raises(StyleSplatError, match="An object is called 'rest'"):
         export_each(called, tmp_path / "parts")

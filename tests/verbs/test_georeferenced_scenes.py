@@ -17,7 +17,6 @@ from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.scene_folder import revise
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.compose import with_strengths
 from stylesplat.scene.frames import NERFSTUDIO_AXES, Frame, known_frames, move_cameras, move_splats
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
@@ -65,9 +64,7 @@ def places(scene: Scene) -> torch.Tensor:
 
 def test_a_scene_keeps_it(tmp_path: Path):
     plain = full_scene()
-    assert plain.base is not None
-    base = replace(plain.base, world_offset=WORLD)
-    scene = replace(plain, splats=replace(plain.splats, world_offset=WORLD), base=base)
+    scene = replace(plain, base=replace(plain.base, world_offset=WORLD))
     scene_folder.save(scene, tmp_path / "far")
     scene_folder.save(plain, tmp_path / "near")
     assert json.loads((tmp_path / "far/scene.json").read_text())["world_offset"] == [*WORLD]
@@ -76,8 +73,8 @@ def test_a_scene_keeps_it(tmp_path: Path):
         here, there = (tmp_path / each / name for each in ("near", "far"))
         assert here.read_bytes() == there.read_bytes()
     found = scene_folder.open(tmp_path / "far")
-    assert found.world_offset == found.unpainted.world_offset == WORLD
-    weaker = with_strengths(found, {"fox": 0.3})
+    assert found.world_offset == found.base.world_offset == WORLD
+    weaker = found.with_strengths({"fox": 0.3})
     assert weaker.world_offset == WORLD
     revise(found, weaker, tmp_path / "far")
     assert scene_folder.open(tmp_path / "far").world_offset == WORLD
@@ -149,7 +146,7 @@ def test_a_splat_comes_back_from_elsewhere(suffix: str, tmp_path: Path):
     found = import_(tmp_path / f"a{suffix}", like=scene)
     assert found.metrics["matched"] == len(NEAR) and not found.metrics["moved"]
     assert found.world_offset == WORLD and torch.equal(found.cameras.viewmats, CAMERAS.viewmats)
-    assert torch.equal(found.objects["red"].picked, scene.objects["red"].picked)
+    assert torch.equal(found.objects["red"].mask, scene.objects["red"].mask)
 
 
 def in_world(corners: tuple[float, ...], offset: Offset = WORLD) -> tuple[float, ...]:
@@ -159,9 +156,9 @@ def in_world(corners: tuple[float, ...], offset: Offset = WORLD) -> tuple[float,
 def test_places_that_are_typed_are_in_the_world():
     here = select(Scene(NEAR, CAMERAS), "red", box3d=RED_BOX)
     there = select(SCENE, "red", box3d=in_world(RED_BOX))
-    assert torch.equal(there.objects["red"].picked, here.objects["red"].picked)
+    assert torch.equal(there.objects["red"].mask, here.objects["red"].mask)
     ball = (4e6 - 0.7, -3e6, 5e6 + 0.3, 0.35)
-    picked = select(SCENE, "red", sphere=ball).objects["red"].picked
+    picked = select(SCENE, "red", sphere=ball).objects["red"].mask
     assert picked.sum() >= 80
     with pytest.raises(StyleSplatError, match=r"reaches from 3999998\.\d+,-3000001\.\d+,"):
         select(SCENE, "none", box3d=RED_BOX)
@@ -174,7 +171,7 @@ def test_places_that_are_read_are_in_the_world():
     centre = [x + shift for x, shift in zip(here["centre"], WORLD, strict=True)]
     assert there["centre"] == pytest.approx(centre, abs=1e-6)
     again = select(SCENE, "again", box3d=there["box"]).objects["again"]
-    assert again.picked.sum() >= 78
+    assert again.mask.sum() >= 78
 
 
 def test_the_studio_records_places_in_the_world():

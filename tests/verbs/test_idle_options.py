@@ -10,7 +10,6 @@ from balls import CAMERAS, RED, SPLATS, TRAINED
 from scenes import layer_towards
 from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.mesh_config import MeshConfig
-from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.config import RecolorConfig
 from stylesplat.stylization.recipe import read_recipe
@@ -28,7 +27,7 @@ RECOLORED = Recipe(recolors=(RecoloredObject("red", RecolorConfig(hue=90.0)),))
 
 
 def painted() -> Scene:
-    return with_layers(TRAINED, [layer_towards(TRAINED.splats, TRAINED.splats, RED, "red")])
+    return TRAINED.with_layers([layer_towards(TRAINED.splats, TRAINED.splats, RED, "red")])
 
 
 @pytest.mark.parametrize(

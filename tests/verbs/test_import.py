@@ -50,7 +50,7 @@ def test_with_photos_and_label_maps(capture: Capture, splat: Path, tmp_path: Pat
     seen = scene.splats.confidence[scene.splats.confidence > 0]
     assert metrics["confidence"] == pytest.approx(float(seen.mean()))
     assert all(0.7 < each["confidence"] <= 1 for each in objects(scene))
-    assert select(scene, "red", id=3).objects["red"].how["gaussians"] > 60
+    assert select(scene, "red", id=3).objects["red"].mask.sum() > 60
     assert scene.info["splat"] == str(splat) and capture.path == scene.capture
     again = evaluate(scene, capture, device="cpu")
     assert again["psnr"] == pytest.approx(metrics["psnr"])
@@ -65,7 +65,7 @@ def test_without_photos(splat: Path, said: list[str]):
     assert not torch.equal(default.cameras.viewmats, sideways.cameras.viewmats)
     assert len(scene.cameras) == 36 and scene.capture is None
     scene = select(scene, "red", box3d=(-1.1, -0.4, 0.02, -0.3, 0.4, 0.7))
-    assert scene.objects["red"].picked.sum() >= 79  # its ball, to rounding
+    assert scene.objects["red"].mask.sum() >= 79  # its ball, to rounding
     with pytest.raises(StyleSplatError, match="no identities"):
         select(scene, "green", id=7)
 
@@ -121,7 +121,7 @@ def test_objects_are_what_the_labels_say(file: Path, tmp_path: Path, said: list[
         picked = pick(scene.splats, object_id=id, threshold=0.9, remove_outliers=False)
         assert torch.equal(picked, torch.eq(LABELS, id))
     scene = select(scene, "table", background=True)
-    assert torch.equal(scene.objects["table"].picked, torch.eq(LABELS, 0))
+    assert torch.equal(scene.objects["table"].mask, torch.eq(LABELS, 0))
     assert scene.splats.confidence is None, "they were not lifted"
     assert not any("No label maps" in line for line in said)
 

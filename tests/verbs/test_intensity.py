@@ -8,7 +8,6 @@ import torch
 from balls import RED, SPLATS, TRAINED
 from scenes import layer_towards, randn
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import sh_basis
 from stylesplat.verbs.adjust import adjust
@@ -19,9 +18,9 @@ EXACT = 1e-5  # colours below 2, sums over some dozen Gaussians in float32
 @pytest.fixture
 def calm() -> Scene:
     """Painted with colours in the middle of their range, so that none is clamped."""
-    scene = replace(TRAINED, splats=replace(SPLATS, sh0=SPLATS.sh0 / 2))
+    scene = replace(TRAINED, base=replace(SPLATS, sh0=SPLATS.sh0 / 2))
     paint = replace(scene.splats, sh0=scene.splats.sh0 + 0.1 * randn(len(SPLATS), 1, 3))
-    return with_layers(scene, [layer_towards(scene.splats, paint, RED, "red")])
+    return scene.with_layers([layer_towards(scene.splats, paint, RED, "red")])
 
 
 @pytest.mark.parametrize("intensity", [0.3, 0.6, 1.5])

@@ -43,8 +43,8 @@ def test_names_follow_their_labels(tmp_path: Path, photos: bool):
         folder = capture / "object_mask"
     write_corrected(folder)
     found = labels(scene, None if photos else folder, device="cpu")
-    assert agreement(found.objects["red"].picked, 7) > 0.75
-    assert agreement(found.objects["green"].picked, 3) > 0.75
+    assert agreement(found.objects["red"].mask, 7) > 0.75
+    assert agreement(found.objects["green"].mask, 3) > 0.75
     assert found.objects["ball"] is SCENE.objects["ball"], "a shape has no label"
     for name in ("means", "sh0", "opacities"):
         assert torch.equal(getattr(found.splats, name), getattr(SPLATS, name))
@@ -52,13 +52,13 @@ def test_names_follow_their_labels(tmp_path: Path, photos: bool):
 
 
 def test_an_object_keeps_its_parts_out(tmp_path: Path):
-    place = tuple(SPLATS.means[SCENE.objects["red"].picked][0].tolist())
+    place = tuple(SPLATS.means[SCENE.objects["red"].mask][0].tolist())
     scene = select(SCENE, "part", sphere=(*place, 0.1), of="red")
     found = labels(scene, write_corrected(tmp_path), device="cpu")
-    part = scene.objects["part"].picked
-    assert part.any() and torch.equal(found.objects["part"].picked, part)
-    assert agreement(found.objects["red"].picked, 7) > 0.75
-    assert not (found.objects["red"].picked & part).any()
+    part = scene.objects["part"].mask
+    assert part.any() and torch.equal(found.objects["part"].mask, part)
+    assert agreement(found.objects["red"].mask, 7) > 0.75
+    assert not (found.objects["red"].mask & part).any()
 
 
 @pytest.mark.parametrize(

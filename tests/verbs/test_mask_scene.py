@@ -23,20 +23,20 @@ def masked() -> Scene:
 
 def test_one_box_in_one_view_names_an_object(masked: Scene):
     assert [*masked.objects] == ["red"]
-    assert agreement(masked.objects["red"].picked, 3) > 0.8
+    assert agreement(masked.objects["red"].mask, 3) > 0.8
     assert torch.equal(masked.splats.means, PLAIN.means) and BARE.splats.classifier is None
     (listed,) = objects(masked)
     assert listed["names"] == ["red"] and 0.5 < listed["confidence"] <= 1
     y, x = (render_labels(SPLATS, VIEWS[9]) == 3).nonzero().double().mean(dim=0).tolist()
     again = select(masked, "same", point=("view_009", x, y))
-    assert torch.equal(again.objects["same"].picked, masked.objects["red"].picked)
+    assert torch.equal(again.objects["same"].mask, masked.objects["red"].mask)
 
 
 def test_a_second_object_joins_the_first(masked: Scene):
     both = mask(masked, boxes={"green": around(7, "view_020")}, device="cpu")
     assert [*both.objects] == ["red", "green"]
     assert [each["names"] for each in objects(both)] == [["red"], ["green"]]
-    assert agreement(both.objects["green"].picked, 7) > 0.8
+    assert agreement(both.objects["green"].mask, 7) > 0.8
     assert agreement(pick(both.splats, object_id=1), 3) > 0.8, "by its label as well"
     assert object_ids(both.splats) == (1, 2)
 

@@ -33,11 +33,11 @@ def test_an_imported_splat(capture: Path, tmp_path: Path, said: list[str]):
     folder = tmp_path / "scene"
     scene_folder.save(import_(PLAIN, load(capture), device="cpu"), folder)
     scene = scene_folder.open(folder)
-    assert [*scene.objects] == ["vase"] and scene.objects["vase"].picked.any()
-    assert torch.equal(scene.objects["vase"].picked, pick(scene.splats, object_id=7))
+    assert [*scene.objects] == ["vase"] and scene.objects["vase"].mask.any()
+    assert torch.equal(scene.objects["vase"].mask, pick(scene.splats, object_id=7))
     assert torch.equal(find_object(scene, "vase"), find_object(scene, "7"))
     how = json.loads((folder / "objects.json").read_text())["vase"]
-    assert how["ids"] == [7] and how["gaussians"] == scene.objects["vase"].picked.sum()
+    assert how["ids"] == [7] and how["gaussians"] == scene.objects["vase"].mask.sum()
     names = {each["id"]: each["names"] for each in objects(scene)}
     assert names == {3: [], 7: ["vase"], 300: []}
     assert "Object 300 does not get the name '3'" in "\n".join(said)

@@ -31,7 +31,7 @@ def as_of_old(folder: Path) -> None:
     looks = {"sh0": scene.splats.sh0, "shN": scene.splats.shN}
     for name in ("base_colors", "style_colors"):
         save_file(looks, folder / f"{name}.safetensors")
-    save_file({"0": scene.objects["red"].picked}, folder / "paintings.safetensors")
+    save_file({"0": scene.to_splats(scene.objects["red"].mask)}, folder / "paintings.safetensors")
     recipe = json.loads((folder / "recipe.json").read_text())
     entry = {**recipe["objects"][0], "upon": {"green": 0.5}}
     gone = [{**entry, "name": "green", "place": 0}]
@@ -53,7 +53,7 @@ def test_a_painted_scene_of_old_opens_as_it_looks(old: tuple[Path, Scene], said:
     assert sum("cannot be undone" in line for line in said) == 1
     assert len(found.splats) > len(SPLATS)
     assert_same_splats(found.splats, scene.splats)
-    assert found.base is None and found.layers == () and found.objects.keys() == PICKED
+    assert found.layers == () and found.objects.keys() == PICKED
     with pytest.raises(StyleSplatError, match="is not styled"):
         adjust(found, undo=True)
     recipe = read_recipe(folder / "recipe.json")

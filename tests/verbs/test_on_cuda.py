@@ -92,7 +92,7 @@ def test_renders_and_comparisons_are_the_same(cuda: str, tmp_path: Path):  # noq
             close = 0.02 if usual.is_floating_point() else 2
             same = (image.float() - usual.float()).abs() <= close
             assert name == other and same.float().mean() > 0.98
-    darker = replace(TRAINED, splats=replace(TRAINED.splats, sh0=TRAINED.splats.sh0 - 0.5))
+    darker = replace(TRAINED, base=replace(TRAINED.splats, sh0=TRAINED.splats.sh0 - 0.5))
     scenes, photos = {"a": TRAINED, "b": darker}, {"a": capture, "b": capture}
     found, expected = (compare(scenes, photos, device=device) for device in (cuda, "cpu"))
     for one, other in zip(found.scenes, expected.scenes, strict=True):
@@ -129,7 +129,7 @@ def test_labels_are_lifted_alike(cuda: str, tmp_path: Path):  # noqa: F811
 
 def test_masks_of_a_scene(cuda: str):  # noqa: F811
     picked = [
-        mask(BARE, boxes={"red": around(3, "view_004")}, device=device).objects["red"].picked
+        mask(BARE, boxes={"red": around(3, "view_004")}, device=device).objects["red"].mask
         for device in (cuda, "cpu")
     ]
     assert picked[0].device.type == "cpu" and agreement(picked[0], 3) > 0.8
@@ -255,7 +255,7 @@ def test_phrases(cuda: str, kind: str, tiny_model: Callable[[str], Path]):  # no
 
     def meant(device: str) -> Tensor | str:
         try:
-            return select(few, "it", text="red", model=model, device=device).objects["it"].picked
+            return select(few, "it", text="red", model=model, device=device).objects["it"].mask
         except StyleSplatError as error:
             return str(error)
 
@@ -273,5 +273,5 @@ def test_a_sheet_is_painted(cuda: str, stack: Path):  # noqa: F811
 
 def test_select_takes_a_mask_of_either_device(cuda: str):  # noqa: F811
     found = select(TRAINED, "it", rows=GREEN.to(cuda)).objects["it"]
-    assert found.picked.device.type == "cpu"
-    assert found.picked.equal(GREEN)
+    assert found.mask.device.type == "cpu"
+    assert found.mask.equal(GREEN)

@@ -154,7 +154,7 @@ def anew(request: pytest.FixtureRequest, once: Scene, tmp_path: Path) -> Scene:
     scene = select(scene, "red", **ANEW[request.param])
     scene_folder.save(scene, tmp_path / "anew")
     scene = scene_folder.open(tmp_path / "anew")
-    assert not torch.equal(scene.objects["red"].picked, once.objects["red"].picked)
+    assert not torch.equal(scene.objects["red"].mask, once.objects["red"].mask)
     return scene
 
 
@@ -166,8 +166,7 @@ def test_a_name_that_was_selected_anew_changes_nothing_that_was_painted(
         assert_same_splats(adjust(anew, intensity).splats, adjust(once, intensity).splats)
     undone = adjust(anew, undo=True)
     assert_same_splats(undone.splats, scene_folder.open(trained).splats)
-    count = len(undone.splats)
-    assert torch.equal(undone.objects["red"].picked, anew.objects["red"].picked[:count])
+    assert torch.equal(undone.objects["red"].mask, anew.objects["red"].mask)
     numbers, wanted = (evaluate(scene, device="cpu") for scene in (anew, once))
     assert numbers == wanted and wanted["nnfm_after"].keys() == {"red"}
 
@@ -178,7 +177,7 @@ def test_what_is_protected_gets_no_paint(
     x, y, z = BALLS[3][0]
     whole = scene_folder.open(trained)
     scene = select(whole, "cap", of="red", box3d=(x - 1, y - 1, z + 0.12, x + 1, y + 1, z + 1))
-    cap = scene.objects["cap"].picked
+    cap = scene.objects["cap"].mask
     scene_folder.save(scene, tmp_path / "trained")
     style = {"red": Style(pictures[0], config=FAST)}
     free = stylize(whole, style, device="cpu", measured=False)

@@ -40,11 +40,11 @@ def test_a_sidecar_keeps_objects(suffix: str, tmp_path: Path):
     back = import_(file, labels=tmp_path / f"balls{suffix}.objects.npz", up="z")
     order = row_order(TRAINED.splats, file)
     for name, each in TRAINED.objects.items():
-        assert torch.equal(back.objects[name].picked, each.picked[order])
+        assert torch.equal(back.objects[name].mask, each.mask[order])
     assert [each["id"] for each in objects(back)] == [each["id"] for each in objects(TRAINED)]
     export(TRAINED, file, objects=["red", "blue"], sidecar=True, overwrite=True)
     part = import_(file, labels=tmp_path / f"balls{suffix}.objects.npz", up="z")
-    assert int(part.objects["red"].picked.sum()) == 80 and "green" not in part.objects
+    assert int(part.objects["red"].mask.sum()) == 80 and "green" not in part.objects
 
 
 def test_a_ply_marks_objects_as_selected(tmp_path: Path):
@@ -57,7 +57,7 @@ def test_a_ply_marks_objects_as_selected(tmp_path: Path):
     assert table.dtype.names == (*(plain.dtype.names or ()), "state")
     assert (table["state"].astype(bool) >= RED.numpy()[kept]).all() and table["state"].max() == 1
     back = select(import_(tmp_path / "a.ply", up="z"), "red", rows=tmp_path / "a.ply")
-    assert torch.equal(back.objects["red"].picked, torch.from_numpy(table["state"] == 1))
+    assert torch.equal(back.objects["red"].mask, torch.from_numpy(table["state"] == 1))
     with pytest.raises(StyleSplatError, match=r"no more columns .* Choose a \.ply"):
         export(TRAINED, tmp_path / "b.spz", selected=["red"])
     with pytest.raises(StyleSplatError, match="--sidecar means nothing for a page"):
@@ -72,17 +72,17 @@ def test_picks_go_out_and_come_in(tmp_path: Path):
     assert export(TRAINED, path, objects=["red", "300"]) == 2
     bare = replace(TRAINED, objects={})
     again = select(bare, "red", rows=path)
-    assert torch.equal(again.objects["red"].picked, RED)
+    assert torch.equal(again.objects["red"].mask, RED)
     assert again.objects["red"].how["rows"] == [str(path)]
     more = select(again, "both", rows=RED | GREEN, minus="red")
-    assert torch.equal(more.objects["both"].picked, GREEN)
+    assert torch.equal(more.objects["both"].mask, GREEN)
     with pytest.raises(StyleSplatError, match="no object 'vase'"):
         select(bare, "vase", rows=path)
     with pytest.raises(StyleSplatError, match="Give a mask of 440"):
         select(bare, "vase", rows=RED[:5])
     with pytest.raises(StyleSplatError, match="has no objects"):
         plain = replace(TRAINED.splats, identities=None, classifier=None)
-        export(replace(bare, splats=plain), tmp_path / "none.npz")
+        export(replace(bare, base=plain), tmp_path / "none.npz")
 
 
 def edited(scene: Scene, *, frame: Frame | None = None) -> tuple[torch.Tensor, Scene]:
@@ -96,7 +96,7 @@ def edited(scene: Scene, *, frame: Frame | None = None) -> tuple[torch.Tensor, S
 def test_a_splat_that_was_edited_keeps_objects(tmp_path: Path):
     order, found = edited(TRAINED)
     for name, each in TRAINED.objects.items():
-        assert torch.equal(found.objects[name].picked, each.picked[order])
+        assert torch.equal(found.objects[name].mask, each.mask[order])
     assert found.metrics["lost_gaussians"] == len(TRAINED.splats) - len(order)
     assert found.metrics["new_gaussians"] == 0 and found.metrics["moved"] == []
     assert [each["id"] for each in objects(found)] == [each["id"] for each in objects(TRAINED)]
@@ -108,14 +108,14 @@ def test_a_splat_that_was_edited_keeps_objects(tmp_path: Path):
 def test_layers_are_taken_back_from_an_edited_splat(painted: Scene):
     order, found = edited(painted)
     assert found.painted_objects == painted.painted_objects
-    assert len(found.splats) == len(order) and len(found.layers[0].canvas)
-    count = len(painted.unpainted)
+    assert len(found.splats) == len(order) and len(found.layers[0].surfels)
+    count = len(painted.base)
     own, new = order[order < count], order[order >= count]
     assert torch.equal(found.splats.means, painted.splats.means[torch.cat([own, new])])
     torch.testing.assert_close(found.splats.sh0, painted.splats.sh0[torch.cat([own, new])])
     plain = adjust(found, undo=True)
-    torch.testing.assert_close(plain.splats.sh0, painted.unpainted.sh0[own])
-    torch.testing.assert_close(plain.splats.opacities, painted.unpainted.opacities[own])
+    torch.testing.assert_close(plain.splats.sh0, painted.base.sh0[own])
+    torch.testing.assert_close(plain.splats.opacities, painted.base.opacities[own])
 
 
 def test_views_and_colours_turn_along(painted: Scene):
@@ -138,7 +138,7 @@ def test_what_is_new_belongs_to_nothing_and_edited_colours_stay(painted: Scene, 
     both = Splats.cat([bright, far])
     found = import_(both, like=painted)
     assert found.metrics["new_gaussians"] == 30 and not found.layers
-    assert not any(each.picked[-30:].any() for each in found.objects.values())
+    assert not any(each.mask[-30:].any() for each in found.objects.values())
     assert any("become part of the splat" in line for line in said)
     assert torch.equal(found.splats.sh0, both.sh0)
 

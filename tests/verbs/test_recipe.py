@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.layer import Source
+from stylesplat.scene.layers import Source
 from stylesplat.stylization.config import PRESETS, StyleConfig
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe

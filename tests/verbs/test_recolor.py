@@ -17,7 +17,6 @@ from stylesplat.io.scene_folder import open as open_scene
 from stylesplat.io.scene_folder import save
 from stylesplat.io.style_pictures import MATERIALS
 from stylesplat.rendering.render import render
-from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import map_bands, rgb_from_sh0, sh0_from_rgb, sh_basis
 from stylesplat.stylization.config import LIMITS, RECOLOR_LIMITS
@@ -38,7 +37,7 @@ def one_of(color: tuple[float, float, float], **settings: Any) -> torch.Tensor:
     """What becomes of a ball of one colour."""
     red = sh0_from_rgb(torch.tensor(color)).expand(80, 1, 3)
     flat = TRAINED.splats.sh0.index_copy(0, RED.nonzero()[:, 0], red)
-    scene = replace(TRAINED, splats=replace(TRAINED.splats, sh0=flat))
+    scene = replace(TRAINED, base=replace(TRAINED.splats, sh0=flat))
     return colors(recolor(scene, "red", **settings), RED)[0]
 
 
@@ -120,7 +119,7 @@ def test_the_background_is_what_belongs_to_no_object():
 
 def test_paint_above_and_below():
     """A recolouring maps the paint beneath, canvas included; paint above covers it."""
-    under = with_layers(TRAINED, [plain_layer(TRAINED.splats, ROWS[RED], "red", canvas=30)])
+    under = TRAINED.with_layers([plain_layer(TRAINED.splats, ROWS[RED], "red", surfels=30)])
     above = recolor(under, "red", hue=120)
     assert [each.name for each in above.layers] == ["red", "red/recolor"]
     own = torch.cat([RED, torch.ones(30, dtype=torch.bool)])
@@ -130,7 +129,7 @@ def test_paint_above_and_below():
     assert_same_splats(adjust(above, objects="red/recolor", undo=True).splats, under.splats)
     assert [e.name for e in adjust(above, objects="red", undo=True).layers] == ["red/recolor"]
     first = recolor(TRAINED, "red", hue=120)
-    painted = with_layers(first, [*first.layers, *under.layers])
+    painted = first.with_layers([*first.layers, *under.layers])
     assert torch.equal(painted.splats.sh0[len(SPLATS) :], under.splats.sh0[len(SPLATS) :])
     again = recolor(painted, "red", hue=60)
     assert [each.name for each in again.layers] == ["red", "red/recolor"], "on top of the paint"
@@ -198,7 +197,7 @@ def test_wrong_settings_are_named(settings: dict, fact: str):
 def test_objects_that_are_not_there_or_empty():
     with pytest.raises(StyleSplatError, match="no object 'lid'"):
         recolor(TRAINED, "lid", hue=3)
-    empty = replace(TRAINED.objects["red"], picked=RED & ~RED)
+    empty = replace(TRAINED.objects["red"], mask=RED & ~RED)
     scene = replace(TRAINED, objects={**TRAINED.objects, "red": empty})
     with pytest.raises(StyleSplatError, match="red: it has no Gaussians"):
         recolor(scene, "red", hue=3)
@@ -214,6 +213,6 @@ def test_the_command_changes_a_scene_or_makes_another(tmp_path: Path, capsys):
     assert (tmp_path / "scene/before_after.png").is_file()
     other = tmp_path / "other"
     assert run("adjust", tmp_path / "scene", "--object", "red/recolor", "--undo", "-o", other) == 0
-    assert_same_splats(open_scene(other).splats, open_scene(tmp_path / "scene").unpainted)
+    assert_same_splats(open_scene(other).splats, open_scene(tmp_path / "scene").base)
     assert run("recolor", other, "--object", "red", "--strength", 0.5) == 1
     assert "Nothing to recolor" in capsys.readouterr().err

@@ -51,7 +51,8 @@ def test_an_object_is_forgotten():
 def test_the_layer_of_what_is_renamed_is_renamed_too(styled: Scene, tmp_path: Path):
     """So that what is painted on it later takes its place, and the recipe knows it."""
     other = rename(styled, "red", "vase")
-    assert other.painted_objects == ("vase",) and other.splats is styled.splats
+    assert other.painted_objects == ("vase",)
+    assert_same_splats(other.splats, styled.splats)
     scene_folder.save(styled, tmp_path / "scene")
     scene_folder.revise(styled, other, tmp_path / "scene")
     found = scene_folder.open(tmp_path / "scene")

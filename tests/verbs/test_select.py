@@ -10,7 +10,6 @@ from balls import BALLS, CAMERAS, SPLATS
 from capture_files import ColorDetector
 from scenes import layer_towards
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.compose import with_layers
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.labels import pick, render_labels
 from stylesplat.verbs import select as verb
@@ -34,7 +33,7 @@ def how(name: str = "it", scene: Scene = SCENE, **choice: Any) -> dict[str, Any]
 
 
 def picked(scene: Scene, name: str) -> Bool[torch.Tensor, " N"]:
-    return scene.objects[name].picked
+    return scene.objects[name].mask
 
 
 def test_points_are_united_but_for_those_that_are_not_meant():
@@ -157,7 +156,7 @@ def test_text_is_about_how_things_looked_before_styling(detector: ColorDetector)
     painted[red], painted[green] = SPLATS.sh0[green], SPLATS.sh0[red]
     splats = replace(SPLATS, sh0=painted)
     layer = layer_towards(SPLATS, splats, red | green, "3")
-    styled = with_layers(Scene(SPLATS, CAMERAS), [layer])
+    styled = Scene(SPLATS, CAMERAS).with_layers([layer])
     assert how(scene=styled, text="red")["ids"] == [3]
 
 
@@ -201,7 +200,7 @@ def test_a_part_leaves_its_object_the_rest():
     cap, rest = picked(scene, "cap"), picked(scene, "red")
     assert cap.any() and rest.any()
     assert torch.equal(cap | rest, whole) and not (cap & rest).any()
-    assert scene.objects["red"].how["gaussians"] == rest.sum()
+    assert scene.objects["red"].record["gaussians"] == rest.sum()
     assert objects(scene)[0]["names"] == [], "it is not the whole object of the label any more"
     x, y, z = BALLS[3][0]
     side = (x, y, z + 0.3, 0.2)

@@ -62,7 +62,7 @@ def test_undoing_one_after_the_other_is_undoing_all(
         scene = opened(tmp_path / str(number))
     assert contents(tmp_path / "1") == contents(stack / "trained")
     both = adjust(opened(stack / "twice"), objects=order, undo=True)
-    assert not both.layers and both.base is None and both.metrics == {"psnr": 30.0}
+    assert not both.layers and both.splats is both.base and both.metrics == {"psnr": 30.0}
     assert_same_splats(both.splats, opened(stack / "trained").splats)
 
 
@@ -74,9 +74,10 @@ def test_intensity_0_shows_the_colours_before_and_goes_back(stack: Path, tmp_pat
     assert_same_objects(adjust(none, FAST.intensity), once)
     save(adjust(twice, 0.0, objects="red"), tmp_path / "one")
     scene = opened(tmp_path / "one")
-    red = scene.objects["red"].picked
-    assert_same_splats(scene.splats[red], scene.unpainted[red[: len(SPLATS)]])
-    assert torch.equal(scene.splats.sh0[~red], twice.splats.sh0[~twice.objects["red"].picked])
+    red = scene.objects["red"].mask
+    assert_same_splats(scene.splats[scene.to_splats(red)], scene.base[red])
+    others = ~twice.to_splats(red)
+    assert torch.equal(scene.splats.sh0[~scene.to_splats(red)], twice.splats.sh0[others])
     assert scene.metrics == {"train": {"psnr": 30.0}}
 
 
@@ -94,7 +95,7 @@ def test_painting_one_anew_replaces_its_layer_and_keeps_the_others(
     again = read_recipe(tmp_path / "it" / "recipe.json")  # the other is painted on the new one
     trained = opened(stack / "trained")
     made = stylize(trained, again, device="cpu", measured=False)
-    for name in ("sh0", "shN", "opacity_factors", "parents", "canvas_sh0"):
+    for name in ("sh0", "shN", "opacity_factors", "parents", "surfels_sh0"):
         assert torch.equal(getattr(made.layers[0], name), getattr(anew.layers[0], name)), name
     assert made.painted_objects == anew.painted_objects
     assert_same_splats(adjust(opened(tmp_path / "it"), undo=True).splats, trained.splats)

@@ -1,30 +1,27 @@
 """The base of all commands, options that several share, and how commands end."""
 
-from collections.abc import Callable
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from stylesplat.errors import StyleSplatError
+import stylesplat as ss
+from stylesplat.errors import StyleSplatError, pasted
+from stylesplat.interrupts import WHOLE, report_interruption
 from stylesplat.io.atomic import refuse_file
+from stylesplat.io.files import DISK_FULL, file_stem, inside, reason
+from stylesplat.progress import say, write_lines
 from stylesplat.stylization.config import Network
 
 if TYPE_CHECKING:
     from stylesplat.scene.scene import Scene
-import os
-import shutil
-import sys
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-
-import stylesplat as ss
-from stylesplat.errors import pasted
-from stylesplat.interrupts import WHOLE, report_interruption
-from stylesplat.io.files import DISK_FULL, file_stem, inside, reason
-from stylesplat.progress import say, write_lines
 
 SceneFolder = Annotated[Positional[Path], arg(help="Folder of the scene.")]
 Output = Annotated[Path, arg(aliases=["-o"])]

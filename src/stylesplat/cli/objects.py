@@ -161,9 +161,9 @@ class Select(EditingCommand):
         within = [
             name
             for name, each in after.objects.items()
-            if each.picked[found.picked].all() and each.picked.sum() > found.picked.sum()
+            if each.mask[found.mask].all() and each.mask.sum() > found.mask.sum()
         ]
-        values = {"name": self.name, **found.how, "within": within}
+        values = {"name": self.name, **found.record, "within": within}
         lines = [f"{self.name}: {values['gaussians']:,} Gaussians."]
         lines += [
             f"All of them are part of {whole}, too. With --of {whole} the rest stays its own; "
@@ -205,7 +205,8 @@ class Select(EditingCommand):
 
         with optional_picture(self.name):
             scene = ss.open(self.folder)
-            picture = selection_picture(scene.splats, scene.cameras, find_object(scene, self.name))
+            picked = scene.to_splats(find_object(scene, self.name))
+            picture = selection_picture(scene.splats, scene.cameras, picked)
             if picture is None:
                 say(f"{self.name} shows in none of the views, so there is no picture of it.")
                 return None
@@ -237,7 +238,7 @@ class Rename(EditingCommand):
     def run(self) -> Answer:
         after = self.rewrite(lambda scene: ss.rename(scene, self.old, self.new))
         picture = selection_file(self.folder, self.new)
-        values = {"name": self.new, "was": self.old, **after.objects[self.new].how}
+        values = {"name": self.new, "was": self.old, **after.objects[self.new].record}
         values |= {"scene": self.folder, "picture": picture if picture.is_file() else None}
         line = f"{self.old} is called {self.new} now."
         return Answer(values, [line], [stylize_command(self.folder, self.new)])

@@ -193,7 +193,7 @@ class Adjust(EditingCommand):
     """Draw no picture of before and after, which takes longer than the rest."""
 
     def run(self) -> Answer:
-        from stylesplat.scene.compose import strengths_of
+        from stylesplat.scene.scene import strengths_of
 
         if self.undo and self.output is None:
             raise StyleSplatError(

@@ -26,7 +26,8 @@ from stylesplat.io.kinds import SCENE, TRANSFORMS
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.io.renders import write_views
 from stylesplat.io.scene_folder import open, save
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.style import Style

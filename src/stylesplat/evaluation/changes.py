@@ -22,7 +22,6 @@ from stylesplat.rendering.weights import (
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, Mask, resize_labels
-from stylesplat.scene.compose import mask_of
 from stylesplat.scene.projection import depths_of, project, unproject
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import evenly, far_apart
@@ -187,7 +186,7 @@ def largest_stain(
     cameras = after.cameras.downscale(after.downscale)
     ids = {name: whole_ids(before, name) for name in names}
     layers = {layer.object: layer for layer in after.layers}
-    picks = {name: mask_of(layers[name], before).to(device) for name in names}
+    picks = {name: layers[name].mask(len(base)).to(device) for name in names}
     beside = dict(islice(_beside(base, cameras, capture, ids, picks), STAIN_VIEWS))
     if not beside:
         return {}

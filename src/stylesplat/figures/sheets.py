@@ -36,9 +36,8 @@ from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.weights import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, at_most, ids_of
-from stylesplat.scene.compose import require_painted
 from stylesplat.scene.projection import crop
-from stylesplat.scene.scene import Scene
+from stylesplat.scene.scene import Scene, require_painted
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE, each_object, object_ids, render_labels
@@ -194,10 +193,9 @@ def before_after(
     side, or None if no view shows painted objects.
     """
     require_painted(scene)
-    base = scene.unpainted.to(pick_device(device))
-    picked = torch.zeros(len(base), dtype=torch.bool, device=base.device)
-    for layer in scene.layers:
-        picked[layer.rows.to(base.device)] = True
+    base = scene.base.to(pick_device(device))
+    masks = [layer.mask(len(base)) for layer in scene.layers]
+    picked = torch.stack(masks).any(dim=0).to(base.device)
     found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
     if not found:
         return None

@@ -9,7 +9,7 @@ import re
 import zlib
 from base64 import b64encode
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,8 @@ from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
 from stylesplat.rendering.reference import MIN_ALPHA
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import mask_of, splats_without_paint
 from stylesplat.scene.content import extent_of
+from stylesplat.scene.layers import UNSEEN
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.scene.virtual_cameras import first_view
@@ -77,11 +77,14 @@ class Packed:
     """How many Gaussians there are, and the range of each kind of number."""
 
 
-def pack(splats: Splats, before: Splats, *, sh_degree: int, level: int = 9) -> Packed:
-    """Pack what shows of splats, sorted by place; `before` has other colours and opacities.
+def pack(splats: Splats, base: Splats, *, sh_degree: int, level: int = 9) -> Packed:
+    """Pack what shows of splats, sorted by place, and how it was before.
 
+    `base` holds the first of the splats, with other colours and opacities; the rest was not there.
     The level is zlib's.
     """
+    new = splats[len(base) :]
+    before = Splats.cat([base, replace(new, opacities=torch.full_like(new.opacities, UNSEEN))])
     shown = torch.maximum(splats.opacities, before.opacities)
     rows = (torch.sigmoid(shown) >= MIN_ALPHA).nonzero()[:, 0]
     rows = rows[morton_order(splats.means[rows])]
@@ -196,8 +199,8 @@ def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) ->
     splats = (what.splats if isinstance(what, Scene) else what).detach().to("cpu")
     if not (torch.sigmoid(splats.opacities) >= MIN_ALPHA).any():
         raise StyleSplatError("No Gaussian shows, so a page would be black. Choose another scene.")
-    before = splats_without_paint(scene).detach().to("cpu") if scene else splats
-    packed = pack(splats, before, sh_degree=sh_degree)
+    base = scene.base.detach().to("cpu") if scene else splats
+    packed = pack(splats, base, sh_degree=sh_degree)
     about = packed.about | {
         "start": start_of(splats, scene.cameras if scene else None),
         "objects": list(_objects(scene)) if scene else [],
@@ -221,11 +224,11 @@ def start_of(splats: Splats, cameras: Cameras | None) -> dict[str, Any]:
 
 def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
     """What objects are called, and where they are."""
-    painted = {layer.object: mask_of(layer, scene) for layer in scene.layers}
-    named = {name: each.picked for name, each in scene.objects.items()}
-    for name, picked in {**painted, **named}.items():
-        if picked.any():
-            extent = extent_of(scene.splats, picked)
+    painted = {layer.object: layer.mask(len(scene.base)) for layer in scene.layers}
+    named = {name: each.mask for name, each in scene.objects.items()}
+    for name, mask in {**painted, **named}.items():
+        if mask.any():
+            extent = extent_of(scene.base, mask)
             radius, is_painted = float(extent.size.norm()) / 2, name in painted
             yield {
                 "name": name,

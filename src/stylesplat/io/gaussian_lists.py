@@ -22,7 +22,7 @@ from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes, reading
 from stylesplat.io.ply import read_ply_table
 from stylesplat.scene.capture import MAX_ID
-from stylesplat.scene.scene import ListedObject, ListedObjects, is_id, name_fault
+from stylesplat.scene.objects import ListedObject, ListedObjects, is_id, name_fault
 
 LISTS = ".npz"  # what `write_objects` makes
 SIDECAR = ".objects.npz"  # follows the name of a splat's file

@@ -17,8 +17,8 @@ from stylesplat.io.json_yaml import FilePath, fitting, read_json_as, write_json
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import GAUSSIANS, Declared, read_tensors, write_tensors
 from stylesplat.options import MAX_INTENSITY
-from stylesplat.scene.layer import Kind, Layer, Source, recoloring
-from stylesplat.scene.scene import check_name_or_id
+from stylesplat.scene.layers import Kind, Layer, Source, recoloring
+from stylesplat.scene.objects import check_name_or_id
 from stylesplat.scene.splats import Splats
 
 STACK = "layers.json"
@@ -28,7 +28,7 @@ FILE = r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"  # in the folder: no s
 MAX_NAME_PART = 40  # characters of an object's name in a file's
 LEAST_RELIEF = -2.0  # of two bands of detail
 UNIT = {"low": 0.0, "high": 1.0}
-CANVAS = ("means", "quats", "scales", "opacities", "sh0", "shN")
+SURFELS = ("means", "quats", "scales", "opacities", "sh0", "shN")  # `canvas_*` in the file
 # What `layers.json` has of a layer as it is
 PLAIN = ("object", "kind", "strength", "form", "visible", "settings", "features", "precision")
 AGAIN = "Style the scene again."
@@ -167,11 +167,11 @@ def _tensors(layer: Layer) -> dict[str, Tensor]:
     """The content of a layer's file; higher bands that are all 0 are left out."""
     if layer.color_map is not None:
         return {"rows": layer.rows, "shares": layer.shares, "color_map": layer.color_map}
-    own, canvas = layer.relief.split([len(layer.rows), len(layer.parents)])
-    shN, canvas_shN = (
-        pad_bands(each) if each.any() else each[:, :0] for each in (layer.shN, layer.canvas.shN)
+    own, new = layer.relief.split([len(layer.rows), len(layer.parents)])
+    shN, surfels_shN = (
+        pad_bands(each) if each.any() else each[:, :0] for each in (layer.shN, layer.surfels.shN)
     )
-    every = {**layer.canvas.tensors(), "shN": canvas_shN}
+    every = {**layer.surfels.tensors(), "shN": surfels_shN}
     return {
         "rows": layer.rows,
         "shares": layer.shares,
@@ -180,9 +180,9 @@ def _tensors(layer: Layer) -> dict[str, Tensor]:
         "opacity_factors": layer.opacity_factors,
         "relief": own,
         "parents": layer.parents,
-        "canvas_relief": canvas,
-        "canvas_before": layer.canvas_sh0,
-        **{f"canvas_{name}": every[name] for name in CANVAS},
+        "canvas_relief": new,
+        "canvas_before": layer.surfels_sh0,
+        **{f"canvas_{name}": every[name] for name in SURFELS},
     }
 
 
@@ -205,7 +205,7 @@ def _declared(count: int, kind: Kind) -> dict[str, Declared]:
         "canvas_before": replace(GAUSSIANS["sh0"], shape=("C", 1, 3)),
         **{
             f"canvas_{name}": replace(GAUSSIANS[name], shape=("C", *shapes[name]))
-            for name in CANVAS
+            for name in SURFELS
         },
     }
 
@@ -225,11 +225,11 @@ def _read(path: Path, entry: _Layer, count: int) -> Layer:
     own = ("rows", "shares", "sh0", "shN", "opacity_factors", "parents")
     columns: dict[str, Any] = {name: getattr(entry, name) for name in PLAIN}
     columns |= {name: tensors[name] for name in own}
-    canvas: dict[str, Any] = {name: tensors[f"canvas_{name}"] for name in CANVAS}
+    surfels: dict[str, Any] = {name: tensors[f"canvas_{name}"] for name in SURFELS}
     return Layer(
         **columns,
-        canvas=Splats(**canvas),
-        canvas_sh0=tensors["canvas_before"],
+        surfels=Splats(**surfels),
+        surfels_sh0=tensors["canvas_before"],
         relief=torch.cat([tensors["relief"], tensors["canvas_relief"]]),
         styles=tuple(map(_source, entry.styles)),
         weights=entry.weights and _source(entry.weights),

@@ -1,7 +1,7 @@
 """Scenes on disk: a folder with all that the verbs after `train` need."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +10,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 import torch
 from msgspec import Meta
-from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, brief, pasted
 from stylesplat.io.atomic import atomic_folder, revise_folder
 from stylesplat.io.cameras import read_cameras, write_cameras
 from stylesplat.io.json_yaml import MAX_JSON, FilePath, PhotoName, fitting, read_json, write_json
@@ -31,8 +30,8 @@ from stylesplat.io.tensors import (
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.scene.capture import MAX_ID
-from stylesplat.scene.layer import Layer
-from stylesplat.scene.scene import Scene, SceneObject, check_name, name_fault
+from stylesplat.scene.objects import SceneObject, check_name, name_fault
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.scene.world_offset import LARGEST_POSITION, ORIGIN, Offset
 
@@ -43,6 +42,7 @@ OBJECTS = "objects.json"
 PICKS = "picks.safetensors"
 METRICS = "metrics.json"
 AGAIN = "Train again."
+COMPARED, SAME = 1000, 1e-3  # rows of splats.ply; relative differences that other processors make
 VERSION = 2  # of the folder's layout
 VERSION_1_FILES = tuple(  # what version 1 held of paintings
     f"{name}.safetensors"
@@ -155,25 +155,47 @@ def _state(folder: Path) -> tuple[int, ...] | None:
 
 def _read(folder: Path) -> Scene:
     declared, info = _read_info(folder / SCENE)
-    splats = _read_gaussians(folder / SPLATS, declared.world_offset)
-    splats = _with_identities(splats, folder / IDENTITY_FILE)
-    picks = read_tensors(folder / PICKS, PICKED, N=len(splats))
-    base, layers = _read_stack(folder, splats)
+    is_painted = (folder / STACK).exists()
+    base = _read_gaussians(folder / (BASE if is_painted else SPLATS), declared.world_offset)
+    layers = read_layers(folder, len(base)) if is_painted else ()
     metrics = read_json(folder / METRICS, most=MAX_JSON)
     fitting(metrics, _Metrics, f"Cannot read {folder / METRICS}", AGAIN)
-    return Scene(
-        splats=splats,
+    if (folder / VERSION_1_FILES[0]).exists():
+        say(
+            f"{folder} was written by an earlier StyleSplat: its paint stays, but cannot be undone "
+            "or adjusted."
+        )
+    shown = sum(len(layer.parents) for layer in layers if layer.is_shown)
+    base = _with_identities(base, folder / IDENTITY_FILE, len(base) + shown)
+    scene = Scene(
+        base=base,
         cameras=read_cameras(folder / CAMERAS),
         held_out=declared.test_views,
         downscale=declared.settings.downscale,
-        objects=_read_objects(folder / OBJECTS, picks),
-        base=base,
         layers=layers,
         path=folder,
         capture=find_capture(folder, declared.capture, declared.capture_relative),
         info=info,
         metrics=metrics,
     )
+    if is_painted and (folder / SPLATS).exists():
+        _refuse_edited(scene, folder)
+    return replace(scene, objects=_read_objects(folder, scene))
+
+
+def _refuse_edited(scene: Scene, folder: Path) -> None:
+    """Refuse a splats.ply that does not show the base and the layers."""
+    found, composed = _read_gaussians(folder / SPLATS, scene.world_offset), scene.splats
+    rows = torch.linspace(0, len(composed) - 1, min(len(composed), COMPARED)).long()
+    if len(found) != len(composed) or not all(
+        torch.allclose(tensor[rows], composed.tensors()[name][rows], rtol=SAME, atol=SAME)
+        for name, tensor in found.tensors().items()
+    ):
+        way = pasted("import", "MOVED.ply", "--like", folder, "-o", "OTHER")
+        raise StyleSplatError(
+            f"{folder / SPLATS} is not what {BASE} and the layers show: it was edited, or belongs "
+            f"to another scene. Move it out of the folder, then `{way}`."
+        )
 
 
 def _read_gaussians(path: Path, offset: Offset) -> Splats:
@@ -184,35 +206,17 @@ def _read_gaussians(path: Path, offset: Offset) -> Splats:
     return replace(splats, means=means, shN=pad_bands(splats.shN), world_offset=offset)
 
 
-def _with_identities(splats: Splats, path: Path) -> Splats:
+def _with_identities(base: Splats, path: Path, count: int) -> Splats:
+    """The base with its identities, from a file of those of `count` Gaussians."""
     if not path.exists():
-        return splats
-    tensors = read_tensors(path, IDENTITY_TENSORS, N=len(splats))
+        return base
+    tensors = read_tensors(path, IDENTITY_TENSORS, N=count)
     ids = tuple(tensors.pop("ids").tolist())
     if not ids:
         raise StyleSplatError(f"Cannot read {path}: it knows no objects. {AGAIN}")
     classifier = Classifier(tensors.pop("weight"), tensors.pop("bias"), ids)
-    return replace(splats, **tensors, classifier=classifier)
-
-
-def _read_stack(folder: Path, splats: Splats) -> tuple[Splats | None, tuple[Layer, ...]]:
-    """The base and the layers; without layers there is no base."""
-    if (folder / VERSION_1_FILES[0]).exists():
-        say(
-            f"{folder} was written by an earlier StyleSplat: its paint stays, but cannot be undone "
-            "or adjusted."
-        )
-    if not (folder / STACK).exists():
-        return None, ()
-    base = _read_gaussians(folder / BASE, splats.world_offset)
-    layers, count = read_layers(folder, len(base)), len(base)
-    if len(splats) != count + sum(len(each.parents) for each in layers if each.is_shown):
-        raise StyleSplatError(
-            f"Cannot read {folder / BASE}: it and the layers do not make up the {len(splats):,} "
-            f"Gaussians of {SPLATS}: the files belong to different scenes. {AGAIN}"
-        )
-    own = {n: t[:count] for n, t in splats.tensors().items() if n in ("identities", "confidence")}
-    return replace(base, **own, classifier=splats.classifier), layers
+    own = {name: tensor[: len(base)].clone() for name, tensor in tensors.items()}
+    return replace(base, **own, classifier=classifier)
 
 
 def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
@@ -231,8 +235,9 @@ def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
     return declared, others | ({"settings": settings} if settings else {})
 
 
-def _read_objects(path: Path, picks: Mapping[str, Tensor]) -> dict[str, SceneObject]:
-    hows = read_json(path, most=MAX_JSON)
+def _read_objects(folder: Path, scene: Scene) -> dict[str, SceneObject]:
+    path, hows = folder / OBJECTS, read_json(folder / OBJECTS, most=MAX_JSON)
+    picks = read_tensors(folder / PICKS, PICKED, N=len(scene.splats))
     fitting(hows, dict[str, _How], f"Cannot read {path}", "Select again.")
     for name in hows:
         fault = name_fault(name) or (None if name in picks else f"{PICKS} lacks it")
@@ -241,7 +246,14 @@ def _read_objects(path: Path, picks: Mapping[str, Tensor]) -> dict[str, SceneObj
                 f"Cannot read {path}: no object is called {brief(name)!r}, for {fault}. "
                 "Select it again."
             )
-    return {name: SceneObject(picks[name], how) for name, how in hows.items()}
+    objects = dict[str, SceneObject]()
+    for name, how in hows.items():
+        mask = picks[name][: len(scene.base)].clone()
+        if not mask.any():  # earlier versions had objects of surfels alone
+            mask = scene.to_base(picks[name].int()) > 0
+        how.pop("gaussians", None)
+        objects[name] = SceneObject(mask, how)
+    return objects
 
 
 def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None) -> None:
@@ -250,7 +262,7 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
     def differs(*names: str) -> bool:
         return before is None or any(getattr(scene, n) is not getattr(before, n) for n in names)
 
-    if differs("splats"):
+    if differs("splats") or not (folder / SPLATS).exists():  # moved away as an edited one
         fault = splat_fault(scene.splats) if len(scene.splats) else "there are no Gaussians"
         if fault:
             raise StyleSplatError(f"Cannot save the scene: {fault}. Remove what is wrong.")
@@ -258,16 +270,16 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
         _write_identities(scene.splats, folder / IDENTITY_FILE)
     if differs("cameras"):
         write_cameras(scene.cameras, folder / CAMERAS)
-    if differs("objects"):
+    if differs("objects", "splats"):
         for name in scene.objects:
             check_name(name)
-        picks = {name: each.picked for name, each in scene.objects.items()}
+        picks = {name: scene.to_splats(each.mask) for name, each in scene.objects.items()}
         write_tensors(picks, folder / PICKS)
-        write_json({name: each.how for name, each in scene.objects.items()}, folder / OBJECTS)
-    if differs("base"):
+        write_json({name: each.record for name, each in scene.objects.items()}, folder / OBJECTS)
+    if not scene.layers:
         (folder / BASE).unlink(missing_ok=True)
-        if scene.base is not None:
-            write_splat_ply(scene.base, folder / BASE)
+    elif differs("base") or not (before and before.layers):
+        write_splat_ply(scene.base, folder / BASE)
     if differs("layers"):
         write_layers(scene.layers, folder, before.layers if before else ())
     for name in VERSION_1_FILES:

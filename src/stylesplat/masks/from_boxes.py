@@ -23,7 +23,8 @@ from stylesplat.scene.capture import (
     ids_of,
     resize_labels,
 )
-from stylesplat.scene.scene import Scene, check_name
+from stylesplat.scene.objects import check_name
+from stylesplat.scene.scene import Scene
 
 SIZE = 480  # pixels of the longer side at which objects are cut out
 ANY = "object"  # the name of what is given none

@@ -27,11 +27,7 @@ from stylesplat.scene.frames import SAME, Frame, move_cameras, with_poses_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import Lazy, evenly
 from stylesplat.scene.splats import Splats
-<<<<<<< HEAD
 from stylesplat.training.config import TrainConfig
-from stylesplat.training.lifting import CHECK_SIZE, CLOSER, frame_fits
-=======
->>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
 from stylesplat.training.loop import fit
 
 PHOTOS = 48  # that tell what stands still
@@ -146,7 +142,7 @@ def working_splat(capture: Capture, scene: Scene | None, device: str) -> Working
             f"This is a scene of other photos: it has no view {min(missing)}. Give a scene of "
             "these photos, or none."
         )
-    splats = scene.unpainted.to(torch_device)
+    splats = scene.base.to(torch_device)
     small = with_poses_of(at_most(capture, CHECK_SIZE), scene.cameras)
     if frame_fits(splats, small, {"scene": SAME})["scene"] <= CLOSER:
         raise StyleSplatError(
@@ -169,7 +165,7 @@ def with_label_maps(
 
 def rendered_capture(scene: Scene, device: torch.device) -> Capture:
     """A capture of a scene: its views, rendered on access, as they look without a style."""
-    splats = scene.unpainted.detach().to(device)
+    splats = scene.base.detach().to(device)
 
     @lru_cache(maxsize=CACHED_RENDERS)
     @torch.no_grad()

@@ -12,7 +12,7 @@ from stylesplat.meshes.surface import find_mesh_surface, mesh_views, simplify
 from stylesplat.meshes.texture import TexturedMesh, bake, unwrap
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.layer import Layer
+from stylesplat.scene.layers import Layer
 from stylesplat.scene.splats import Splats
 
 MODULES = ("skimage", "fast_simplification", "xatlas")

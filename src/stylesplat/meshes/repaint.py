@@ -25,7 +25,7 @@ from stylesplat.meshes.surface import MeshViews, face_areas
 from stylesplat.meshes.texture import Texels, TexturedMesh, texels_of
 from stylesplat.progress import task
 from stylesplat.rendering.weights import COVERED
-from stylesplat.scene.layer import Layer
+from stylesplat.scene.layers import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings, without_retired
 from stylesplat.stylization.objective import Objective

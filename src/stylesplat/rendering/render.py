@@ -13,12 +13,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from stylesplat.errors import StyleSplatError
-<<<<<<< HEAD
 from stylesplat.interrupts import check
-from stylesplat.rendering.gaussians import activated, with_matrices_of
-from stylesplat.rendering.reference import Info
-from stylesplat.rendering.visibility import PART, in_view, visible
-=======
 from stylesplat.rendering.reference import (
     Backend,
     Info,
@@ -27,7 +22,6 @@ from stylesplat.rendering.reference import (
     with_matrices_of,
 )
 from stylesplat.rendering.visibility import MANY, PART, in_view, visible
->>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
@@ -91,12 +85,8 @@ def rasterize(
     Raises:
         StyleSplatError: If the cameras differ in size or gsplat is not installed.
     """
-<<<<<<< HEAD
     check()
-    backend_module = _module(backend, splats.device)
-=======
     module = backend_module(backend, splats.device)
->>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
     cameras = with_matrices_of(splats, cameras)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
     clamp = clamp and not raise_clamped  # which clamps below

@@ -13,15 +13,10 @@ from jaxtyping import Bool, Float, Int, Real
 from torch import Tensor
 from torch.nn.functional import pad
 
-<<<<<<< HEAD
 from stylesplat.interrupts import check
-from stylesplat.rendering.gaussians import (
-    Gaussians,
-=======
 from stylesplat.rendering.reference import (
     EVERYONE,
     Backend,
->>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
     Projected,
     activated,
     backend_module,
@@ -70,11 +65,7 @@ def in_view(
 
     With `pixels`, without those that cannot reach one of these.
     """
-<<<<<<< HEAD
     check()  # all loops over views pass here
-    camera = with_matrices_of(splats, camera)
-=======
->>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
     starts = range(0, max(1, len(splats)), PART)
     parts = [_part_in_view(splats, camera, start, pixels, backend) for start in starts]
     columns = parts[0] if len(parts) == 1 else map(torch.cat, zip(*parts, strict=True))

@@ -1,46 +1,22 @@
-"""The `Scene` noun, and the objects of a scene, named or listed."""
+"""The `Scene` noun: a base, layers of paint upon it, and what it looks like with them."""
 
-import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int, Shaped
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief, check_choice, counted, one_line, some
+from stylesplat.errors import StyleSplatError, check_choice, counted, one_line, pasted, some
 from stylesplat.scene.cameras import Cameras, pixels
-from stylesplat.scene.layer import Layer
+from stylesplat.scene.layers import RECOLOR, Composed, Layer, compose
+from stylesplat.scene.objects import SceneObject, check_name
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import Offset
 
 Which = Literal["test", "train", "all"]
-
-MAX_NAME = 100  # characters of an object's name
-RESERVED = "__metadata__"  # of safetensors files
-# Folders, the sign of OBJECT=IMAGE, control characters and line ends, halves of characters
-UNFIT = re.compile(r"[/\\=\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
-
-
-@dataclass(frozen=True, eq=False)
-class SceneObject:
-    """A named object."""
-
-    picked: Bool[Tensor, " N"]
-    """Its Gaussians."""
-    how: Mapping[str, Any] = field(default_factory=dict)
-    """How they were selected, as plain values: `ids`, `threshold`, `gaussians` and so on."""
-
-    def with_picked(self, picked: Bool[Tensor, " N"]) -> "SceneObject":
-        """The object with other Gaussians."""
-        return SceneObject(picked, {**self.how, "gaussians": int(picked.sum())})
-
-    def __repr__(self) -> str:
-        named = " ".join(map(str, self.how.get("ids", ())))
-        share = f"{int(self.picked.sum()):,} of {counted(len(self.picked), 'Gaussian')}"
-        return one_line(self, share, f"label ids {named}" if named else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +26,8 @@ class Scene:
     Scenes are never changed: every verb takes one and returns another.
     """
 
-    splats: Splats
-    """What the scene looks like: the layers composed onto the base. Of degree 3 if it was read."""
+    base: Splats
+    """The splat below all layers. Of degree 3 if it was read."""
     cameras: Cameras
     """All cameras of the capture, at the photos' full size."""
     held_out: tuple[str, ...] = ()
@@ -60,10 +36,8 @@ class Scene:
     """The factor by which the training views are smaller than the photos."""
     objects: Mapping[str, SceneObject] = field(default_factory=dict)
     """The named objects."""
-    base: Splats | None = None
-    """The splat beneath all layers; None if there are no layers."""
     layers: tuple[Layer, ...] = ()
-    """The stack of layers, the lowest first. `with_layers` changes it."""
+    """The stack of layers, the lowest first."""
     path: Path | None = None
     """The folder that it was opened from."""
     capture: Path | None = None
@@ -72,6 +46,9 @@ class Scene:
     """How it was made, as plain values: settings, versions of libraries."""
     metrics: Mapping[str, Any] = field(default_factory=dict)
     """Measured numbers, as plain values."""
+    composed: Composed | None = None
+    """A cache of `splats` and `parents`, which is never wrong: another base or another layer in the
+    stack makes it be composed anew."""
 
     def __repr__(self) -> str:
         held_out = f" ({len(self.held_out)} held out)" if self.held_out else ""
@@ -83,6 +60,74 @@ class Scene:
             f"painted: {some(self.painted_objects)}" if self.layers else None,
             self.path,
         )
+
+    @property
+    def splats(self) -> Splats:
+        """What the scene looks like: the layers composed onto the base, whose rows come first."""
+        return self._composed().splats
+
+    @property
+    def parents(self) -> Int[Tensor, " N"]:
+        """The row of the base that each row of `splats` belongs to."""
+        return self._composed().parents
+
+    def _composed(self) -> Composed:
+        known = self.composed
+        if known is None or known.base is not self.base or known.layers != tuple(self.layers):
+            with torch.inference_mode(False):  # what is kept may be trained on later
+                known = compose(self.base, self.layers, known)
+            object.__setattr__(self, "composed", known)
+        return known
+
+    def to_splats(self, values: Shaped[Tensor, "B *_"]) -> Shaped[Tensor, "N *_"]:
+        """Values of the rows of the base, for all rows of `splats`."""
+        return values[self.parents.to(values.device)] if self.layers else values
+
+    def to_base(self, values: Shaped[Tensor, "N *_"]) -> Shaped[Tensor, "B *_"]:
+        """The sums of the values of all rows of `splats` that belong to each row of the base."""
+        sums = values.new_zeros(len(self.base), *values.shape[1:])
+        return sums.index_add(0, self.parents.to(values.device), values)
+
+    def most_of(self, mask: Bool[Tensor, " N"]) -> Bool[Tensor, " B"]:
+        """The rows of the base of whose Gaussians in `splats` more than half are in a mask."""
+        return self.to_base(2 * mask.int() - 1) > 0
+
+    def below(self, name: str) -> "Scene":
+        """The scene under the layer of a name; under a new layer, which goes on top, all of it."""
+        names = [each.name for each in self.layers]
+        return replace(self, layers=self.layers[: names.index(name)]) if name in names else self
+
+    def with_layer(self, layer: Layer) -> "Scene":
+        """The scene with a layer in place of the one of its name, or on top."""
+        layers = {each.name: each for each in self.layers} | {layer.name: layer}
+        return self.with_layers(layers.values())
+
+    def without_layers(self, names: Collection[str] | None = None) -> "Scene":
+        """The scene without the layers of some names, by default without any."""
+        if names is not None and not names:
+            return self
+        require_painted(self, names or ())
+        left = [each for each in self.layers if names is not None and each.name not in names]
+        train = self.metrics.get("train", {})
+        return replace(self.with_layers(left), metrics={"train": train} if left else train)
+
+    def with_strengths(
+        self, strengths: Mapping[str, float], forms: Mapping[str, float] | None = None
+    ) -> "Scene":
+        """The scene with other strengths and forms of some layers, by name."""
+        layers = list[Layer]()
+        for each in self.layers:
+            strength = strengths.get(each.name, each.strength)
+            form = (forms or {}).get(each.name, each.form)
+            same = (strength, form) == (each.strength, each.form)
+            layers.append(each if same else replace(each, strength=strength, form=form))
+        return self if tuple(layers) == self.layers else self.with_layers(layers)
+
+    def with_layers(self, layers: Collection[Layer]) -> "Scene":
+        """The scene with another stack of layers, which no folder holds."""
+        layers, known = tuple(layers), self.composed
+        known = known if known and known.is_below(self.base, layers) else None  # it takes memory
+        return replace(self, layers=layers, path=None, composed=known)
 
     def views(self, which: Which = "all") -> Cameras:
         """The cameras of the held-out (test), training or all views, at the photos' size.
@@ -107,14 +152,9 @@ class Scene:
         return training, self.views("test").downscale(self.downscale) if self.held_out else None
 
     @property
-    def unpainted(self) -> Splats:
-        """The splat beneath all layers. Its rows are the first ones of `splats`."""
-        return self.splats if self.base is None else self.base
-
-    @property
     def world_offset(self) -> Offset:
         """What was subtracted from the world's coordinates of the splats and the cameras."""
-        return self.splats.world_offset
+        return self.base.world_offset
 
     @property
     def painted_objects(self) -> tuple[str, ...]:
@@ -127,72 +167,32 @@ class Scene:
         return replace(self, objects={**self.objects, name: found})
 
 
-def check_name(name: str) -> None:
-    """Refuse a name that no object can have."""
-    fault = name_fault(name)
-    if fault:
+def strengths_of(scene: Scene) -> dict[str, float]:
+    return {each.name: each.strength for each in scene.layers}
+
+
+def named_layers(scene: Scene, names: Collection[str]) -> list[str]:
+    """The layers that names stand for: an object's paint, or what recolours it if it has none."""
+    known = strengths_of(scene)
+    own = [n if n in known or f"{n}{RECOLOR}" not in known else f"{n}{RECOLOR}" for n in names]
+    require_painted(scene, own)
+    return own
+
+
+def require_painted(scene: Scene, names: Collection[str] = ()) -> None:
+    """Refuse a scene without layers, or without layers of some names."""
+    if not scene.layers:
+        way = pasted("stylize", scene.path or "SCENE", "--style", "OBJECT=IMAGE", "-o", "STYLED")
         raise StyleSplatError(
-            f"Cannot call an object {brief(name)!r}: {fault}. Choose another name."
+            f"{scene.path or 'The scene'} is not styled. Style it first: `{way}`."
         )
-
-
-def check_name_or_id(name: str) -> None:
-    if not is_id(name):
-        check_name(name)
-
-
-def is_id(name: str) -> bool:
-    """Whether a name is a label id; `int` refuses thousands of digits."""
-    return name.isdecimal() and len(name) <= MAX_NAME
-
-
-def name_fault(name: str) -> str | None:
-    """The reason why no object can have a name, or None."""
-    if not name.strip():
-        return "a name must not be empty"
-    if name.isdecimal():
-        return "numbers are label ids"
-    if UNFIT.search(name):
-        return "names must not contain '=', slashes or control characters"
-    if name == RESERVED:
-        return "files of objects use that name for themselves"
-    return f"names have at most {MAX_NAME} characters" if len(name) > MAX_NAME else None
-
-
-@dataclass(frozen=True, eq=False)
-class ListedObject:
-    """The Gaussians of an object by row."""
-
-    rows: Int[Tensor, " M"]
-    shares: Float[Tensor, " M"] | None = None
-    """The share of each Gaussian that belongs to the object, 0 to 1; None if unknown."""
-    ids: tuple[int, ...] = ()
-    """Its label ids."""
-
-
-@dataclass(frozen=True, eq=False)
-class ListedObjects:
-    """All objects of a splat of `count` Gaussians."""
-
-    count: int
-    objects: Mapping[str, ListedObject] = field(default_factory=dict)
-    """By name, or by label id if an object has no name."""
-    labels: Int[Tensor, " N"] | None = None
-    """The label id of each Gaussian, 0 for no object; None if there are none."""
-
-    def ordered(self, order: Int[Tensor, " M"]) -> "ListedObjects":
-        """The list for some of the Gaussians in another order; empty objects are dropped."""
-        place = torch.full((self.count,), -1)
-        place[order] = torch.arange(len(order))
-        objects = dict[str, ListedObject]()
-        for name, each in self.objects.items():
-            rows, indices = place[each.rows].sort()
-            indices = indices[rows >= 0]
-            if len(indices):
-                shares = None if each.shares is None else each.shares[indices]
-                objects[name] = replace(each, rows=rows[rows >= 0], shares=shares)
-        labels = None if self.labels is None else self.labels[order]
-        return ListedObjects(len(order), objects, labels)
+    known = strengths_of(scene)
+    unknown = next((name for name in names if name not in known), None)
+    if unknown is not None:
+        raise StyleSplatError(
+            f"{unknown} is not styled in {scene.path or 'this scene'}. "
+            f"Styled objects: {', '.join(known)}."
+        )
 
 
 def shared_views(scenes: Mapping[str, Scene]) -> tuple[str, ...]:

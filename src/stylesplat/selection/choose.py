@@ -11,8 +11,8 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, pasted
 from stylesplat.options import PickSize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import family, mask_of
-from stylesplat.scene.scene import Scene, SceneObject, is_id
+from stylesplat.scene.objects import SceneObject, is_id
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.world_offset import from_world
 from stylesplat.selection.labels import (
     THRESHOLD,
@@ -57,8 +57,8 @@ class Choice:
     """Two corners in the world, the lower one first."""
     sphere: tuple[tuple[str, tuple[float, ...]], ...] = ()
     """A centre in the world and a radius; or a view, the pixel that shows the centre, a radius."""
-    rows: tuple[tuple[str, Bool[Tensor, " N"]], ...] = ()
-    """Listed Gaussians, and the source of each list."""
+    rows: tuple[tuple[str, Bool[Tensor, " B"]], ...] = ()
+    """Listed Gaussians of the base, and the source of each list."""
     plus: tuple[str, ...] = ()
     """Names of objects to add."""
     minus: tuple[str, ...] = ()
@@ -96,7 +96,7 @@ def choose(
     `remove_outliers` see `pick`.
     """
     whole = None if choice.of is None else whole_of(scene, choice.of, name)
-    clicks = whole is not None or choice.size is not None or scene.splats.classifier is None
+    clicks = whole is not None or choice.size is not None or scene.base.classifier is None
     by_label = choice.ids or choice.boxes or choice.text or choice.background
     if not (by_label or (not clicks and (choice.points or choice.not_points))):
         _refuse_rules(threshold, remove_outliers=remove_outliers)
@@ -111,16 +111,14 @@ def choose(
     names = {id: name for name, each in scene.objects.items() for id in each.how.get("ids", [])}
     for text in choice.text:
         assert detector is not None  # whoever takes texts loads one
-        ranking = rank_objects(scene.unpainted, scene.cameras, text, detector)
+        ranking = rank_objects(scene.base, scene.cameras, text, detector)
         fits = {id: score for id, score in ranking.items() if id not in excluded}
         named.append(clear_winner(fits, text, names, folder=scene.path))
         scores |= {id: max(score, scores.get(id, score)) for id, score in fits.items()}
     ids = [id for id in dict.fromkeys(named) if id not in excluded]
     if ids:
-        picked = pick(
-            scene.unpainted, object_id=ids, threshold=threshold, remove_outliers=remove_outliers
-        )
-        masks.append(_with_canvases(scene, picked))
+        rules = {"threshold": threshold, "remove_outliers": remove_outliers}
+        masks.append(pick(scene.base, object_id=ids, **rules))
     if not masks:
         raise StyleSplatError(
             "Nothing is selected. Select with --id, --point, --box, --text, --box3d, --sphere, "
@@ -129,21 +127,19 @@ def choose(
     mask = torch.stack(masks).any(dim=0)
     for other in choice.minus:
         mask &= ~find_object(scene, other)
-    outliers_too = each_object(
-        scene.unpainted, excluded, threshold=threshold, remove_outliers=False
-    )
+    outliers_too = each_object(scene.base, excluded, threshold=threshold, remove_outliers=False)
     for _, picked in outliers_too if excluded else ():
-        mask &= ~_with_canvases(scene, picked)
+        mask &= ~picked
     if not mask.any():
         raise StyleSplatError("Nothing is left of the selection. Exclude less.")
     if whole is not None:
         mask = _part(scene, choice.of or "", whole, mask)
     if choice.grow is not None:
-        mask = grow(scene.splats, mask, choice.grow)
+        mask = grow(scene.base, mask, choice.grow)
         mask = mask if whole is None else mask & whole
     if choice.shrink is not None:
-        mask = shrink(scene.splats, mask, choice.shrink)
-    how: dict[str, Any] = {"ids": ids, "threshold": threshold, "gaussians": int(mask.sum())}
+        mask = shrink(scene.base, mask, choice.shrink)
+    how: dict[str, Any] = {"ids": ids, "threshold": threshold}
     given = {key: value for key, value in asdict(choice).items() if value and key != "ids"}
     how |= {key: _recorded(key, value) for key, value in given.items()}
     return SceneObject(mask, how | ({"scores": scores} if scores else {}))
@@ -159,21 +155,21 @@ def _refuse_rules(threshold: float, *, remove_outliers: bool) -> None:
         )
 
 
-def whole_of(scene: Scene, of: str, part: str | None) -> Bool[Tensor, " N"]:
+def whole_of(scene: Scene, of: str, part: str | None) -> Bool[Tensor, " B"]:
     """The Gaussians of an object together with a part of it that has been taken from it before."""
     if of not in scene.objects:
         raise _unknown(scene, of)
     before = scene.objects.get(part or "")
-    own = scene.objects[of].picked
-    return own | before.picked if before and before.how.get("of") == of else own
+    own = scene.objects[of].mask
+    return own | before.mask if before and before.how.get("of") == of else own
 
 
 def _part(
-    scene: Scene, of: str, whole: Bool[Tensor, " N"], mask: Bool[Tensor, " N"]
-) -> Bool[Tensor, " N"]:
+    scene: Scene, of: str, whole: Bool[Tensor, " B"], mask: Bool[Tensor, " B"]
+) -> Bool[Tensor, " B"]:
     """What of a selection belongs to an object; refuses nothing of it, and all of it."""
     if not (mask & whole).any():
-        others = [name for name, each in scene.objects.items() if (each.picked & mask).any()]
+        others = [name for name, each in scene.objects.items() if (each.mask & mask).any()]
         where = f"it is part of {', '.join(others)}" if others else "no other object has it either"
         raise StyleSplatError(
             f"Nothing of the selection belongs to {of!r}; {where}. Name with --of the object that "
@@ -186,50 +182,44 @@ def _part(
     return mask & whole
 
 
-def find_object(scene: Scene, name: str) -> Bool[Tensor, " N"]:
-    """The Gaussians of a name or a label id; see `find_objects`."""
+def find_object(scene: Scene, name: str) -> Bool[Tensor, " B"]:
+    """The rows of the base that a name or a label id stands for; see `find_objects`."""
     return find_objects(scene, [name])[name]
 
 
-def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, " N"]]:
-    """The Gaussians of names and label ids; all label ids are found in one pass.
+def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, " B"]]:
+    """The rows of the base that names and label ids stand for; finds all label ids in one pass.
 
-    Gaussians of layers belong to the objects of their parents; a name that only a layer has stands
-    for the Gaussians that it covers.
+    A name that only a layer has stands for the rows that it covers.
 
     Raises:
         StyleSplatError: If the scene lacks one of them.
     """
     layers = {layer.object: layer for layer in reversed(scene.layers)}
-    found, ids = dict[str, Bool[Tensor, " N"]](), dict[str, int]()
+    found, ids = dict[str, Bool[Tensor, " B"]](), dict[str, int]()
     for name in names:
         if name in scene.objects:
-            found[name] = scene.objects[name].picked
+            found[name] = scene.objects[name].mask
         elif name in layers:
-            found[name] = mask_of(layers[name], scene)
-        elif is_id(name) and scene.splats.classifier is not None:
-            (ids[name],) = resolve_ids(scene.splats, object_id=int(name), folder=scene.path)
+            found[name] = layers[name].mask(len(scene.base))
+        elif is_id(name) and scene.base.classifier is not None:
+            (ids[name],) = resolve_ids(scene.base, object_id=int(name), folder=scene.path)
         else:
             raise _unknown(scene, name)
-    picks = dict(each_object(scene.unpainted, [*ids.values()])) if ids else {}
+    masks = dict(each_object(scene.base, [*ids.values()])) if ids else {}
     for name, id in ids.items():
-        require_any(picks[id], id)
-        found[name] = _with_canvases(scene, picks[id])
+        require_any(masks[id], id)
+        found[name] = masks[id]
     return found
 
 
 def _unknown(scene: Scene, name: str) -> StyleSplatError:
-    ids = map(str, object_ids(scene.splats)) if scene.splats.classifier else ()
+    ids = map(str, object_ids(scene.base)) if scene.base.classifier else ()
     known = ", ".join([*scene.objects, *ids]) or "none"
     way = pasted("select", scene.path or "SCENE", "--name", "NAME", "--id", "N")
     return StyleSplatError(
         f"The scene has no object {name!r}. Names and ids: {known}. Name one with `{way}`."
     )
-
-
-def _with_canvases(scene: Scene, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " M"]:
-    """Gaussians of the base, and those of canvases that belong to them."""
-    return picked[family(scene).to(picked.device)] if scene.layers else picked
 
 
 def names_of(scene: Scene, id: int) -> list[str]:
@@ -263,15 +253,14 @@ def _ids(scene: Scene, choice: Choice) -> list[int]:
     return found
 
 
-def _clicked(scene: Scene, choice: Choice) -> Bool[Tensor, " N"]:
+def _clicked(scene: Scene, choice: Choice) -> Bool[Tensor, " B"]:
     """What is clicked on the surface, whether or not there are labels."""
     if not choice.points:
         raise StyleSplatError("--size and --not-point on a surface go with --point. Add one.")
     from stylesplat.selection.surface_cut import pick_clicked
 
     size = choice.size or ("part" if choice.of else "object")
-    picked = pick_clicked(scene.unpainted, scene.cameras, choice.points, choice.not_points, size)
-    return _with_canvases(scene, picked)
+    return pick_clicked(scene.base, scene.cameras, choice.points, choice.not_points, size)
 
 
 def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
@@ -284,22 +273,22 @@ def _ids_at(scene: Scene, points: Sequence[tuple[str, Point]]) -> list[int]:
     ]
 
 
-def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " N"]]:
-    splats = scene.splats
+def _shapes(scene: Scene, choice: Choice) -> Iterator[Bool[Tensor, " B"]]:
+    base = scene.base
     if choice.all:
-        yield torch.ones_like(splats.opacities, dtype=torch.bool)
+        yield torch.ones_like(base.opacities, dtype=torch.bool)
     for _, mask in choice.rows:
-        yield mask.to(splats.means.device)
+        yield mask.to(base.device)
     for corners in choice.box3d:
         ends = torch.tensor(corners, dtype=torch.float64).view(2, 3)
-        low, high = from_world(ends, splats.world_offset)
-        yield in_box(splats, low, high)
+        low, high = from_world(ends, base.world_offset)
+        yield in_box(base, low, high)
     for view, (*place, radius) in choice.sphere:
         if not view:
-            centre = from_world(torch.tensor(place, dtype=torch.float64), splats.world_offset)
+            centre = from_world(torch.tensor(place, dtype=torch.float64), base.world_offset)
         else:
-            centre = surface_point(splats, _camera(scene, view), (place[0], place[1]))
-        yield in_sphere(splats, centre, radius)
+            centre = surface_point(scene.splats, _camera(scene, view), (place[0], place[1]))
+        yield in_sphere(base, centre, radius)
 
 
 def _recorded(key: str, value: Any) -> Any:
@@ -318,23 +307,23 @@ WHOLE = frozenset({"all", "background"})  # selections with these are no objects
 
 def background_of(
     scene: Scene, name: str | None = None, *, threshold: float = THRESHOLD
-) -> Bool[Tensor, " N"]:
-    """The Gaussians that belong to no object, at least one.
+) -> Bool[Tensor, " B"]:
+    """The rows of the base that belong to no object, at least one.
 
     Objects are those of the label ids; in a scene without label ids, those that have a name other
     than `name`.
     """
-    if scene.splats.classifier is not None:
-        ids = object_ids(scene.splats)
-        found = each_object(scene.splats, ids, threshold=threshold, remove_outliers=False)
+    if scene.base.classifier is not None:
+        ids = object_ids(scene.base)
+        found = each_object(scene.base, ids, threshold=threshold, remove_outliers=False)
         masks = (picked for _, picked in found)
     else:
         masks = (
-            each.picked
+            each.mask
             for other, each in scene.objects.items()
             if other != name and not WHOLE & each.how.keys()
         )
-    left = ~torch.zeros_like(scene.splats.opacities, dtype=torch.bool)
+    left = ~torch.zeros_like(scene.base.opacities, dtype=torch.bool)
     for picked in masks:
         left &= ~picked
     if left.all():

@@ -4,15 +4,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, brief
 from stylesplat.progress import say, track
 from stylesplat.scene.capture import BACKGROUND, Capture
-from stylesplat.scene.compose import family, object_subset, spans
-from stylesplat.scene.layer import Layer, layer_subset
-from stylesplat.scene.scene import ListedObject, ListedObjects, Scene, SceneObject, name_fault
+from stylesplat.scene.layers import layer_subset
+from stylesplat.scene.objects import ListedObject, ListedObjects, SceneObject, name_fault
+from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.labels import THRESHOLD, each_object, object_ids
 from stylesplat.selection.shares import OwnShares
@@ -21,11 +21,11 @@ from stylesplat.training.lifting import lift, with_labels_of
 REST = "rest"  # name of the part that belongs to no object
 
 
-def rows_of_part(
+def part_mask(
     scene: Scene, objects: Sequence[str] = (), without: Sequence[str] = ()
-) -> Int[Tensor, " M"]:
-    """The Gaussians of some objects (by default of everything) without those of others."""
-    kept = torch.full((len(scene.splats),), not objects)
+) -> Bool[Tensor, " B"]:
+    """The rows of some objects (by default of everything) without those of others."""
+    kept = torch.full((len(scene.base),), not objects)
     for name in objects:
         kept |= find_object(scene, name).cpu()
     if not kept.any():
@@ -39,61 +39,42 @@ def rows_of_part(
             f"Nothing is left of {scene.path or 'the scene'} without {', '.join(without)}. Leave "
             "out less."
         )
-    return kept.nonzero()[:, 0]
+    return kept
 
 
 def every_part(scene: Scene) -> dict[str, Scene]:
     """Each object alone, by its name, or by its label id if it has none; and the rest, if any."""
-    picks = picks_of(scene)
-    if not picks:
+    masks = masks_of(scene)
+    if not masks:
         raise no_objects(scene)
-    if REST in picks:
+    if REST in masks:
         raise StyleSplatError(
             f"An object is called {REST!r}, as what belongs to no object will be. Call it "
             "something else with `stylesplat rename`."
         )
-    picks[REST] = ~torch.stack([*picks.values()]).any(dim=0)
-    return {
-        name: cut_out(scene, picked.nonzero()[:, 0])
-        for name, picked in picks.items()
-        if picked.any()
-    }
+    masks[REST] = ~torch.stack([*masks.values()]).any(dim=0)
+    return {name: cut_out(scene, mask) for name, mask in masks.items() if mask.any()}
 
 
-def cut_out(scene: Scene, rows: Int[Tensor, " M"]) -> Scene:
-    """A scene of some Gaussians alone, with their parts of objects and layers.
-
-    `rows` are in ascending order.
-    """
-    objects = {
-        name: object_subset(each, rows)
-        for name, each in scene.objects.items()
-        if each.picked[rows].any()
-    }
-    own = rows[rows < len(scene.unpainted)]
-    layers = list[Layer]()
-    places = torch.full((len(scene.unpainted),), -1)
-    places[own] = torch.arange(len(own))
-    for layer, first, end in spans(scene) if len(own) else ():
-        canvas = rows[(rows >= first) & (rows < end)] - first
-        part = layer_subset(layer, places, canvas)
-        if len(part.rows) or len(canvas):
-            layers.append(part)
+def cut_out(scene: Scene, mask: Bool[Tensor, " B"]) -> Scene:
+    """A scene of some rows of the base alone, with their parts of objects and layers."""
+    parts = {name: replace(each, mask=each.mask[mask]) for name, each in scene.objects.items()}
+    places = torch.where(mask, mask.cumsum(dim=0) - 1, -1)
+    layers = [layer_subset(layer, places) for layer in scene.layers]
     return replace(
         scene,
-        splats=scene.splats[rows],
-        base=scene.unpainted[own] if layers else None,
-        layers=tuple(layers),
-        objects=objects,
+        base=scene.base[mask],
+        layers=tuple(layer for layer in layers if len(layer.rows)),
+        objects={name: each for name, each in parts.items() if each.mask.any()},
         path=None,
     )
 
 
 def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
     """Give objects names by label id; reports names that are invalid, taken, or of no Gaussians."""
-    ids = object_ids(scene.splats) if scene.splats.classifier else ()
+    ids = object_ids(scene.base) if scene.base.classifier else ()
     known = {id: name for id, name in names.items() if id in ids}
-    for id, mask in each_object(scene.splats, [*known]) if known else ():
+    for id, mask in each_object(scene.base, [*known]) if known else ():
         name = known[id]
         fault = "another object has it" if name in scene.objects else name_fault(name)
         if fault or not mask.any():
@@ -102,8 +83,7 @@ def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
                 f"{fault or 'no Gaussians belong to it'}. Name it with `stylesplat select`."
             )
             continue
-        how = {"ids": [id], "threshold": THRESHOLD, "gaussians": int(mask.sum())}
-        scene = scene.with_object(name, SceneObject(mask, how))
+        scene = scene.with_object(name, SceneObject(mask, {"ids": [id], "threshold": THRESHOLD}))
     return scene
 
 
@@ -118,15 +98,14 @@ def require_named(scene: Scene, name: str) -> SceneObject:
     )
 
 
-def picks_of(scene: Scene) -> dict[str, Bool[Tensor, " N"]]:
+def masks_of(scene: Scene) -> dict[str, Bool[Tensor, " B"]]:
     """Every object by its name, or by its label id if it has none."""
-    picks = {name: each.picked for name, each in scene.objects.items()}
-    if scene.splats.classifier is None:
-        return picks
-    unnamed = [id for id in object_ids(scene.splats) if not names_of(scene, id)]
-    found = each_object(scene.unpainted, unnamed) if unnamed else ()
-    rows = family(scene)
-    return picks | {str(id): picked[rows] for id, picked in found if picked.any()}
+    masks = {name: each.mask for name, each in scene.objects.items()}
+    if scene.base.classifier is None:
+        return masks
+    unnamed = [id for id in object_ids(scene.base) if not names_of(scene, id)]
+    found = each_object(scene.base, unnamed) if unnamed else ()
+    return masks | {str(id): mask for id, mask in found if mask.any()}
 
 
 def no_objects(scene: Scene) -> StyleSplatError:
@@ -138,20 +117,22 @@ def no_objects(scene: Scene) -> StyleSplatError:
 
 def listed_objects(scene: Scene, names: Sequence[str] = ()) -> ListedObjects:
     """Some or all objects of a scene with their Gaussians and soft shares, and all labels."""
-    picks = {name: find_object(scene, name).cpu() for name in names} or picks_of(scene)
-    if not picks:
+    masks = {name: find_object(scene, name).cpu() for name in names} or masks_of(scene)
+    if not masks:
         raise no_objects(scene)
     own, objects = OwnShares(scene.splats, scene.cameras), dict[str, ListedObject]()
-    for name, picked in track(picks.items(), "listing objects", unit="object"):
+    for name, mask in track(masks.items(), "listing objects", unit="object"):
+        picked = scene.to_splats(mask)
         shares = own.of(picked)[picked]
         ids = scene.objects[name].how.get("ids", ()) if name in scene.objects else ()
         own_id = (int(name),) if name.isdecimal() else ()
         objects[name] = ListedObject(picked.nonzero()[:, 0], shares, tuple(ids) or own_id)
     labels = None
-    if scene.splats.classifier is not None:
-        labels, rows = torch.full((len(scene.splats),), BACKGROUND), family(scene)
-        for id, picked in each_object(scene.unpainted, object_ids(scene.splats)):
-            labels[picked[rows]] = id
+    if scene.base.classifier is not None:
+        labels = torch.full((len(scene.base),), BACKGROUND)
+        for id, mask in each_object(scene.base, object_ids(scene.base)):
+            labels[mask] = id
+        labels = scene.to_splats(labels)
     return ListedObjects(len(scene.splats), objects, labels)
 
 
@@ -161,38 +142,29 @@ def relabel(scene: Scene, masked: Capture, *, add: bool, device: torch.device) -
     With `add`, other labels of the scene stay, and objects of the same names are replaced; else all
     objects that were selected by label are replaced.
     """
-    base = scene.unpainted
-    lifted = lift(base.to(device), masked).to("cpu")
+    lifted = lift(scene.base.to(device), masked).to("cpu")
     names = dict(masked.object_names)
-    if add and scene.splats.classifier is not None:
+    if add and scene.base.classifier is not None:
         renamed = _renamed(scene, lifted.classifier.ids if lifted.classifier else (), names)
-        lifted = with_labels_of(base, lifted, renamed)
+        lifted = with_labels_of(scene.base, lifted, renamed)
         names = {renamed[id]: name for id, name in names.items() if id in renamed}
     stay = {
         name: each
         for name, each in scene.objects.items()
         if name not in names.values() and (add or not each.how.get("ids"))
     }
-    rows = family(scene)
-    splats = replace(
-        scene.splats,
-        identities=None if lifted.identities is None else lifted.identities[rows],
-        classifier=lifted.classifier,
-        confidence=None if lifted.confidence is None else lifted.confidence[rows],
-    )
-    found = replace(scene, splats=splats, base=lifted if scene.layers else None, objects=stay)
-    found = with_names(found, names)
+    found = with_names(replace(scene, base=lifted, objects=stay), names)
     for name in names.values():
         if name in scene.objects and name in found.objects:
-            before = int(scene.objects[name].picked.sum())
+            before = int(scene.objects[name].mask.sum())
             say(f"{name!r} meant {before:,} Gaussians before.")
     return found
 
 
 def _renamed(scene: Scene, ids: tuple[int, ...], names: dict[int, str]) -> dict[int, int]:
     """Ids for new labels beside the known ones; an object of the same name gives its only id."""
-    assert scene.splats.classifier is not None
-    known = scene.splats.classifier.ids
+    assert scene.base.classifier is not None
+    known = scene.base.classifier.ids
     renamed, free = dict[int, int](), max(known) + 1
     for id in ids:
         if id == BACKGROUND:

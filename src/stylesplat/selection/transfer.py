@@ -14,10 +14,10 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_ply import of_degree
 from stylesplat.progress import say
 from stylesplat.scene.capture import BACKGROUND
-from stylesplat.scene.compose import compose, mask_of, object_subset, spans
 from stylesplat.scene.frames import SAME, Frame, in_frame_of, move_cameras, move_splats
-from stylesplat.scene.layer import Layer, layer_subset
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.layers import Layer, layer_subset
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
 DEGREE = 3  # of the splats of scenes
@@ -55,8 +55,7 @@ def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat
         )
     found = replace(
         scene,
-        splats=_with_identities(splats, scene.splats, rows.clamp(min=0), here),
-        base=None,
+        base=_with_identities(splats, scene.splats, rows.clamp(min=0), here),
         layers=(),
         cameras=scene.cameras if frame is SAME else move_cameras(scene.cameras, frame),
         objects=_objects(scene, rows.clamp(min=0), here),
@@ -177,20 +176,21 @@ def _objects(
     """The objects that still have Gaussians; reports lost ones."""
     objects = dict[str, SceneObject]()
     for name, each in scene.objects.items():
-        picked = each.picked[rows] & here
-        count, before = int(picked.sum()), int(each.picked.sum())
+        before = scene.to_splats(each.mask)
+        mask = before[rows] & here
+        count, before = int(mask.sum()), int(before.sum())
         if count < before:
             left = f"{count:,} of its {before:,} Gaussians are" if count else "nothing is"
             say(f"{name}: {left} left.")
         if count:
-            objects[name] = SceneObject(picked, {**each.how, "gaussians": count})
+            objects[name] = replace(each, mask=mask)
     return objects
 
 
 def _is_edited(scene: Scene, splats: Splats, rows: Int[Tensor, " M"]) -> bool:
     """Whether colours of painted Gaussians were edited; reports that."""
-    painted = torch.stack([mask_of(layer, scene) for layer in scene.layers]).any(dim=0)
-    mine = (rows >= 0) & painted[rows.clamp(min=0)]
+    painted = torch.stack([layer.mask(len(scene.base)) for layer in scene.layers]).any(dim=0)
+    mine = (rows >= 0) & scene.to_splats(painted)[rows.clamp(min=0)]
     if not mine.any():
         return True
     change = (splats.sh0[mine] - scene.splats.sh0[rows[mine]]).abs().median()
@@ -200,27 +200,27 @@ def _is_edited(scene: Scene, splats: Splats, rows: Int[Tensor, " M"]) -> bool:
 
 
 def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M"]) -> Scene:
-    """The scene with the known layers on the remaining rows; canvases come last."""
-    known = scene.unpainted
+    """The scene with the known layers on the remaining rows; surfels come last."""
+    known = scene.base
     mine = (rows < len(known)).nonzero()[:, 0]  # new ones too, whose row is -1
     base_rows = rows[mine]
     places = torch.full((len(known),), -1)
     places[base_rows[base_rows >= 0]] = (base_rows >= 0).nonzero()[:, 0]
-    canvases = {id(layer): (first, end) for layer, first, end in spans(scene)}
     covered = torch.zeros(len(known), dtype=torch.bool)
-    layers, order = list[Layer](), [mine]
+    layers, order, end = list[Layer](), [mine], len(known)
     for layer in scene.layers:
         covered[layer.rows] = True
-        first, end = canvases.get(id(layer), (0, 0))
-        new = ((rows >= first) & (rows < end)).nonzero()[:, 0]
         paint = of_degree(replace(known[layer.rows], sh0=layer.sh0, shN=layer.shN), DEGREE)
-        canvas = move_splats(of_degree(layer.canvas, DEGREE), frame)
-        layer = replace(layer, shN=move_splats(paint, frame).shN, canvas=canvas)
-        part = layer_subset(layer, places, rows[new] - first if layer.is_shown else None)
+        surfels = move_splats(of_degree(layer.surfels, DEGREE), frame)
+        layer = replace(layer, shN=move_splats(paint, frame).shN, surfels=surfels)
+        part = layer_subset(layer, places)
         if layer.is_shown:
+            first, end = end, end + len(layer.parents)
+            new = ((rows >= first) & (rows < end)).nonzero()[:, 0]
             order.append(new)
-            shapes = {n: getattr(found.splats, n)[new] for n in ("means", "quats", "scales")}
-            part = replace(part, canvas=replace(part.canvas, **shapes))
+            shapes = {n: getattr(found.base, n)[new] for n in ("means", "quats", "scales")}
+            part = layer_subset(layer, places, rows[new] - first)
+            part = replace(part, surfels=replace(part.surfels, **shapes))
         if len(part.rows) or len(part.parents):
             layers.append(part)
     if not layers:
@@ -228,7 +228,10 @@ def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M
     hidden = (covered[base_rows.clamp(min=0)] & (base_rows >= 0)).nonzero()[:, 0]
     before = of_degree(move_splats(known[base_rows[hidden]], frame), DEGREE)
     looks = {n: getattr(before, n) for n in ("sh0", "shN", "opacities")}
-    base = found.splats[mine].with_rows(hidden, looks)
-    objects = {name: object_subset(each, torch.cat(order)) for name, each in found.objects.items()}
-    splats = compose(base, layers)
-    return replace(found, splats=splats, base=base, layers=tuple(layers), objects=objects)
+    base = found.base[mine].with_rows(hidden, looks)
+    painted = replace(found, base=base, layers=tuple(layers))
+    objects = {
+        name: replace(each, mask=painted.most_of(each.mask[torch.cat(order)]))
+        for name, each in found.objects.items()
+    }
+    return replace(painted, objects=objects)

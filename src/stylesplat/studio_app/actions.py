@@ -25,7 +25,7 @@ from stylesplat.io.renders import write_video
 from stylesplat.io.style_pictures import MATERIALS, PREFIX
 from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
-from stylesplat.scene.layer import Layer
+from stylesplat.scene.layers import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.virtual_cameras import has_no_photos, turned_view
 from stylesplat.studio_app import edits as layers
@@ -223,7 +223,7 @@ class Actions:
         across, down = cameras.size
         cameras = cameras.resize(width, max(2, round(width * down / across)))
         behind = "#" + bytes(round(255 * each) for each in self.pictures.background).hex()
-        visible = replace(scene, splats=self.session.display.visible)
+        visible = Scene(self.session.display.visible, scene.cameras)
 
         def make(file: Path) -> None:
             pictures = render(visible, cameras, background=behind).pictures
@@ -267,7 +267,7 @@ class Actions:
                 other = self._with_variant(state, self.compared)
                 display = Display(other.scene.splats, hidden_rows(other, session.masks))
             else:
-                base, hidden = state.scene.unpainted, hidden_rows(state, session.masks)
+                base, hidden = state.scene.base, hidden_rows(state, session.masks)
                 display = Display(base, None if hidden is None else hidden[: len(base)])
             known = self._reference = state.scene, key, display
         return known[2]

@@ -15,8 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.hub import is_at_hand
 from stylesplat.rendering.weights import pixels_in
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import with_layers
-from stylesplat.scene.layer import RECOLOR, Layer
+from stylesplat.scene.layers import RECOLOR, Layer
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.world_offset import to_world
@@ -69,7 +68,7 @@ def move_layer(state: StudioState, name: str, by: int) -> StudioState:
         return state
     layers[place], layers[to] = layers[to], layers[place]
     note = f"Moved {_what(name)} {'up' if by > 0 else 'down'}"
-    return _with_scene(state, with_layers(state.scene, layers), note)
+    return _with_scene(state, state.scene.with_layers(layers), note)
 
 
 def remove_paint(state: StudioState, name: str) -> StudioState:
@@ -115,8 +114,7 @@ def refuse_locked(state: StudioState, name: str) -> None:
 
 def replace_layer(state: StudioState, layer: Layer, note: str) -> StudioState:
     """The state with a layer in place of its object's, or on top."""
-    layers = {each.name: each for each in state.scene.layers} | {layer.name: layer}
-    return _with_scene(state, with_layers(state.scene, [*layers.values()]), note)
+    return _with_scene(state, state.scene.with_layer(layer), note)
 
 
 def _with_scene(state: StudioState, scene: Scene, note: str) -> StudioState:
@@ -153,11 +151,11 @@ def pick_ball(
     state: StudioState, camera: Cameras, place: Place, radius: float, how: How = "new"
 ) -> StudioState:
     """Pick the ball around the surface at a place of the picture."""
-    splats = state.scene.splats
-    centre = surface_point(splats, camera, _pixel_of(camera, place))
-    if not near(splats.means, centre[None].to(splats.means), radius).any():
+    base = state.scene.base
+    centre = surface_point(state.scene.splats, camera, _pixel_of(camera, place))
+    if not near(base.means, centre[None].to(base.means), radius).any():
         raise StyleSplatError("Nothing lies in this ball. Click an object, or enlarge the radius.")
-    middle = to_world(_rounded(centre), splats.world_offset).tolist()
+    middle = to_world(_rounded(centre), base.world_offset).tolist()
     return _shaped(state, how, sphere=(*middle, round(radius, DECIMALS)))
 
 
@@ -179,18 +177,18 @@ def pick_drawn(
     state: StudioState, camera: Cameras, inside: Bool[Tensor, "H W"], how: How = "new"
 ) -> StudioState:
     """Pick what shows mostly inside a region of a picture, and lies close beneath that."""
-    splats = state.scene.splats
+    scene, base = state.scene, state.scene.base
     masks = torch.stack([inside, ~inside], dim=-1)
-    within, beside = pixels_in(splats, camera, [masks]).unbind(dim=1)
+    within, beside = scene.to_base(pixels_in(scene.splats, camera, [masks])).unbind(dim=1)
     rows = (within > beside) & (within > LEAST_SHOWN)
     if not rows.any():
         raise StyleSplatError("Nothing shows inside the line. Draw it around an object.")
-    places, depths = project(splats.means, camera)
+    places, depths = project(base.means, camera)
     column, row = places.floor().long().unbind(1)
     height, width = inside.shape
     seen = (depths > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     below = inside[row.clamp(0, height - 1), column.clamp(0, width - 1)] & seen
-    return _shaped(state, how, rows=rows | (grow(splats, rows, BENEATH) & below))
+    return _shaped(state, how, rows=rows | (grow(base, rows, BENEATH) & below))
 
 
 def _rounded(places: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
@@ -298,7 +296,7 @@ def _shaped(state: StudioState, how: How, **choice: Any) -> StudioState:
         return _selected(state, _free_name(state), **choice)
     if how == "add":
         return _selected(state, _own_name(state), plus=state.picked, **choice)
-    found = select(state.scene, NEW, **choice).objects[NEW].picked
+    found = select(state.scene, NEW, **choice).objects[NEW].mask
     own = [find_object(state.scene, name) for name in state.picked]
     return _selected(state, _own_name(state), rows=torch.stack(own).any(dim=0) & ~found)
 

@@ -9,9 +9,9 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.compose import compose, family
 from stylesplat.scene.content import Extent, extent_of
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.labels import object_ids
 
@@ -29,50 +29,47 @@ class StudioState:
 
 
 class ObjectMasks:
-    """The Gaussians of each object. To find those of a label id takes long, so it caches them."""
+    """The rows of each object. To find those of a label id takes long, so it caches them."""
 
     def __init__(self) -> None:
-        self._kept = dict[str, tuple[Tensor, Tensor]]()
+        self._kept = dict[str, tuple[Splats, Tensor]]()
         self._extents = dict[tuple[str, ...], tuple[Tensor, Extent]]()
 
     def has(self, scene: Scene, name: str) -> bool:
         """Whether they are found at once."""
         named = name in scene.objects or name in scene.painted_objects
-        return named or (name in self._kept and self._kept[name][0] is scene.unpainted.means)
+        return named or (name in self._kept and self._kept[name][0] is scene.base)
 
-    def of(self, scene: Scene, name: str) -> Bool[Tensor, " N"]:
+    def of(self, scene: Scene, name: str) -> Bool[Tensor, " B"]:
         if name in scene.objects or name in scene.painted_objects:
             return find_object(scene, name)
-        means = scene.unpainted.means
         if not self.has(scene, name):
-            self._kept[name] = means, find_object(scene, name)[: len(means)]
-        return self._kept[name][1][family(scene)] if scene.layers else self._kept[name][1]
+            self._kept[name] = scene.base, find_object(scene, name)
+        return self._kept[name][1]
 
     def extent(self, scene: Scene, names: tuple[str, ...]) -> Extent:
-        picked = self.together(scene, names)
-        assert picked is not None
-        own = picked[: len(scene.unpainted)]
-        known = self._extents.get(names)
+        own, known = self.together(scene, names), self._extents.get(names)
+        assert own is not None
         if known is None or not torch.equal(known[0], own):
-            known = self._extents[names] = own, extent_of(scene.unpainted, own)
+            known = self._extents[names] = own, extent_of(scene.base, own)
         return known[1]
 
-    def together(self, scene: Scene, names: Iterable[str]) -> Bool[Tensor, " N"] | None:
-        """The Gaussians of several objects; None without objects."""
+    def together(self, scene: Scene, names: Iterable[str]) -> Bool[Tensor, " B"] | None:
+        """The rows of several objects; None without objects."""
         masks = [self.of(scene, name) for name in names]
         return torch.stack(masks).any(dim=0) if masks else None
 
 
 def object_names(scene: Scene) -> list[str]:
     """The objects of a scene: label ids without a name, then names."""
-    ids = object_ids(scene.splats) if scene.splats.classifier is not None else ()
+    ids = object_ids(scene.base) if scene.base.classifier is not None else ()
     return [*(str(id) for id in ids if not names_of(scene, id)), *scene.objects]
 
 
 def hidden_rows(state: StudioState, masks: ObjectMasks) -> Bool[Tensor, " N"] | None:
     """The Gaussians that are not displayed; None if all are."""
     hidden = masks.together(state.scene, state.hidden)
-    return None if hidden is None or hidden.all() else hidden
+    return None if hidden is None or hidden.all() else state.scene.to_splats(hidden)
 
 
 def require_picked(state: StudioState) -> None:
@@ -100,16 +97,13 @@ class KeptState:
     """
 
     def __init__(self, state: StudioState) -> None:
-        scene = state.scene
-        self.note, self._scene = state.note, ref(scene)
-        self._state = replace(state, scene=replace(scene, splats=scene.unpainted))
+        self.note, self._scene = state.note, ref(state.scene)
+        self._state = replace(state, scene=replace(state.scene, composed=None))
 
     def state(self) -> StudioState:
-        scene, known = self._state.scene, self._scene()
-        if known is None:
-            known = replace(scene, splats=compose(scene.unpainted, scene.layers))
-            self._scene = ref(known)
-        return replace(self._state, scene=known)
+        scene = self._scene() or replace(self._state.scene)
+        self._scene = ref(scene)
+        return replace(self._state, scene=scene)
 
 
 class History:

@@ -16,7 +16,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import color_map, map_colors
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import solid
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.studio_app.edits import refuse_locked
@@ -131,7 +132,7 @@ class PaintQueue:
             return
         job, session = self.waiting.popleft(), self.session
         state = session.state
-        picked = session.masks.of(state.scene, job.name)
+        picked = state.scene.to_splats(session.masks.of(state.scene, job.name))
         if job.instead:
             session.preview = session.display
         else:

@@ -29,7 +29,6 @@ from stylesplat.io.images import jpeg
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import composite, coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import splats_without_paint
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import centred_K
@@ -153,7 +152,7 @@ class Pictures:
         session, state = self.session, self.session.state
         scene, names = state.scene, object_names(state.scene)[:MOST_NAMES]
         names = [n for n in names if n not in state.hidden and session.masks.has(scene, n)]
-        masks = [session.masks.of(scene, name) for name in names]
+        masks = [scene.to_splats(session.masks.of(scene, name)) for name in names]
         display = session.display_of(state)  # not a painting under way: clicks take the same
         key = look.number, display, *zip(names, map(_digest, masks), strict=True)
         if not self._is_new(client, "map", key):
@@ -177,7 +176,8 @@ class Pictures:
 
     def _picked(self, client: int, look: Look) -> None:
         session, state = self.session, self.session.state
-        picked = session.masks.together(state.scene, state.picked)
+        rows = session.masks.together(state.scene, state.picked)
+        picked = None if rows is None else state.scene.to_splats(rows)
         display = session.display_of(state)
         key = look.number, display, state.picked, None if picked is None else _digest(picked)
         if not self._is_new(client, "picked", key):
@@ -194,11 +194,11 @@ class Pictures:
         if self.session.painting or not self._is_new(client, "splats", display):
             return
         if self._packed is None or self._packed[0] is not display:
-            before = splats_without_paint(self.session.state.scene).detach().to("cpu")
-            splats = display.visible.detach().to("cpu")
-            before = before if display.hidden is None else before[~display.hidden]
+            base = self.session.state.scene.base
+            before = Display(base, None if display.hidden is None else display.hidden[: len(base)])
+            splats, base = (each.visible.detach().to("cpu") for each in (display, before))
             rows = weightiest(splats, MOST)
-            packed = pack(splats[rows], before[rows], sh_degree=0, level=1)
+            packed = pack(splats[rows], base[rows[rows < len(base)]], sh_degree=0, level=1)
             self._packed = display, binary_message("splats", packed.content, **packed.about)
         self.session.on_send.call(client, "splats", self._packed[1])
 

@@ -15,7 +15,8 @@ from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import jpeg
 from stylesplat.rendering.weights import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.scene import Scene, SceneObject
+from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.studio_app.gallery import Files, Gallery, StylePicture
 from stylesplat.studio_app.history import StudioState, require_picked
@@ -58,23 +59,23 @@ class ObjectThumbnails:
         """The address of a picture of an object as it is now; nothing if no view shows it."""
         scene = self._session.state.scene
         with suppress(StyleSplatError):
-            picked = self._session.masks.of(scene, name)
+            picked = scene.to_splats(self._session.masks.of(scene, name))
             return self._files.add(object_picture(scene.splats, self._camera(name), picked))
         return ""
 
     def _camera(self, name: str) -> Cameras:
         """A small square view of an object. Raises a StyleSplatError if no view shows it."""
         scene = self._session.state.scene
-        own = self._session.masks.of(scene, name)[: len(scene.unpainted)]
+        own = self._session.masks.of(scene, name)
         if name not in self._cameras or not torch.equal(self._cameras[name][0], own):
-            camera = close_up(scene.unpainted, scene.cameras, own).at_most(SIDE)
+            camera = close_up(scene.base, scene.cameras, own).at_most(SIDE)
             self._cameras[name] = own, camera
         return self._cameras[name][1]
 
     def _make(self, name: str) -> None:
         scene = self._session.state.scene
         with suppress(StyleSplatError):  # it was deleted
-            picked, splats = self._session.masks.of(scene, name), scene.splats
+            picked, splats = scene.to_splats(self._session.masks.of(scene, name)), scene.splats
             looks = torch.cat([splats.sh0[picked, 0], splats.opacities[picked, None]], dim=1)
             if name not in self._made or not torch.equal(self._made[name][0], looks):
                 self._made[name] = looks, self.paint_url(name)
@@ -121,9 +122,8 @@ class StylePreviews:
     def _steps(self, of: StudioState) -> Iterator[None]:
         """Paint the object in one style after the other, until something else is asked for."""
         session, styles = self._session, [*self._gallery.pictures.values()]
-        base, picked = of.scene.unpainted, session.masks.together(of.scene, of.picked)
+        base, picked = of.scene.base, session.masks.together(of.scene, of.picked)
         assert picked is not None
-        picked = picked[: len(base)]
         camera = close_up(base, of.scene.cameras, picked).at_most(SIDE)
         alone, everything = base[picked], torch.ones(int(picked.sum()), dtype=torch.bool)
         scene = Scene(alone, of.scene.cameras, objects={NAME: SceneObject(everything)})

@@ -22,7 +22,7 @@ from stylesplat.rendering.render import colors_of, rasterize
 from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.visibility import in_view
 from stylesplat.rendering.weights import COVERED, coverage, geometry_only
-from stylesplat.scene.compose import UNSEEN
+from stylesplat.scene.layers import UNSEEN
 from stylesplat.scene.sequences import drawn
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.surface import (

@@ -17,7 +17,7 @@ from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.visibility import pixel_bounds, touching
 from stylesplat.rendering.weights import COVERED, contributions, coverage, geometry_only
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import UNSEEN
+from stylesplat.scene.layers import UNSEEN
 from stylesplat.scene.projection import crop
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats

@@ -1,7 +1,7 @@
 """Painting objects: one or several, and the layers that come of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -17,8 +17,7 @@ from stylesplat.rendering.weights import coverage, geometry_only
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.compose import compose, family_of
-from stylesplat.scene.layer import Layer, appearance_only
+from stylesplat.scene.layers import Composed, Layer, appearance_only, compose
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import DEFAULT_NETWORK, StyleConfig, plain_settings
 from stylesplat.stylization.confine import reached_pixels
@@ -66,45 +65,26 @@ def paint(
     return paint_objects(paint_context(splats, cameras, network), [target]).splats
 
 
-@dataclass(frozen=True, eq=False)
-class Painted:
-    """A splat and the layers that were painted on it."""
-
-    base: Splats
-    layers: tuple[Layer, ...]
-    """One for each object, the lowest first."""
-
-    @property
-    def splats(self) -> Splats:
-        """The layers composed onto the base."""
-        return compose(self.base, self.layers)
-
-    @property
-    def family(self) -> Int[Tensor, " M"]:
-        """The row of the base that each row of `splats` belongs to."""
-        return family_of(self.base, self.layers)
-
-
-def paint_objects(context: PaintContext, targets: Sequence[PaintTarget]) -> Painted:
+def paint_objects(context: PaintContext, targets: Sequence[PaintTarget]) -> Composed:
     """Repaint several objects one after the other, each on what is painted before."""
     check_targets(targets)
-    painted = Painted(context.splats, ())
+    painted = compose(context.splats, ())
     for target in targets:
-        family, beneath = painted.family, painted.splats
-        own = target.to(beneath)
-        own = replace(own, mask=own.mask[family])
-        layer, *_ = paint_layer(replace(context, splats=beneath), own, family)
-        painted = replace(painted, layers=(*painted.layers, layer))
+        own = target.to(painted.splats)
+        own = replace(own, mask=own.mask[painted.parents])
+        below = replace(context, splats=painted.splats)
+        layer, *_ = paint_layer(below, own, painted.parents)
+        painted = compose(painted.base, (*painted.layers, layer), painted)
     return painted
 
 
 def paint_layer(
-    context: PaintContext, target: PaintTarget, family: Int[Tensor, " M"]
+    context: PaintContext, target: PaintTarget, parents: Int[Tensor, " M"]
 ) -> tuple[Layer, list[Box]]:
-    """Paint an object on what lies beneath its layer.
+    """Paint an object on what lies below its layer.
 
-    The family is the row of the base that each of the Gaussians beneath belongs to. Returns the
-    layer, and the boxes of the object in all views, held-out ones included.
+    `parents` are the rows of the base that the Gaussians below belong to. Returns the layer, and
+    the boxes of the object in all views, held-out ones included.
     """
     part, own, rows = crop_scene(context, target)
     state = None
@@ -114,7 +94,7 @@ def paint_layer(
             if state.step % REPORT_EVERY == 0:
                 bar.note(f"NNFM {state.nnfm:.3f}")
     assert state is not None  # there is at least one step
-    layer = layer_of(state, own, family[rows])
+    layer = layer_of(state, own, parents[rows])
     held_out = part.all_cameras[len(part.cameras) :]
     boxes = [*state.boxes, *find_boxes(part.splats, held_out, own.mask)]
     tidy_heap()  # copies of the whole scene follow
@@ -171,17 +151,17 @@ def crop_scene(
     return part, replace(target, mask=target.mask[rows], protected=protected), rows
 
 
-def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) -> Layer:
+def layer_of(state: PaintState, target: PaintTarget, parents: Int[Tensor, " M"]) -> Layer:
     """The layer of an object that is being painted.
 
-    A row of the base stands for all Gaussians beneath that belong to it: its paint is their mean.
+    A row of the base stands for all Gaussians below that belong to it: its paint is their mean.
     """
-    count, own = len(family), target.mask.nonzero()[:, 0]
+    count, own = len(parents), target.mask.nonzero()[:, 0]
     before, after = state.base, state.splats.detach()
     opacities = torch.sigmoid(before.opacities[own])
     is_fading = after.opacities[own] != before.opacities[own]
     factors = (torch.sigmoid(after.opacities[own]) / opacities).clamp(0, 1)
-    rows, members = family[own].unique(return_inverse=True)
+    rows, members = parents[own].unique(return_inverse=True)
     mean = partial(_group_means, members=members, weights=opacities.clamp(min=LEAST_WEIGHT))
     return Layer(
         object=target.name,
@@ -190,9 +170,9 @@ def layer_of(state: PaintState, target: PaintTarget, family: Int[Tensor, " M"]) 
         sh0=mean(after.sh0[own]),
         shN=mean(after.shN[own]),
         opacity_factors=mean(torch.where(is_fading, factors, torch.ones_like(factors))),
-        canvas=appearance_only(after[count:]).map(torch.clone),  # without the rest's memory
-        canvas_sh0=before.sh0[count:].clone(),
-        parents=family[state.parents[count:]],
+        surfels=appearance_only(after[count:]).map(torch.clone),  # without the rest's memory
+        surfels_sh0=before.sh0[count:].clone(),
+        parents=parents[state.parents[count:]],
         relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),
         strength=target.config.intensity,
         form=target.config.form,

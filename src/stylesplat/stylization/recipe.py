@@ -12,8 +12,8 @@ from stylesplat.io.kinds import kind_of
 from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.style_pictures import is_material, picture_file
 from stylesplat.options import check_arguments, convert_settings
-from stylesplat.scene.layer import Source
-from stylesplat.scene.scene import check_name_or_id
+from stylesplat.scene.layers import Source
+from stylesplat.scene.objects import check_name_or_id
 from stylesplat.stylization.config import (
     PRESETS,
     SETTINGS,

@@ -15,7 +15,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, check_choice, one_line, some
 from stylesplat.io.files import read_bytes
 from stylesplat.io.style_pictures import Picture, is_material, picture_file, read_style, resize
-from stylesplat.scene.layer import Source
+from stylesplat.scene.layers import Source
 from stylesplat.stylization.config import (
     NETWORKS,
     PRESETS,

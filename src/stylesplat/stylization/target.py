@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.layer import Layer, Source
+from stylesplat.scene.layers import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import GIB
 from stylesplat.scene.splats import Splats
@@ -99,14 +99,14 @@ class PaintTask(StyledObject):
 
     features: Network = DEFAULT_NETWORK
     images: tuple[Float[Tensor, "_ _ 3"], ...]
-    mask: Bool[Tensor, " N"]
+    mask: Bool[Tensor, " B"]
     protected: Bool[Tensor, " B"] | None = None
     """The rows of the base that its style protects."""
 
-    def target(self, family: Int[Tensor, " M"]) -> PaintTarget:
+    def target(self, parents: Int[Tensor, " M"]) -> PaintTarget:
         """The target among Gaussians that belong to these rows of the base."""
-        protected = self.protected if self.protected is None else self.protected[family]
-        return PaintTarget(self.name, self.mask[family], self.images, self.style.config, protected)
+        protected = self.protected if self.protected is None else self.protected[parents]
+        return PaintTarget(self.name, self.mask[parents], self.images, self.style.config, protected)
 
     def record(self, layer: Layer, precision: Precision) -> Layer:
         """The layer on the CPU, with all that it takes to paint it again."""
@@ -129,17 +129,17 @@ def paint_tasks(
     """The objects of a recipe, the lowest layer first: those that are painted, then new ones."""
     protects = [name for each in recipe.objects for name in each.style.config.protect]
     masks = find_objects(scene, [*(each.name for each in recipe.objects), *protects])
-    count, tasks = len(scene.unpainted), list[PaintTask]()
+    tasks = list[PaintTask]()
     for each in recipe.objects:
         own = each.features or each.style.network
         changed = {
             "features": features or own,
             "weights": each.weights if features in (None, own) else None,  # it is of its own
             "images": each.style.read(),
-            "mask": masks[each.name][:count].cpu(),
+            "mask": masks[each.name].cpu(),
         }
         if protect := each.style.config.protect:
-            protected = torch.stack([masks[name][:count].cpu() for name in protect]).any(dim=0)
+            protected = torch.stack([masks[name].cpu() for name in protect]).any(dim=0)
             changed |= {"mask": changed["mask"] & ~protected, "protected": protected}
             if not changed["mask"].any():
                 raise StyleSplatError(

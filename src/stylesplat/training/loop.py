@@ -16,12 +16,8 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, counted
 from stylesplat.interrupts import held_signals
 from stylesplat.progress import Task, say, task
-<<<<<<< HEAD
-from stylesplat.rendering.at_once import RenderPool
 from stylesplat.rendering.render import pick_device
-=======
 from stylesplat.rendering.view_pool import RenderPool
->>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
 from stylesplat.scene.capture import Capture, fingerprint
 from stylesplat.scene.outliers import scene_extent
 from stylesplat.training.checkpoint import (

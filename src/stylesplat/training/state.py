@@ -11,12 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from stylesplat.progress import track
-<<<<<<< HEAD
-from stylesplat.rendering.at_once import RenderPool
-=======
-from stylesplat.rendering.render import pick_device
 from stylesplat.rendering.view_pool import RenderPool
->>>>>>> bf8b8d32 (rendering: whose pixels these are is asked in one place, weights.py)
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.scene.world_offset import ORIGIN, Offset

@@ -4,24 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import torch
-
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.style_pictures import read_style, resize
 from stylesplat.options import check_arguments, check_intensity
 from stylesplat.progress import say
-from stylesplat.scene.compose import (
-    beneath,
-    family,
-    named_layers,
-    require_painted,
-    strengths_of,
-    with_layers,
-    with_strengths,
-    without_layers,
-)
-from stylesplat.scene.layer import RECOLOR, recoloring
-from stylesplat.scene.scene import Scene, check_name_or_id
+from stylesplat.scene.layers import RECOLOR, recoloring
+from stylesplat.scene.objects import check_name_or_id
+from stylesplat.scene.scene import Scene, named_layers, require_painted, strengths_of
 from stylesplat.selection.choose import background_of, find_object
 from stylesplat.stylization.colors import recolor_map
 from stylesplat.stylization.config import RecolorConfig, recolor_config
@@ -61,7 +50,7 @@ def adjust(
             "Undoing removes the paint, so it has no intensity or form. Leave out --undo or these."
         )
     if undo:
-        return without_layers(scene, names or None)
+        return scene.without_layers(names or None)
     if intensity is None and form is None:
         raise StyleSplatError("Nothing to adjust. Pass an --intensity F, a --form F, or --undo.")
     if intensity is not None:
@@ -73,7 +62,7 @@ def adjust(
         raise StyleSplatError(f"{names[0]} has no paint, and form shows in paint only.")
     strengths = {} if intensity is None else dict.fromkeys(names, float(intensity))
     forms = {} if form is None else dict.fromkeys(names, float(form))
-    scene = with_strengths(scene, strengths, forms)
+    scene = scene.with_strengths(strengths, forms)
     # What was measured of the style before is no longer true
     return replace(scene, metrics={"train": scene.metrics.get("train", {})})
 
@@ -126,26 +115,23 @@ def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) 
     check_name_or_id(name)
     known = {*scene.objects, *scene.painted_objects}
     is_background = name == BACKGROUND and name not in known
-    whole = background_of(scene) if is_background else find_object(scene, name)
-    rows = whole[: len(scene.unpainted)].nonzero()[:, 0].cpu()
-    if not len(rows):
+    mask = background_of(scene) if is_background else find_object(scene, name)
+    if not mask.any():
         raise StyleSplatError(f"Cannot recolor {name}: it has no Gaussians. Select it again.")
-    under, place = beneath(scene, f"{name}{RECOLOR}")
-    layers = [each for each in scene.layers if each.name != f"{name}{RECOLOR}"]
-    if any(each.object == name for each in layers[place:]):
+    own = f"{name}{RECOLOR}"
+    below = scene.below(own)
+    if any(each.object == name for each in scene.layers[len(below.layers) + 1 :]):
         say(f"{name} was painted since it was recolored: the new colours go on top of the paint.")
-        under, place = with_layers(scene, layers), len(layers)
-    own = torch.zeros(len(scene.unpainted), dtype=torch.bool).index_fill(0, rows, True)
-    mask = own[family(under)].to(under.splats.device)
+        below = scene = scene.without_layers([own])
     picture = None
     if config.match:
         picture = all_colors([resize(read_style(config.match), PICTURE_SIDE)])
     layer = recoloring(
         name,
-        rows,
-        recolor_map(config, under.splats, mask, scene.cameras, picture),
+        mask.nonzero()[:, 0].cpu(),
+        recolor_map(config, below.splats, below.to_splats(mask), scene.cameras, picture),
         strength=strength,
         styles=(source_of(config.match),) if config.match else (),
         settings={key: value for key, value in config.changed.items() if key != "match"},
     )
-    return with_layers(scene, [*layers[:place], layer, *layers[place:]])
+    return scene.with_layer(layer)

@@ -23,9 +23,8 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.compose import mask_of, without_layers
 from stylesplat.scene.frames import with_poses_of
-from stylesplat.scene.layer import Layer
+from stylesplat.scene.layers import Layer
 from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
@@ -172,7 +171,7 @@ def evaluate(
     if scene.layers:
         metrics |= _styled_metrics(scene, splats)
         if capture is not None:
-            before, names = without_layers(scene), scene.painted_objects
+            before, names = scene.without_layers(), scene.painted_objects
             metrics |= largest_stain(before, scene, names, capture, splats.device)
         return {"schema": EVALUATION} | metrics
     if capture is None:
@@ -208,11 +207,10 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
 
 def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
     """Measure the painted objects, and what changed around them."""
-    before = without_layers(scene)
-    base = before.splats.to(styled.device)
-    training, held_out = before.working_views()
+    base = scene.base.to(styled.device)
+    training, held_out = scene.working_views()
     cameras = held_out or training
-    picks = {each.object: mask_of(each, before).to(base.device) for each in scene.layers}
+    picks = {each.object: each.mask(len(base)).to(base.device) for each in scene.layers}
     objects = {}
     for layer in scene.layers:
         if layer.color_map is not None:

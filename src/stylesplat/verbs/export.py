@@ -17,7 +17,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import has_no_photos
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.objects import cut_out, every_part, listed_objects, rows_of_part
+from stylesplat.selection.objects import cut_out, every_part, listed_objects, part_mask
 
 KINDS = {SUFFIX: "a page", LISTS: "a list of objects"}
 IDLE = {  # options without an effect
@@ -96,12 +96,13 @@ def export(
     listed = listed_objects(_scene(what)) if sidecar else None
     besides = dict[str, Tensor]()
     if selected:
-        picked = [find_object(_scene(what), name).cpu() for name in selected]
-        besides[STATE] = torch.stack(picked).any(dim=0).byte()
+        masks = [find_object(_scene(what), name).cpu() for name in selected]
+        besides[STATE] = _scene(what).to_splats(torch.stack(masks).any(dim=0)).byte()
     part = what
     if objects or without:
-        rows = rows_of_part(_scene(what), objects, without)
-        part, listed = cut_out(_scene(what), rows), listed and listed.ordered(rows)
+        mask = part_mask(_scene(what), objects, without)
+        rows = _scene(what).to_splats(mask).nonzero()[:, 0]
+        part, listed = cut_out(_scene(what), mask), listed and listed.ordered(rows)
         besides = {name: column[rows] for name, column in besides.items()}
     splats = part if isinstance(part, Splats) else part.splats
     with changing(path):
@@ -134,11 +135,11 @@ def _export_mesh(
     else:
         what = _scene(what)
         photos = None if has_no_photos(what) else what.working_views()[0]
-        rows = rows_of_part(what, objects, without)
-        splats = what.splats[rows]
+        mask = part_mask(what, objects, without)
+        splats = what.splats[what.to_splats(mask)]
         painted = [each for each in what.layers if [each.object] == [*objects]]
         if painted and painted[0].is_shown:
-            paint = painted[0], what.unpainted[rows[rows < len(what.unpainted)]]
+            paint = painted[0], what.base[mask]
     mesh = make_mesh(splats, photos, config, name=name, paint=paint)
     with changing(path):
         write_mesh(mesh, path, splats.world_offset)

@@ -26,7 +26,8 @@ from stylesplat.scene.frames import (
     offset_of_frame,
     with_poses_of,
 )
-from stylesplat.scene.scene import ListedObjects, Scene, SceneObject, is_id
+from stylesplat.scene.objects import ListedObjects, SceneObject, is_id
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.scene.world_offset import offset_text, place_text
@@ -125,10 +126,9 @@ def import_(
         scene = _with_photos(splats, capture, frame)
     for name, each in listed.objects.items():
         if not is_id(name):
-            picked = torch.zeros(listed.count, dtype=torch.bool)
-            picked[each.rows] = True
-            how = {"ids": list(each.ids), "gaussians": len(each.rows)}
-            scene = scene.with_object(name, SceneObject(picked, how))
+            mask = torch.zeros(listed.count, dtype=torch.bool)
+            mask[each.rows] = True
+            scene = scene.with_object(name, SceneObject(mask, {"ids": list(each.ids)}))
     libraries = {"stylesplat": version("stylesplat")}
     info = {**scene.info, "splat": file and file.resolve(), "libraries": libraries}
     seconds = round(time.perf_counter() - start, 2)
@@ -159,7 +159,7 @@ def _with_photos(splats: Splats, capture: Capture, frame: FrameName) -> Scene:
         metrics["unseen_gaussians"] = len(splats) - len(seen)
     metrics |= evaluate_views(splats, small, measured_rows(small))
     scene = Scene(
-        splats=splats.to("cpu"),
+        base=splats.to("cpu"),
         cameras=cameras,
         downscale=small.downscale,
         capture=capture.path and capture.path.resolve(),

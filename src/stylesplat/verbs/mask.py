@@ -81,12 +81,11 @@ def labels(
 def _without_parts(found: Scene, name: str, scene: Scene) -> Scene:
     """The scene whose object has lost what parts were made of it before."""
     again = found.objects[name]
-    left = again.picked.clone()
+    left = again.mask
     for part in scene.objects.values():
         if part.how.get("of") == name:
-            left &= ~part.picked
-    how = {**again.how, "gaussians": int(left.sum())}
-    return found.with_object(name, replace(again, picked=left, how=how))
+            left = left & ~part.mask
+    return found.with_object(name, replace(again, mask=left))
 
 
 def _with_masks(scene: Scene, masks: Path | str | None) -> Capture:

@@ -10,7 +10,8 @@ from stylesplat.errors import StyleSplatError, brief, pasted
 from stylesplat.options import check_arguments
 from stylesplat.progress import say, track
 from stylesplat.scene.content import Extent, content_of, extent_of
-from stylesplat.scene.scene import Scene, check_name
+from stylesplat.scene.objects import check_name
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.world_offset import Offset, to_world
 from stylesplat.selection.choose import names_of
 from stylesplat.selection.labels import each_object, object_ids
@@ -30,8 +31,8 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
     Raises:
         StyleSplatError: If the scene has no identities.
     """
-    shares, ids = OwnShares(scene.splats, scene.cameras), object_ids(scene.splats)
-    found = each_object(scene.splats, ids)
+    shares, ids = OwnShares(scene.base, scene.cameras), object_ids(scene.base)
+    found = each_object(scene.base, ids)
     return [
         {
             "id": id,
@@ -51,9 +52,9 @@ def extents(scene: Scene) -> dict[str, Any]:
     `gaussians`: `box` along the world's axes as in `select`, its `centre` and its `size`.
     """
     named = {
-        name: {"gaussians": int(each.picked.sum()), **_place(scene, each.picked)}
+        name: {"gaussians": int(each.mask.sum()), **_place(scene, each.mask)}
         for name, each in scene.objects.items()
-        if each.picked.any()
+        if each.mask.any()
     }
     content = content_of(scene.splats).extent
     return {"content": _in_world(content, scene.world_offset), "named": named}
@@ -122,20 +123,20 @@ def delete(scene: Scene, name: str) -> Scene:
     part, objects = scene.objects[name], dict(scene.objects)
     del objects[name]
     if (of := part.how.get("of")) in objects:
-        objects[of] = objects[of].with_picked(objects[of].picked | part.picked)
+        objects[of] = replace(objects[of], mask=objects[of].mask | part.mask)
     return replace(scene, objects=objects)
 
 
-def _details(scene: Scene, mask: Bool[Tensor, " N"]) -> dict[str, Any]:
+def _details(scene: Scene, mask: Bool[Tensor, " B"]) -> dict[str, Any]:
     """The mean confidence, if labels were lifted, and the place of an object."""
-    place, confidence = _place(scene, mask), scene.splats.confidence
+    place, confidence = _place(scene, mask), scene.base.confidence
     if confidence is None:
         return place
     return {"confidence": round(float(confidence[mask].mean()), 3), **place}
 
 
-def _place(scene: Scene, mask: Bool[Tensor, " N"]) -> dict[str, list[float]]:
-    return _in_world(extent_of(scene.splats, mask), scene.world_offset)
+def _place(scene: Scene, mask: Bool[Tensor, " B"]) -> dict[str, list[float]]:
+    return _in_world(extent_of(scene.base, mask), scene.world_offset)
 
 
 def _in_world(extent: Extent, offset: Offset) -> dict[str, list[float]]:

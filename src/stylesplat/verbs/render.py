@@ -89,7 +89,8 @@ def render(
     splats = scene.splats.to(pick_device(device))
     picked = None
     if what.startswith("object:"):
-        picked, what = find_object(scene, what.removeprefix("object:")), "object"
+        mask, what = find_object(scene, what.removeprefix("object:")), "object"
+        picked = scene.to_splats(mask)
     pictures = render_pictures(splats, cameras, what, picked=picked, background=background)
     pictures = steps_in_own_modes(pictures)
     return Views(cameras.names, track(pictures, "rendering", total=len(cameras)))
@@ -140,7 +141,7 @@ def orbit(
         ...     Image.fromarray(picture.numpy()).save(name)
     """
     count = FRAMES if frames is None else frames
-    picked = None if around is None else find_object(scene, around)
+    picked = None if around is None else scene.to_splats(find_object(scene, around))
     if has_no_photos(scene):
         views = scene.cameras if size is None else scene.cameras.resize(*size)
         return orbit_around(content_of(scene.splats, picked), views, count)

@@ -1,6 +1,7 @@
 """`select`: name some Gaussians of a scene."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from stylesplat.io.gaussian_lists import read_rows
 from stylesplat.options import BOX, PickSize, Places, check_arguments, check_box, parse_places
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
-from stylesplat.scene.scene import Scene, check_name
+from stylesplat.scene.objects import check_name
+from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import Choice, choose, whole_of
 from stylesplat.selection.labels import THRESHOLD, object_ids
 from stylesplat.selection.text import load_detector
@@ -68,7 +70,8 @@ def select(
             it is.
         sphere: `(x, y, z, radius)` in world units; or `(view, x, y, radius)` around what shows at
             that pixel. Or several.
-        rows: A file of row numbers, or several (see `read_rows`); or a mask of all Gaussians.
+        rows: A file of row numbers, or several (see `read_rows`), of which a Gaussian of the base
+            is selected if most of those that belong to it are; or such a mask; or one of the base.
         plus: Names of earlier selections that belong to it.
         minus: Names of earlier selections that do not.
         all: Everything.
@@ -123,25 +126,28 @@ def select(
     rules = {"threshold": threshold, "remove_outliers": remove_outliers}
     found = choose(scene, choice, name=name, detector=detector, **rules)
     if name in scene.objects:
-        before = int(scene.objects[name].picked.sum())
+        before = int(scene.objects[name].mask.sum())
         say(f"{name!r} meant {before:,} Gaussians before.")
     if of is not None:
-        left = whole_of(scene, of, name) & ~found.picked
-        scene = scene.with_object(of, scene.objects[of].with_picked(left))
+        left = whole_of(scene, of, name) & ~found.mask
+        scene = scene.with_object(of, replace(scene.objects[of], mask=left))
     return scene.with_object(name, found)
 
 
 def _listed(
     scene: Scene, name: str, rows: Path | str | Tensor | Sequence[Path | str]
 ) -> tuple[tuple[str, Tensor], ...]:
-    """Masks, and where each came from."""
+    """Masks of the base, and where each came from."""
     count = len(scene.splats)
     if isinstance(rows, Tensor):
+        if rows.dtype == torch.bool and rows.shape == (len(scene.base),):
+            return (("a mask", rows),)
         if rows.dtype != torch.bool or rows.shape != (count,):
             raise StyleSplatError(
                 f"Cannot select by rows of {rows.dtype} and shape {tuple(rows.shape)}. Give a mask "
                 f"of {count:,} Gaussians."
             )
-        return (("a mask", rows),)
+        return (("a mask", scene.most_of(rows)),)
     files = (rows,) if isinstance(rows, Path | str) else rows
-    return tuple((str(file), read_rows(file, count, name)) for file in files)
+    masks = (scene.most_of(read_rows(file, count, name)) for file in files)
+    return tuple(zip(map(str, files), masks, strict=True))

@@ -18,7 +18,6 @@ from stylesplat.options import check_arguments
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.compose import with_strengths
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
@@ -95,20 +94,20 @@ def sheet(
             same = (*map(id, style.pictures), config, style.network)  # colours cannot be hashed
             place = row, column, style.config.intensity
             runs.setdefault(same, (full, []))[1].append(place)
-    picked = find_object(scene, name)
-    jobs = [PaintTarget(name, picked, style.read(), style.config) for style, _ in runs.values()]
+    mask = find_object(scene, name)
+    jobs = [PaintTarget(name, mask, style.read(), style.config) for style, _ in runs.values()]
     check_targets(jobs[:1])
     splats = scene.splats.to(pick_device(device))
     cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
-    camera = close_up(splats, cameras, picked.to(splats.device), side=CELL)
+    camera = close_up(splats, cameras, scene.to_splats(mask).to(splats.device), side=CELL)
     # The paint that the object has stays in its place of the stack, without a message about it
-    bare = replace(with_strengths(scene, {name: 0.0}), path=scene.path)
+    bare = replace(scene.with_strengths({name: 0.0}), path=scene.path)
     how = {"features": features, "weights": weights, "device": device, "measured": False}
     pictures = dict[tuple[int, int], GridPicture]()
     for style, places in track(runs.values(), name, unit="painting", total=len(runs)):
         painted = stylize(bare, {name: style}, **how)
         for row, column, intensity in places:
-            blended = with_strengths(painted, {name: intensity}).splats
+            blended = painted.with_strengths({name: intensity}).splats
             pictures[row, column] = _picture(blended.to(splats.device), camera)
     rows, last = list[Row](), ()
     for row, (label, cells) in enumerate(grid):

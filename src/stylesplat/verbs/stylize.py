@@ -15,16 +15,7 @@ from stylesplat.io.style_pictures import Picture
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
-from stylesplat.scene.compose import (
-    beneath,
-    canvases_last,
-    compose,
-    family,
-    with_layers,
-    with_strengths,
-    without_layers,
-)
-from stylesplat.scene.layer import Layer, Source
+from stylesplat.scene.layers import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Network, Precision
@@ -131,9 +122,9 @@ def stylize(
     context_of = context_maker(scene, tasks, max_memory, torch_device)
     if len(tasks) > 1:  # so that no object is painted in vain
         for task in tasks:
-            under, _ = beneath(scene, task.name)
-            context = context_of(under.splats, task)
-            check_visible(context, task.target(family(under)).to(context.splats))
+            below = scene.below(task.name)
+            context = context_of(below.splats, task)
+            check_visible(context, task.target(below.parents).to(context.splats))
     shown = {layer.name for layer in scene.layers if layer.is_shown}
     anew = [task.name for task in tasks if task.name in shown]
     if anew:
@@ -143,17 +134,17 @@ def stylize(
     for number, task in enumerate(tasks):
         scene = _recolored(scene, recipe, number)
         began = time.perf_counter()
-        under, place = beneath(scene, task.name)
-        context, rows = context_of(under.splats, task), family(under).to(torch_device)
-        target = task.target(rows.cpu()).to(context.splats)
-        layer, surveys[task.name] = paint_layer(context, target, rows)
+        below = scene.below(task.name)
+        context = context_of(below.splats, task)
+        target = task.target(below.parents).to(context.splats)
+        layer, surveys[task.name] = paint_layer(context, target, below.parents.to(torch_device))
         precision = context.precision_name
-        scene = with_layer(scene, place, task.record(layer, precision))
+        scene = scene.with_layer(task.record(layer, precision))
         seconds[task.name] = time.perf_counter() - began
     scene = _recolored(scene, recipe, len(tasks))
     strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
     forms = {each.name: each.form for each in recipe.objects if each.form is not None}
-    scene = with_strengths(scene, strengths, forms)
+    scene = scene.with_strengths(strengths, forms)
     metrics = {
         "seconds": time.perf_counter() - start,
         "steps": sum(task.style.config.all_steps for task in tasks),
@@ -181,11 +172,6 @@ def _recolored(scene: Scene, recipe: Recipe, place: int) -> Scene:
     return scene
 
 
-def with_layer(scene: Scene, place: int, layer: Layer) -> Scene:
-    """The scene with a layer in a place of its stack, in place of the one that is there."""
-    return with_layers(scene, (*scene.layers[:place], layer, *scene.layers[place + 1 :]))
-
-
 def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
     """Metrics with one entry per number, and in it one per object."""
     metrics = {name: value for name, value in measured.items() if name != "objects"}
@@ -203,10 +189,14 @@ def _measure(
 ) -> dict[str, Any]:
     """Compare the painted objects with the scene before, as flat metrics."""
     names = [task.name for task in tasks]
-    before = without_layers(scene, names)
+    before = scene.without_layers(names)
     contexts = [context_of(before.splats, task) for task in tasks]
-    targets = [task.target(family(before)) for task in tasks]
-    styled = canvases_last(scene, names).to(contexts[0].splats.device)
+    targets = [task.target(before.parents) for task in tasks]
+    shown = [each for each in scene.layers if each.is_shown]
+    is_new = [torch.zeros(len(scene.base), dtype=torch.bool)]
+    is_new += [torch.full_like(each.parents, each.name in names).bool() for each in shown]
+    styled = scene.splats[torch.cat(is_new).byte().argsort(stable=True)]  # those of `names` last
+    styled = styled.to(contexts[0].splats.device)
     _, held_out = scene.working_views()
     return flat_metrics(
         measure_painted(contexts, targets, styled, held_out=held_out, surveys=surveys)
@@ -220,31 +210,27 @@ class Live:
     state: PaintState
     before: Scene
     """The scene as it was given."""
-    beneath: Scene
-    """The scene beneath the object's layer."""
-    place: int
-    """The index of the layer in the stack."""
+    below: Scene
+    """The scene below the object's layer."""
     task: PaintTask
     target: PaintTarget
-    """The object among the Gaussians of `beneath`, and settings."""
+    """The object among the Gaussians of `below`, and settings."""
     precision: Precision
 
     @property
     def layer(self) -> Layer:
         """The present layer."""
-        rows = family(self.beneath).to(self.state.parents.device)
-        return self.task.record(layer_of(self.state, self.target, rows), self.precision)
+        parents = self.below.parents.to(self.state.parents.device)
+        return self.task.record(layer_of(self.state, self.target, parents), self.precision)
 
     @property
     def splats(self) -> Splats:
         """The present look of all Gaussians."""
-        layers = self.before.layers
-        layers = (*layers[: self.place], self.layer, *layers[self.place + 1 :])
-        return compose(self.before.unpainted, layers)
+        return self.scene().splats
 
     def scene(self) -> Scene:
         """The scene with the present layer, not measured."""
-        return with_layer(self.before, self.place, self.layer)
+        return replace(self.before.with_layer(self.layer), composed=self.below.composed)
 
 
 @check_arguments
@@ -283,9 +269,9 @@ def stylize_live(
         >>> early = live.scene()  # doctest: +SKIP
     """
     (task,) = tasks = paint_tasks(as_recipe({name: style}), scene, features, weights)
-    under, place = beneath(scene, name)
+    below = scene.below(name)
     context_of = context_maker(scene, tasks, max_memory, pick_device(device))
-    context = context_of(under.splats, task)
-    target = task.target(family(under)).to(context.splats)
+    context = context_of(below.splats, task)
+    target = task.target(below.parents).to(context.splats)
     for state in paint_steps(context, target, preview=True):
-        yield Live(state, scene, under, place, task, target, context.precision_name)
+        yield Live(state, scene, below, task, target, context.precision_name)

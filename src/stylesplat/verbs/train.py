@@ -112,7 +112,7 @@ def train(
         metrics = evaluate_views(splats, capture, held_out, **options)
         metrics["train_psnr"] = _train_psnr(splats, capture, rows, **options)
     scene = Scene(
-        splats=splats.to("cpu"),
+        base=splats.to("cpu"),
         cameras=capture.full_cameras,
         held_out=tuple(capture.cameras.names[row] for row in held_out),
         downscale=capture.downscale,

@@ -23,4 +23,4 @@ def test_splats_that_are_at_the_bounds_can_be_used(field: str, end: str):
     assert image.isfinite().all() and alphas.isfinite().all()
     assert inliers(splats.means).any()
     found = select(Scene(splats, CAMERAS), "vase", id=3)
-    assert torch.equal(found.splats.means, splats.means) and found.objects["vase"].picked.any()
+    assert torch.equal(found.splats.means, splats.means) and found.objects["vase"].mask.any()

@@ -1,0 +1,105 @@
+"""Objects of a scene: the noun, names, and lists of an object's Gaussians."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError, brief, counted, one_line
+
+MAX_NAME = 100  # characters of an object's name
+RESERVED = "__metadata__"  # of safetensors files
+# Folders, the sign of OBJECT=IMAGE, control characters and line ends, halves of characters
+UNFIT = re.compile(r"[/\\=\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """A named object."""
+
+    mask: Bool[Tensor, " B"]
+    """Its rows of the scene's base. Surfels of layers belong to what their parents belong to."""
+    how: Mapping[str, Any] = field(default_factory=dict)
+    """How they were selected, as plain values: `ids`, `threshold` and so on."""
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """How they were selected, and how many `gaussians` they are."""
+        return {**self.how, "gaussians": int(self.mask.sum())}
+
+    def __repr__(self) -> str:
+        named = " ".join(map(str, self.how.get("ids", ())))
+        share = f"{int(self.mask.sum()):,} of {counted(len(self.mask), 'Gaussian')}"
+        return one_line(self, share, f"label ids {named}" if named else None)
+
+
+def check_name(name: str) -> None:
+    """Refuse a name that no object can have."""
+    fault = name_fault(name)
+    if fault:
+        raise StyleSplatError(
+            f"Cannot call an object {brief(name)!r}: {fault}. Choose another name."
+        )
+
+
+def check_name_or_id(name: str) -> None:
+    if not is_id(name):
+        check_name(name)
+
+
+def is_id(name: str) -> bool:
+    """Whether a name is a label id; `int` refuses thousands of digits."""
+    return name.isdecimal() and len(name) <= MAX_NAME
+
+
+def name_fault(name: str) -> str | None:
+    """The reason why no object can have a name, or None."""
+    if not name.strip():
+        return "a name must not be empty"
+    if name.isdecimal():
+        return "numbers are label ids"
+    if UNFIT.search(name):
+        return "names must not contain '=', slashes or control characters"
+    if name == RESERVED:
+        return "files of objects use that name for themselves"
+    return f"names have at most {MAX_NAME} characters" if len(name) > MAX_NAME else None
+
+
+@dataclass(frozen=True, eq=False)
+class ListedObject:
+    """The Gaussians of an object by row."""
+
+    rows: Int[Tensor, " M"]
+    shares: Float[Tensor, " M"] | None = None
+    """The share of each Gaussian that belongs to the object, 0 to 1; None if unknown."""
+    ids: tuple[int, ...] = ()
+    """Its label ids."""
+
+
+@dataclass(frozen=True, eq=False)
+class ListedObjects:
+    """All objects of a splat of `count` Gaussians."""
+
+    count: int
+    objects: Mapping[str, ListedObject] = field(default_factory=dict)
+    """By name, or by label id if an object has no name."""
+    labels: Int[Tensor, " N"] | None = None
+    """The label id of each Gaussian, 0 for no object; None if there are none."""
+
+    def ordered(self, order: Int[Tensor, " M"]) -> "ListedObjects":
+        """The list for some of the Gaussians in another order; empty objects are dropped."""
+        place = torch.full((self.count,), -1)
+        place[order] = torch.arange(len(order))
+        objects = dict[str, ListedObject]()
+        for name, each in self.objects.items():
+            rows, indices = place[each.rows].sort()
+            indices = indices[rows >= 0]
+            if len(indices):
+                shares = None if each.shares is None else each.shares[indices]
+                objects[name] = replace(each, rows=rows[rows >= 0], shares=shares)
+        labels = None if self.labels is None else self.labels[order]
+        return ListedObjects(len(order), objects, labels)
