@@ -27,27 +27,10 @@ OUTSIDE = {  # files of the repository that are pages of the site
 }
 NOUNS = ("Capture", "Cameras", "Splats", "Scene", "Style", "Stroke", "StyleSplatError")
 CONFIGS = ("training.config.TrainConfig", "stylization.config.StyleConfig")
-CORE = (  # the functions over tensors that docs/python.md names
-    "rendering.render.rasterize",
-    "rendering.weights.composite",
-    "rendering.weights.backproject",
-    "rendering.weights.pixels_in",
-    "rendering.weights.contributions",
-    "training.loop.fit",
-    "training.lifting.lift",
-    "selection.pick.pick",
-    "selection.soft_picks.own_shares",
-    "stylization.paint.paint",
-    "stylization.optimize.paint_steps",
-    "stylization.matching.nnfm_loss",
-    "scene.layers.compose",
-    "metrics.images.psnr",
-    "metrics.images.ssim",
-)
 GALLERY = ROOT / "gallery-output"  # of scripts/gallery.py
 LARGEST = 4 * 2**20  # bytes of a page of the gallery that goes to the site
 LINK = re.compile(r"(!?)\[((?:[^][]|\[[^]]*\])*)\]\(([^)\s]+)\)")
-EXPORT = re.compile(r"^from \.(\S+) import (\w+) as (\w+)$", re.MULTILINE)
+EXPORT = re.compile(r"^from (?:stylesplat)?\.(\S+) import (\w+) as (\w+)$", re.MULTILINE)
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -112,11 +95,12 @@ def functions() -> str:
     stub = (ROOT / "src/stylesplat/__init__.pyi").read_text("utf-8")
     public = {name: f"{module}.{name}" for module, name, _ in EXPORT.findall(stub)}
     verbs = sorted(public.keys() - {*NOUNS, "stylise"})
+    core = (ROOT / "src/stylesplat/functional.py").read_text("utf-8")
     groups = {
         "Nouns": [public[name] for name in NOUNS],
         "Verbs": [public[name] for name in verbs],
         "Settings": CONFIGS,
-        "Functions over tensors": CORE,
+        "Functions over tensors": [f"{module}.{name}" for module, name, _ in EXPORT.findall(core)],
     }
     parts = ["# Functions and classes\n\n[In Python](python.md) shows how they go together."]
     for title, names in groups.items():

@@ -34,3 +34,15 @@ def test_functions_that_are_named_are_there(name: str):
     if function != "py":
         body = ast.parse((ROOT / f"{file}.py").read_text()).body
         assert function in [getattr(node, "name", None) for node in body]
+
+
+def test_functions_over_tensors_are_those_that_the_page_on_python_names():
+    page = (ROOT.parents[1] / "docs" / "python.md").read_text(encoding="utf-8")
+    table = page[page.index("stylesplat.functional") :].split("\n\n")[1]
+    named = {
+        name for row in table.splitlines() for name in re.findall(r"`(\w+)", row.split("|")[1])
+    }
+    body = ast.parse((ROOT / "functional.py").read_text()).body
+    assert named == {
+        each.name for node in body if isinstance(node, ast.ImportFrom) for each in node.names
+    }

@@ -1,0 +1,30 @@
+"""Functions over tensors beneath the verbs: their one stable address, whatever file holds them."""
+
+from stylesplat.evaluation.changes import measure_changes as measure_changes
+from stylesplat.evaluation.style import measure_look as measure_look
+from stylesplat.evaluation.style import measure_style as measure_style
+from stylesplat.imaging.similarity import object_iou as object_iou
+from stylesplat.imaging.similarity import psnr as psnr
+from stylesplat.imaging.similarity import ssim as ssim
+from stylesplat.rendering.render import rasterize as rasterize
+from stylesplat.rendering.weights import backproject as backproject
+from stylesplat.rendering.weights import composite as composite
+from stylesplat.rendering.weights import contributions as contributions
+from stylesplat.rendering.weights import coverage as coverage
+from stylesplat.rendering.weights import label_pixels as label_pixels
+from stylesplat.rendering.weights import pixels_in as pixels_in
+from stylesplat.scene.content import content_of as content_of
+from stylesplat.scene.content import extent_of as extent_of
+from stylesplat.scene.layers import compose as compose
+from stylesplat.selection.labels import inliers as inliers
+from stylesplat.selection.labels import pick as pick
+from stylesplat.selection.shapes import grow as grow
+from stylesplat.selection.shapes import in_box as in_box
+from stylesplat.selection.shapes import in_sphere as in_sphere
+from stylesplat.selection.shapes import shrink as shrink
+from stylesplat.selection.shares import own_shares as own_shares
+from stylesplat.stylization.matching import nnfm_loss as nnfm_loss
+from stylesplat.stylization.paint import paint as paint
+from stylesplat.training.lifting import labelled as labelled
+from stylesplat.training.lifting import lift as lift
+from stylesplat.training.loop import fit as fit
