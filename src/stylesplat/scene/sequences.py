@@ -150,7 +150,7 @@ class Lazy(Sequence[Entry]):
     def __getitem__(self, index: int) -> Entry: ...
     @overload
     def __getitem__(self, index: slice) -> "Lazy[Entry]": ...
-    def __getitem__(self, index: int | slice) -> "T | Lazy[Entry]":
+    def __getitem__(self, index: int | slice) -> "Entry | Lazy[Entry]":
         if isinstance(index, slice):
             return Lazy(self._makers[index])
         return self._makers[range(len(self))[index]]()
