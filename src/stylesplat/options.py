@@ -7,13 +7,16 @@ import inspect
 import json
 import types
 from collections.abc import Callable, Mapping, Sequence, Sized
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
-from functools import wraps
+from functools import cache, wraps
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
 from typing import (
+    Annotated,
     Any,
+    ClassVar,
     Literal,
     ParamSpec,
     TypeVar,
@@ -31,6 +34,8 @@ from stylesplat.torch_modes import own_modes, steps_in_own_modes, usable
 
 P = ParamSpec("P")
 T = TypeVar("T")
+C = TypeVar("C", bound="Config")
+LARGEST_FLOAT = 1e300  # integers may be larger than any float
 WIDER = {Path: PathLike, float: Real, int: Integral}  # what is accepted for a type
 REMEDIES = {
     "Capture": "`load` reads posed photos from a folder; `sfm` finds the poses of others.",
@@ -94,9 +99,14 @@ def _is_instance(value: Any, kind: Any) -> bool:
         return False
     if isinstance(value, dict) and len(items) == 2:
         value, items = value.values(), items[1:]
-    elif not isinstance(value, list | tuple) or len(items) != 1:
+    elif not (isinstance(value, list | tuple) and items):
         return True
-    return all(any(_is_instance(each, kind) for kind in _alternatives(items[0])) for each in value)
+    if len(items) == 1 or items[-1] is ...:
+        items = (items[0],) * len(value)
+    return len(items) == len(value) and all(
+        any(_is_instance(each, kind) for kind in _alternatives(item))
+        for each, item in zip(value, items, strict=True)
+    )
 
 
 def _names(kinds: list[Any]) -> list[str]:
@@ -125,44 +135,124 @@ def _refuse(verb: str, name: str, value: Any, kinds: list[Any]) -> None:
     )
 
 
-def check_settings(config: Any, verb: str, limits: Mapping[str, tuple[Any, Any]]) -> None:
-    """Refuse settings of other types than declared, or beyond their least and most values.
+@dataclass(frozen=True)
+class Option:
+    """What a field of a config allows, and where it is offered: `Annotated[float, Option(0, 4)]`.
 
-    None is no value.
+    The field has its default and under it its help. Everything that offers it reads it here.
     """
-    for name, kind in get_type_hints(type(config)).items():
-        value, kinds = getattr(config, name), _alternatives(kind)
-        if not any(_is_instance(value, each) for each in kinds):
-            raise StyleSplatError(
-                f"Cannot {verb} with {name} {brief(repr(value))}: it must be {_either(kinds)}."
-            )
-    for name, (least, most) in limits.items():
-        value = getattr(config, name)
-        if value is not None and not least <= value <= most:
-            raise StyleSplatError(f"Cannot {verb} with {name} {value}: use {least:,} to {most:,}.")
+
+    low: float | int | None = None
+    high: float | int | None = None
+    name: str | None = None
+    """On the command line, where that is not the field's."""
+    label: str = ""
+    """In the studio, which offers only what has one."""
+    slider: tuple[float | int, float | int] = (0.0, 1.0)
+    """In the studio."""
+    step: float | int = 0.05
+    """Of the slider."""
+    research: bool = False
+    """Whether only Python and recipes take it, and the command line does not."""
+    kind: Any = Any
+    default: Any = None
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """The only values that it takes; empty if it takes others too."""
+        return get_args(self.kind) if get_origin(self.kind) is Literal else ()
+
+    def convert(self, value: Any) -> Any:
+        """Returns the value in this type where only the form differs: 2 as 2.0, a list as tuple."""
+        kinds = _alternatives(self.kind)
+        if isinstance(value, list):
+            return tuple(value)
+        if isinstance(value, bool) or not isinstance(value, Real):
+            return value
+        if float in kinds and abs(cast("float", value)) < LARGEST_FLOAT:
+            return float(value)
+        return int(value) if int in kinds and isinstance(value, Integral) else value
+
+    def fault(self, value: Any) -> str:
+        """What is wrong with a value; empty if nothing is."""
+        kinds = _alternatives(self.kind)
+        fits = any(_is_instance(value, each) for each in kinds)
+        if not fits or (self.choices and value not in self.choices):
+            return f"it must be {_either(kinds)}"
+        if value is None or self.low is None or self.low <= value <= cast("float", self.high):
+            return ""
+        return f"use {self.low:,} to {self.high:,}"
+
+
+MANY = 10**9  # what lies beyond is a slip of the keyboard
+Seed = Annotated[int, Option(-(10**18), 10**18)]  # torch takes somewhat larger ones
+
+
+@cache
+def options_of(config: type) -> dict[str, Option]:
+    """The options that the fields of a config declare, by name."""
+    hints, declared = get_type_hints(config), get_type_hints(config, include_extras=True)
+    found = {}
+    for each in fields(config):
+        known = getattr(declared[each.name], "__metadata__", (Option(),))[0]
+        found[each.name] = replace(known, kind=hints[each.name], default=each.default)
+    return found
+
+
+@dataclass(frozen=True)
+class Config:
+    """The base of dataclasses of settings, whose values are checked."""
+
+    verb: ClassVar[str]
+    """What the settings are for, in messages."""
+
+    def __post_init__(self) -> None:
+        self.check(vars(self))
+
+    def check(self, settings: Mapping[str, Any]) -> None:
+        """Refuse settings of other types than declared, or beyond their range."""
+        for name, value in settings.items():
+            if fault := options_of(type(self))[name].fault(value):
+                shown = brief(repr(value))
+                raise StyleSplatError(f"Cannot {self.verb} with {name} {shown}: {fault}.")
+
+
+def with_settings(config: C, settings: Mapping[str, Any]) -> C:
+    """The config with some settings changed, which are converted to their types."""
+    options = options_of(type(config))
+    _refuse_unknown(settings, options)
+    converted = {key: options[key].convert(value) for key, value in settings.items()}
+    config.check(converted)
+    return replace(config, **converted)
 
 
 def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the values of an entry to their types: lists to tuples, 2 to 2.0."""
+    """Convert the values of an entry of a file to their types, or as options allow."""
+    _refuse_unknown(entry, hints)
     fit = {}
     for key, value in entry.items():
-        if key not in hints:
-            near = get_close_matches(str(key), hints, n=1)
-            remedy = f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(hints)}."
-            raise StyleSplatError(f"there is no key {key!r}. {remedy}")
+        hint = hints[key]
         try:
-            fit[key] = msgspec.convert(value, hints[key])
+            fit[key] = (
+                hint.convert(value) if isinstance(hint, Option) else msgspec.convert(value, hint)
+            )
+            fault = hint.fault(fit[key]) if isinstance(hint, Option) else ""
         except msgspec.ValidationError as error:
+            literals = [each for each in (hint, *get_args(hint)) if get_origin(each) is Literal]
+            choices = [word for each in literals for word in get_args(each)]
+            fault = f"it must be {' or '.join(choices)}" if choices else str(error)
+        if fault:
             shown = brief(json.dumps(value, ensure_ascii=False, default=str))
-            choices = [
-                word
-                for each in (hints[key], *get_args(hints[key]))
-                for word in get_args(each)
-                if get_origin(each) is Literal
-            ]
-            remedy = f" Use {' or '.join(choices)}." if choices else ""
-            raise StyleSplatError(f"{key} cannot be {shown}: {error}.{remedy}") from error
+            raise StyleSplatError(f"{key} cannot be {shown}: {fault}.")
     return fit
+
+
+def _refuse_unknown(entry: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    for key in entry:
+        if key not in known:
+            near = get_close_matches(str(key), known, n=1)
+            remedy = f"Did you mean {near[0]!r}?" if near else f"Use one of {', '.join(known)}."
+            raise StyleSplatError(f"there is no key {key!r}. {remedy}")
 
 
 Places = Sequence[Any]

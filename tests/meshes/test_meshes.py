@@ -177,7 +177,7 @@ def test_smoke_has_no_surface():
     [
         ({"faces": 99}, "99 faces"),
         ({"texture_size": 1000}, "1000 pixels"),
-        ({"texture_size": 16384}, "8192 at most"),
+        ({"texture_size": 16384}, "to 8,192"),
         ({"texture_size": 0}, "0 pixels"),
     ],
 )

@@ -49,7 +49,7 @@ CALLS = {
     "ss.train(capture, means_rate=float('nan'))": "means_rate nan: use 0 to 10",
     "ss.train(capture, config=TrainConfig(), preset='paper')": "preset paper and a config",
     "ss.train(capture, steps=9, max_seconds=9)": "steps 9 and max_seconds 9",
-    "ss.train(capture, stepz=3)": "no setting 'stepz'",
+    "ss.train(capture, stepz=3)": "no key 'stepz'. Did you mean 'steps'?",
     "ss.train(capture, preset='best')": "no preset 'best'. Use default, paper",
     "ss.train(capture, segment='lifted')": "no way to segment 'lifted'. Use joint, lift",
     "ss.render(scene, 'tests')": "no set of views 'tests'. Use test, train, all",

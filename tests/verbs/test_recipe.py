@@ -105,8 +105,8 @@ OBJECTS = "objects: {vase: {style: wave.jpg}}\n"
     ("text", "message"),
     [
         (OBJECTS + "stepps: 3", "there is no key 'stepps'. Did you mean 'steps'?"),
-        (OBJECTS + "steps: many", 'steps cannot be "many": Expected `int | null`, got `str`.'),
-        (OBJECTS + "features: vgg", ". Use compact or vgg16 or vgg19."),
+        (OBJECTS + "steps: many", 'steps cannot be "many": it must be int or None.'),
+        (OBJECTS + "features: vgg", ": it must be compact or vgg16 or vgg19."),
         ("objects: {vase: {steps: 3}}", "vase: it has no picture. Add `style: IMAGE`."),
         (
             "objects: {vase: {style: [wave.jpg, null], sha256: [abc, abd]}}",

@@ -120,7 +120,7 @@ def test_places_that_cannot_be(photos: Path, tmp_path: Path):
     [
         ({"frames": 2}, "Cannot choose 2 frames"),
         ({"matchin": "auto"}, "Did you mean 'matching'"),
-        ({"matching": "all"}, "matching cannot be .*exhaustive"),
+        ({"matching": "all"}, "with matching .*exhaustive"),
     ],
 )
 def test_settings(settings: dict, message: str, photos: Path, tmp_path: Path):

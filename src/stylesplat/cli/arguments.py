@@ -34,10 +34,12 @@ from tyro.constructors import (
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import is_file
+from stylesplat.options import options_of, with_settings
 
 PROGRAM = "stylesplat"
 ALIASES = {"stylize": ("stylise",)}
 REGISTRY = ConstructorRegistry()
+CONFIGS = dict[Any, type]()  # by the settings that `from_config` made of them
 TYRO = {
     "config": (DisallowNone, FlagCreatePairsOff, PositionalMetavarFromFieldName),
     "registry": REGISTRY,
@@ -80,8 +82,22 @@ def read_arguments(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
 
 
 def read_command(kind: Any, words: Sequence[str], prog: str, **options: Any) -> Any:
-    """A command, or one of a union of commands, with the options in the words after `prog`."""
-    return tyro.cli(kind, prog=prog, args=words, **TYRO, **options)
+    """A command, or one of a union of commands, with the options in the words after `prog`.
+
+    Raises:
+        StyleSplatError: If a setting is out of its range.
+    """
+    command = tyro.cli(kind, prog=prog, args=words, **TYRO, **options)
+    for name, declared in settings_of(type(command)).items():
+        with_settings(CONFIGS[declared](), getattr(command, name))
+    return command
+
+
+def settings_of(command: type) -> dict[str, type]:
+    """What `from_config` made for fields of a command, by their names."""
+    hints = get_type_hints(command, include_extras=True) if is_dataclass(command) else {}
+    found = {name: next(filter(is_typeddict, get_args(hint)), None) for name, hint in hints.items()}
+    return {name: each for name, each in found.items() if each is not None}
 
 
 def help_texts(config: type) -> dict[str, str]:
@@ -90,29 +106,30 @@ def help_texts(config: type) -> dict[str, str]:
     return {name: " ".join(text.partition("\n\n")[0].split()) for name, text in texts.items()}
 
 
-def from_config(config: type, *names: str, **called: Sequence[str]) -> Any:
+def from_config(config: type, *names: str) -> Any:
     """Annotates a dict as settings of a config, which holds only those that the user gave.
 
     Args:
-        config: Declares their types, defaults and help.
-        names: Which of them are options.
-        called: Other names of options, by setting; the first is the one that help shows.
+        config: Declares its options, their types, defaults and help.
+        names: Which of them a command offers; by default all but those for research.
     """
-    kinds, texts, defaults, options = get_type_hints(config), help_texts(config), config(), {}
-    for name in names:
-        default = getattr(defaults, name)
-        shown, *aliases = called.get(name, (name,))
-        kind, *others = get_args(kinds[name]) or (kinds[name],)
-        options[name] = Annotated[
-            kind if others == [NoneType] else kinds[name],  # T of `T | None`
+    texts, offered = help_texts(config), {}
+    for field, option in options_of(config).items():
+        if field not in names and (names or option.research):
+            continue
+        kind, *others = get_args(option.kind) or (option.kind,)
+        offered[field] = Annotated[
+            kind if others == [NoneType] else option.kind,  # T of `T | None`
             arg(
-                name=shown,
-                aliases=[f"--{each}" for each in aliases],
-                help=texts[name],
-                help_behavior_hint=_hint(default),
+                name=option.name or field,
+                aliases=[f"--{field}"] if option.name else [],
+                help=texts[field],
+                help_behavior_hint=_hint(option.default),
             ),
         ]
-    return TypedDict(config.__name__, options, total=False)  # pyright: ignore
+    settings = TypedDict(config.__name__, offered, total=False)  # pyright: ignore
+    CONFIGS[settings] = config
+    return settings
 
 
 def _hint(default: Any) -> str:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_origin, get_type_
 
 from tyro.conf import Positional
 
-from stylesplat.batch_jobs.job import TUPLES, Content, JobVerb
-from stylesplat.cli.arguments import read_command
+from stylesplat.batch_jobs.job import Content, JobVerb
+from stylesplat.cli.arguments import read_command, settings_of
 from stylesplat.cli.command import CONTINUES, NAMES, Answer, Command, Output
 from stylesplat.cli.import_export import Export, Import
 from stylesplat.cli.mask import Mask
@@ -122,7 +122,7 @@ def batch_verbs() -> dict[str, JobVerb]:
             makes=makes,
             flags=_options_of(bool, command),
             paths=_options_of(Path, command).difference(OUTPUTS.get(name, ())),
-            several=_options_of(tuple, command).union(TUPLES),
+            several=_options_of(tuple, command),
             outputs=OUTPUTS.get(name, ()),
             needs_output=name in MAKES_FILE,
             check=partial(_fault, command, name),
@@ -135,8 +135,10 @@ def _options_of(kind: type, command: type) -> frozenset[str]:
     """The names of the options of a command that take values of a kind."""
     hints = get_type_hints(command)
     found = [each for each in fields(command) if _holds(hints[each.name], kind)]
-    named = ((f"no-{f.name}" if f.default is True else f.name).replace("_", "-") for f in found)
-    return frozenset(NAMES.get(name, name) for name in named)
+    names = [f"no-{each.name}" if each.default is True else each.name for each in found]
+    for settings in settings_of(command).values():
+        names += [name for name, hint in get_type_hints(settings).items() if _holds(hint, kind)]
+    return frozenset(NAMES.get(name, name).replace("_", "-") for name in names)
 
 
 def _holds(hint: Any, kind: type) -> bool:
@@ -149,6 +151,8 @@ def _fault(command: type, name: str, words: Sequence[str]) -> str | None:
     try:
         with redirect_stderr(box):
             read_command(command, words, f"stylesplat {name}")
+    except StyleSplatError as error:
+        return str(error)
     except SystemExit:
         _title, _, text = box.getvalue().partition("\n")
         fact, _, advice = text.partition("│ ──")

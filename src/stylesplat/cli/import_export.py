@@ -96,9 +96,6 @@ class Import(MakingCommand):
             yield f"If it lies on its side: {again} --overwrite"
 
 
-MESH_SETTINGS = from_config(MeshConfig, "faces", "texture_size", "repaint")
-
-
 @dataclass(frozen=True)
 class Export(MakingCommand):
     """Write a scene's splat for other programs, or as a web page that shows it.
@@ -127,7 +124,7 @@ class Export(MakingCommand):
     """Leave out how colours change with the view, above this degree; 0 keeps one colour each."""
     mesh: bool = False
     """Write a textured mesh into a .glb or .obj, of one object or of a scene that shows one."""
-    mesh_settings: Annotated[dict[str, Any], MESH_SETTINGS] = field(default_factory=dict)
+    mesh_settings: Annotated[dict[str, Any], from_config(MeshConfig)] = field(default_factory=dict)
     spz_version: Literal[2, 3, 4] | None = None
     """Version of a .spz: 4 by default; 3 for ComfyUI and Spark 2.2, 2 for older programs. With 2 a
     .glb or .gltf holds SPZ, as Cesium wants it."""

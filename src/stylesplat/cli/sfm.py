@@ -24,7 +24,6 @@ from stylesplat.progress import say
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.earlier_capture import capture_place, find_earlier_capture
 
-SETTINGS = from_config(SfmConfig, "matching", "cameras", "seed")
 Drawn = Iterable[tuple[str, Sequence[float] | None]]
 
 
@@ -47,7 +46,7 @@ class Sfm(MakingCommand):
     object: str | None = None
     """VIEW:x0,y0,x1,y1, a box around such an object in one photo, in that photo's pixels: it is
     followed into the others."""
-    settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
+    settings: Annotated[dict[str, Any], from_config(SfmConfig)] = field(default_factory=dict)
     after_interruption: ClassVar[str] = CONTINUES
 
     def run(self) -> Answer:

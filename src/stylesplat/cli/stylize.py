@@ -37,22 +37,8 @@ from tyro.conf import Positional
 
 from stylesplat.errors import check_choice
 
-SETTINGS = from_config(
-    StyleConfig,
-    "quality",
-    "steps",
-    "scale",
-    "rotate",
-    "region",
-    "color",
-    "intensity",
-    "form",
-    "content",
-    "seed",
-    scale=("stroke-size", "scale"),
-)
+SETTINGS = from_config(StyleConfig)
 SHOWN = ("intensity", "form")  # settings that a recipe may give another value after painting
-RECOLOR_SETTINGS = from_config(RecolorConfig, *vars(RecolorConfig()))
 
 
 @dataclass(frozen=True)
@@ -155,7 +141,7 @@ class Recolor(EditingCommand):
 
     object: UseAppendAction[tuple[str, ...]] = ()
     """A name or a label id; background is what belongs to no object. May be repeated."""
-    settings: Annotated[dict[str, Any], RECOLOR_SETTINGS] = field(default_factory=dict)
+    settings: Annotated[dict[str, Any], from_config(RecolorConfig)] = field(default_factory=dict)
     strength: float = 1.0
     """How much of the change to blend in, 0 to 1.5."""
 

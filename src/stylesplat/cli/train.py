@@ -38,18 +38,6 @@ from stylesplat.training.config import (
     refuse_two_lengths,
 )
 
-SETTINGS = from_config(
-    TrainConfig,
-    "steps",
-    "max_seconds",
-    "max_gaussians",
-    "test_every",
-    "background",
-    "color_correction",
-    "refine_poses",
-    "seed",
-    "max_memory",
-)
 LARGE = 1600  # pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
 BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
 GOOD, FAIR = 27.0, 22.0  # dB of photos held out: sharp as photos are; soft, with objects in place
@@ -80,7 +68,7 @@ class Train(MakingCommand):
     """How many times smaller the photos are made."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
-    settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
+    settings: Annotated[dict[str, Any], from_config(TrainConfig)] = field(default_factory=dict)
     preset: Literal["default", "paper"] = "default"
     """Settings to start from; paper takes 30,000 steps."""
     segment: Segment | None = None

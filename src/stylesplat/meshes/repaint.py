@@ -23,11 +23,12 @@ from stylesplat.imaging.color import build_palette
 from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.surface import MeshViews, face_areas
 from stylesplat.meshes.texture import Texels, TexturedMesh, texels_of
+from stylesplat.options import with_settings
 from stylesplat.progress import task
 from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
-from stylesplat.stylization.config import PRESETS, WINDOW, Stage, with_settings, without_retired
+from stylesplat.stylization.config import PRESETS, WINDOW, Stage, without_retired
 from stylesplat.stylization.objective import Objective
 from stylesplat.stylization.optimize import (
     optimize_colors,

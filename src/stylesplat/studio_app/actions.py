@@ -46,22 +46,6 @@ from stylesplat.verbs.render import orbit, render
 
 MOST_PIXELS = 8192  # along a side of a still picture
 NEAREST = 0.1  # world units from a photo's camera to its target, at least
-USUAL, UNCHANGED = StyleConfig(), RecolorConfig()
-SETTINGS = (
-    m.Setting("quality", "Quality", USUAL.quality, ("draft", "normal", "high")),
-    m.Setting("color", "Colours", USUAL.color, ("style", "keep", "blend", "free")),
-    m.Setting("scale", "Stroke size", USUAL.scale, low=0.5, high=6.0, step=0.1),
-    m.Setting("rotate", "Stroke direction", USUAL.rotate, low=0.0, high=345.0, step=15.0),
-    m.Setting("form", "Keep form", USUAL.form, low=0.0, high=1.5),
-    m.Setting("content", "Keep pattern", USUAL.content),
-)
-RECOLORINGS = (
-    m.Setting("hue", "Hue", UNCHANGED.hue, low=-180, high=180, step=5),
-    m.Setting("saturation", "Saturation", UNCHANGED.saturation, high=3),
-    m.Setting("brightness", "Brightness", UNCHANGED.brightness, low=0.2, high=2),
-    m.Setting("contrast", "Contrast", UNCHANGED.contrast, low=0.2, high=2),
-    m.Setting("temperature", "Warmth", UNCHANGED.temperature, low=-1),
-)
 DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
 
 
@@ -290,8 +274,8 @@ class Actions:
             readonly=self.readonly,
             start=self._start,
             photos=[] if has_no_photos(scene) else list(_photos(scene, self._content.centre)),
-            settings=SETTINGS,
-            recolorings=RECOLORINGS,
+            settings=m.settings_of(StyleConfig),
+            recolorings=m.settings_of(RecolorConfig),
             formats=FORMATS,
             extent=float(self._content.size.norm()),
             gaussians=len(scene.splats),

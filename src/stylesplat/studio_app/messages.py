@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from stylesplat.options import options_of
 from stylesplat.studio_app.gallery import StylePicture
 
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
@@ -40,10 +41,19 @@ class Setting(msgspec.Struct, frozen=True):
     name: str
     label: str
     value: Any
-    choices: tuple[str, ...] = ()
-    low: float = 0.0
-    high: float = 1.0
-    step: float = 0.05
+    choices: tuple[str, ...]
+    low: float
+    high: float
+    step: float
+
+
+def settings_of(config: type) -> tuple[Setting, ...]:
+    """The options of a config that the page offers."""
+    return tuple(
+        Setting(name, each.label, each.default, each.choices, *each.slider, each.step)
+        for name, each in options_of(config).items()
+        if each.label
+    )
 
 
 class Hello(Told, frozen=True, tag="hello"):

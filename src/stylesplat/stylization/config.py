@@ -3,47 +3,42 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Any, Literal, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal
 
 from PIL import ImageColor
 
 from stylesplat.errors import StyleSplatError, brief
-from stylesplat.options import MAX_INTENSITY, check_settings, convert_settings
+from stylesplat.options import MAX_INTENSITY, Config, Option, Seed, with_settings
 from stylesplat.progress import say
 
-RECOLOR_LIMITS = {  # of settings; with larger factors hardly anything but clipped colours is left
-    "hue": (-360, 360),
-    "saturation": (0, 4),
-    "temperature": (-1, 1),
-    "brightness": (0, 4),
-    "contrast": (0, 4),
-}
+MAX_FACTOR = 4  # with larger factors hardly anything but clipped colours is left
 
 
 @dataclass(frozen=True)
-class RecolorConfig:
+class RecolorConfig(Config):
     """How to change colours, in this order. Hue to contrast are as the filters of CSS."""
 
+    verb: ClassVar = "recolor"
     match: str | None = None
     """File of a picture whose colours the object is to have, in mean and covariance."""
     tint: str | None = None
     """Colour that the object is to have, but for its light and shade: #rrggbb or a name."""
-    hue: float = 0.0
+    hue: Annotated[float, Option(-360, 360, label="Hue", slider=(-180, 180), step=5)] = 0.0
     """Degrees to turn the hues by; luma stays."""
-    saturation: float = 1.0
+    saturation: Annotated[float, Option(0, MAX_FACTOR, label="Saturation", slider=(0, 3))] = 1.0
     """Distance of the colours from grey: 0 for grey, 1 as it is, up to 4."""
-    temperature: float = 0.0
+    temperature: Annotated[float, Option(-1, 1, label="Warmth", slider=(-1, 1))] = 0.0
     """-1 for bluish light to 1 for yellowish light."""
-    brightness: float = 1.0
+    brightness: Annotated[float, Option(0, MAX_FACTOR, label="Brightness", slider=(0.2, 2))] = 1.0
     """Factor on the colours, 0 to 4."""
-    contrast: float = 1.0
+    contrast: Annotated[float, Option(0, MAX_FACTOR, label="Contrast", slider=(0.2, 2))] = 1.0
     """Factor on their distance from mid-grey, 0 to 4."""
 
     def __post_init__(self) -> None:
-        check_settings(self, "recolor", RECOLOR_LIMITS)
+        super().__post_init__()
         if self.tint is not None:
             parse_color(self.tint)
 
@@ -56,7 +51,7 @@ class RecolorConfig:
 def recolor_config(settings: Mapping[str, Any]) -> RecolorConfig:
     """The settings of a recolouring, which are not all the defaults."""
     settings = {name: str(v) if isinstance(v, Path) else v for name, v in settings.items()}
-    config = RecolorConfig(**convert_settings(settings, get_type_hints(RecolorConfig)))
+    config = with_settings(RecolorConfig(), settings)
     if not config.changed:
         raise StyleSplatError(
             "Nothing to recolor. Pass a --hue, --saturation, --brightness, --contrast, "
@@ -74,19 +69,6 @@ def parse_color(text: str) -> tuple[float, ...]:
             f"There is no color {brief(text)!r}. Use #rrggbb or a name such as teal."
         ) from None
 
-
-LIMITS = {  # of settings, the least and the most: what lies beyond is a slip of the keyboard
-    "steps": (1, 10**6),  # a day on a CPU
-    "block": (1, 4),  # that every VGG has
-    "scale": (0.001, 10_000),
-    "rotate": (-1e4, 10_000),
-    "intensity": (0, MAX_INTENSITY),
-    "form": (0, MAX_INTENSITY),
-    "content": (0, 10_000),
-    "object_size": (1, 10_000),
-    "lr": (1e-9, 10_000),
-    "seed": (-(10**18), 10**18),  # torch takes somewhat larger ones
-}
 
 Network = Literal["compact", "vgg16", "vgg19"]
 ColorMode = Literal["style", "keep", "blend", "free"]
@@ -151,45 +133,51 @@ PLANS: dict[Quality, tuple[_Row, ...]] = {
 
 
 @dataclass(frozen=True)
-class StyleConfig:
+class StyleConfig(Config):
     """How to repaint an object."""
 
-    quality: Quality = "normal"
+    verb: ClassVar = "stylise"
+    quality: Annotated[Quality, Option(label="Quality")] = "normal"
     """draft is quick and soft and adds no Gaussians; normal paints strokes at the photos' size;
     high takes more steps there."""
-    steps: int | None = None
+    steps: Annotated[int | None, Option(1, 10**6)] = None
     """Optimiser steps per object, one view each; by default as many as the quality needs."""
-    block: int = 3
+    block: Annotated[int, Option(1, 4, research=True)] = 3
     """The block of the network (between two poolings, 1 to 4) whose features are matched."""
-    scale: float = USUAL_SCALE
+    scale: Annotated[
+        float,
+        Option(0.001, 10_000, name="stroke-size", label="Stroke size", slider=(0.5, 6), step=0.1),
+    ] = USUAL_SCALE
     """Size of the strokes: the longer side of the style picture, in longer sides of the object."""
-    rotate: float = 0.0
+    rotate: Annotated[
+        float, Option(-10_000, 10_000, label="Stroke direction", slider=(0, 345), step=15)
+    ] = 0.0
     """Degrees to turn the style picture by, counter-clockwise."""
     region: tuple[int, int, int, int] | None = None
     """x0, y0, x1, y1: the part of the style picture to use, in its pixels; all of it by default."""
-    intensity: float = 1.0
-    """How much of the paint to blend in: 0 changes nothing, 1 takes all, 1.5 exaggerates."""
-    color: ColorMode = "style"
+    color: Annotated[ColorMode, Option(label="Colours")] = "style"
     """The object's hues: the style's, its own (keep), a blend, or what matching gives (free)."""
-    form: float = 1.0
+    intensity: Annotated[float, Option(0, MAX_INTENSITY)] = 1.0
+    """How much of the paint to blend in: 0 changes nothing, 1 takes all, 1.5 exaggerates."""
+    form: Annotated[float, Option(0, MAX_INTENSITY, label="Keep form", slider=(0, 1.5))] = 1.0
     """How much of the object's form to keep, 0 to 1.5: the detail that stands out from its
     pattern, such as eyes, a mouth, folds."""
-    content: float = 0.0
+    content: Annotated[float, Option(0, 10_000, label="Keep pattern")] = 0.0
     """How much of the object's own features to keep, pattern included: 0 none, 1 nearly all."""
-    protect: tuple[str, ...] = ()
+    protect: Annotated[tuple[str, ...], Option(research=True)] = ()
     """Names of objects, such as its eyes, that get none of its paint."""
-    object_size: int | None = None
+    object_size: Annotated[int | None, Option(1, 10_000, research=True)] = None
     """Longer side of the object in all renders at most, in pixels: less is quicker and softer."""
-    lr: float = 0.1
+    lr: Annotated[float, Option(1e-9, 10_000, research=True)] = 0.1
     """Adam's step for the constant colour band."""
-    seed: int = 0
+    seed: Seed = 0
     """The same seed and number of threads give the same result."""
-    published: bool = False
+    published: Annotated[bool, Option(research=True)] = False
     """Paint as the StyleSplat paper does: all colour bands of the object's own Gaussians, each in
     full, at the photos' size, in a quarter of the views, at a constant rate."""
 
     def __post_init__(self) -> None:
-        check_settings(self, "stylise", LIMITS)
+        super().__post_init__()
         if self.published and self.quality != StyleConfig.quality:
             raise StyleSplatError(
                 f"Cannot stylise with quality {self.quality} as the paper does: its method has one "
@@ -266,7 +254,6 @@ PRESETS = {
 NETWORKS: dict[str, Network] = {"default": DEFAULT_NETWORK, "paper": "vgg16"}
 """The network of each preset."""
 
-SETTINGS = get_type_hints(StyleConfig)
 RETIRED = {"canvas", "final_lr", "hard", "max_growth", "pattern", "smoothness", "texture"}
 RETIRED |= {"view_dependence", "view_share", "gone", "upon"}  # of older recipes and scenes
 
@@ -274,11 +261,6 @@ RETIRED |= {"view_dependence", "view_share", "gone", "upon"}  # of older recipes
 def plain_settings(config: StyleConfig) -> dict[str, Any]:
     """Settings as JSON has them: tuples as lists."""
     return json.loads(json.dumps(asdict(config)))
-
-
-def with_settings(config: StyleConfig, settings: Mapping[str, Any]) -> StyleConfig:
-    """Change some settings; see `convert_settings`."""
-    return replace(config, **convert_settings(settings, SETTINGS)) if settings else config
 
 
 def without_retired(settings: Mapping[str, Any]) -> dict[str, Any]:

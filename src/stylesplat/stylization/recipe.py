@@ -11,23 +11,22 @@ from stylesplat.io.json_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.io.kinds import kind_of
 from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.style_pictures import is_material, picture_file
-from stylesplat.options import check_arguments, convert_settings
+from stylesplat.options import check_arguments, convert_settings, options_of, with_settings
 from stylesplat.scene.layers import Source
 from stylesplat.scene.objects import check_name_or_id
 from stylesplat.stylization.config import (
     PRESETS,
-    SETTINGS,
     Network,
     Precision,
     StyleConfig,
     recolor_config,
-    with_settings,
     without_retired,
 )
 from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
 
 Preset = Literal["default", "paper"]
 Strength = Intensity | None  # pyright: ignore[reportOperatorIssue]
+SETTINGS = options_of(StyleConfig)
 VARIED = SETTINGS | {"preset": Preset, "stroke_size": SETTINGS["scale"]}  # what a sheet may vary
 SHARED = {  # what else a recipe may say of all objects
     "preset": Preset,

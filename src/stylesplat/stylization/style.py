@@ -15,6 +15,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, check_choice, one_line, some
 from stylesplat.io.files import read_bytes
 from stylesplat.io.style_pictures import Picture, is_material, picture_file, read_style, resize
+from stylesplat.options import with_settings
 from stylesplat.scene.layers import Source
 from stylesplat.stylization.config import (
     NETWORKS,
@@ -24,7 +25,6 @@ from stylesplat.stylization.config import (
     Precision,
     RecolorConfig,
     StyleConfig,
-    with_settings,
 )
 from stylesplat.stylization.features import FeatureNetwork
 

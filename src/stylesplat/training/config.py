@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal
 
-from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.options import check_settings
+from stylesplat.errors import StyleSplatError
+from stylesplat.options import MANY, Config, Option, Seed
 
 ColorCorrection = Literal["auto", "on", "off"]
 Segment = Literal["joint", "lift"]
@@ -17,27 +17,10 @@ MIN_SIZE = 64  # pixels; photos are not made smaller than this
 SH_DEGREE_EVERY = 0.1  # share of the run per band, unless the settings give a number of steps
 MEANS_DECAY = 0.01  # last learning rate of the means over the first (official)
 
-MOST = 10**9  # what is beyond is a slip of the keyboard
-LIMITS = {  # of settings, the least and the most
-    "steps": (1, MOST),
-    "max_seconds": (1e-6, MOST),
-    "max_gaussians": (1, MOST),
-    "test_every": (0, MOST),
-    "sh_degree": (0, 3),
-    "sh_degree_every": (1, MOST),
-    "seed": (-(10**18), 10**18),
-    "growth_end": (0.001, 1),
-    "refine_end": (0, 1),
-    "object_growth": (0.001, 1000),  # a factor on chances, one of which has to remain
-    "refine_every": (1, MOST),
-    "identity_every": (1, MOST),
-    "identity_stride": (1, MOST),
-    "means_rate": (0, 10),
-    "bands_rate": (0, 10),
-    "classifier_rate": (0, 10),
-    "photos_at_once": (1, MOST),
-    "max_memory": (0, MOST),
-}
+COUNT = Option(1, MANY, research=True)
+RATE = Option(0, 10, research=True)
+RESEARCH = Option(research=True)
+
 IDENTITY_SETTINGS = (
     "object_growth",
     "identity_every",
@@ -49,53 +32,20 @@ IDENTITY_SETTINGS = (
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(Config):
     """How to train. Schedules that do not count steps are shares of the run: any length works."""
 
-    steps: int = 5000
+    verb: ClassVar = "train"
+    steps: Annotated[int, Option(1, MANY)] = 5000
     """Optimiser steps, one photo each."""
-    max_seconds: float | None = None
+    max_seconds: Annotated[float | None, Option(1e-6, MANY)] = None
     """Train for this long instead of for a number of steps."""
-    max_gaussians: int = 100_000
+    max_gaussians: Annotated[int, Option(1, MANY)] = 100_000
     """The number of Gaussians grows up to here."""
-    test_every: int = 8
+    test_every: Annotated[int, Option(0, MANY)] = 8
     """Every this many photos one is held out to measure quality; 0 trains on all.
 
     By default the photos that the capture's files hold out, where they say which.
-    """
-    sh_degree: int = 3
-    """Degree of the spherical harmonics, 0 to 3."""
-    sh_degree_every: int | None = None
-    """Steps after which the degree in use grows by 1, from 0; None: a tenth of the run."""
-    seed: int = 0
-    """Seed of everything random; the same seed and thread count reproduce a run."""
-    coarse_to_fine: bool = True
-    """Start on photos of a quarter, then half the size."""
-    growth_end: float = 0.4
-    """Share of the run after which no Gaussians are added."""
-    refine_end: float = 0.9
-    """Share of the run after which dead Gaussians are not moved either."""
-    object_growth: float = 4.0
-    """Densification prefers an object's Gaussians to the background's by this factor."""
-    refine_every: int = 100
-    """Steps between moving dead Gaussians and adding new ones."""
-    identity_every: int = 2
-    """Identities are trained every this many steps; such a step costs over twice as much."""
-    identity_stride: int = 3
-    """The identity loss samples every n-th pixel along x and y, from a random offset."""
-    means_rate: float = 9.6e-4
-    """First learning rate of the means, over the scene's extent; it falls to a hundredth."""
-    bands_rate: float = 5e-4
-    """Learning rate of the higher colour bands."""
-    classifier_rate: float = 2.5e-3
-    """Learning rate of the classifier."""
-    identity_geometry: bool = False
-    """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
-    color_correction: ColorCorrection = "auto"
-    """Whether training learns each photo's exposure and white balance, apart from the splat.
-
-    `auto` does where points that several photos show differ in brightness, in the channel that
-    differs most.
     """
     background: PhotoBackground = "random"
     """What photos are laid over where they are transparent, and renders with them.
@@ -103,22 +53,56 @@ class TrainConfig:
     Over a random colour at each step the splat stays transparent there; it is measured over black.
     Over black or white it may get that colour, and is measured over it.
     """
+    color_correction: ColorCorrection = "auto"
+    """Whether training learns each photo's exposure and white balance, apart from the splat.
+
+    `auto` does where points that several photos show differ in brightness, in the channel that
+    differs most.
+    """
     refine_poses: bool = False
     """Whether training refines the rotation and position of each training photo's camera.
 
     The mean over the photos stays where it was.
     """
-    photos_at_once: int | None = None
+    seed: Seed = 0
+    """Seed of everything random; the same seed and thread count reproduce a run."""
+    max_memory: Annotated[float | None, Option(0, MANY)] = None
+    """GiB for decoded photos and label maps; the others are read again each time.
+
+    None: 1 for a GPU, whose steps are as short as decoding takes; 0.25 on the CPU.
+    """
+    photos_at_once: Annotated[int | None, COUNT] = None
     """Photos whose gradients are computed in parallel, before a step is taken for each.
 
     None: on the CPU one per thread, at most 4; on a GPU one. Several GPUs look at one photo each,
     and take one step for all of them.
     """
-    max_memory: float | None = None
-    """GiB for decoded photos and label maps; the others are read again each time.
-
-    None: 1 for a GPU, whose steps are as short as decoding takes; 0.25 on the CPU.
-    """
+    sh_degree: Annotated[int, Option(0, 3, research=True)] = 3
+    """Degree of the spherical harmonics, 0 to 3."""
+    sh_degree_every: Annotated[int | None, COUNT] = None
+    """Steps after which the degree in use grows by 1, from 0; None: a tenth of the run."""
+    coarse_to_fine: Annotated[bool, RESEARCH] = True
+    """Start on photos of a quarter, then half the size."""
+    growth_end: Annotated[float, Option(0.001, 1, research=True)] = 0.4
+    """Share of the run after which no Gaussians are added."""
+    refine_end: Annotated[float, Option(0, 1, research=True)] = 0.9
+    """Share of the run after which dead Gaussians are not moved either."""
+    object_growth: Annotated[float, Option(0.001, 1000, research=True)] = 4.0
+    """Densification prefers an object's Gaussians to the background's by this factor."""
+    refine_every: Annotated[int, COUNT] = 100
+    """Steps between moving dead Gaussians and adding new ones."""
+    identity_every: Annotated[int, COUNT] = 2
+    """Identities are trained every this many steps; such a step costs over twice as much."""
+    identity_stride: Annotated[int, COUNT] = 3
+    """The identity loss samples every n-th pixel along x and y, from a random offset."""
+    means_rate: Annotated[float, RATE] = 9.6e-4
+    """First learning rate of the means, over the scene's extent; it falls to a hundredth."""
+    bands_rate: Annotated[float, RATE] = 5e-4
+    """Learning rate of the higher colour bands."""
+    classifier_rate: Annotated[float, RATE] = 2.5e-3
+    """Learning rate of the classifier."""
+    identity_geometry: Annotated[bool, RESEARCH] = False
+    """Whether the identity loss may move and reshape Gaussians, as in Gaussian Grouping."""
 
     def progress(self, steps: int, seconds: float) -> float:
         """The share of the run that is done after these steps and seconds."""
@@ -144,11 +128,6 @@ class TrainConfig:
         """Gaussians wanted: their number grows exponentially from the first count to the cap."""
         share = min(progress / self.growth_end, 1.0)
         return int(first * (max(self.max_gaussians, first) / first) ** share)
-
-    def __post_init__(self) -> None:
-        check_settings(self, "train", LIMITS)
-        check_choice(self.color_correction, "colour correction", get_args(ColorCorrection))
-        check_choice(self.background, "background", get_args(PhotoBackground))
 
 
 def means_decay(progress: float) -> float:

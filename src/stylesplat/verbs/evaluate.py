@@ -18,7 +18,7 @@ from stylesplat.evaluation.summary import metric_differences
 from stylesplat.figures.html_page import SceneColumn
 from stylesplat.figures.pictures import render_pictures
 from stylesplat.imaging.similarity import ssim
-from stylesplat.options import check_arguments
+from stylesplat.options import check_arguments, with_settings
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
@@ -28,7 +28,7 @@ from stylesplat.scene.layers import Layer
 from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.config import Precision, StyleConfig, with_settings, without_retired
+from stylesplat.stylization.config import Precision, StyleConfig, without_retired
 from stylesplat.stylization.style import Style, digest
 from stylesplat.stylization.target import PaintTarget, load_network, paint_context
 from stylesplat.stylization.views import Box, find_boxes

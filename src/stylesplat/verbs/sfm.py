@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import av
 import cv2
@@ -39,8 +39,8 @@ from stylesplat.options import (
     Places,
     check_arguments,
     check_box,
-    convert_settings,
     parse_places,
+    with_settings,
 )
 from stylesplat.progress import say
 from stylesplat.scene.cameras import find_name
@@ -172,7 +172,7 @@ def sfm(
         >>> import stylesplat as ss
         >>> capture = ss.sfm("MyPhotos/", "MyPhotos-capture/")  # doctest: +SKIP
     """
-    config = SfmConfig(**convert_settings(settings, get_type_hints(SfmConfig)))
+    config = with_settings(SfmConfig(), settings)
     if masks is not None and box is not None:
         raise StyleSplatError(
             "Masks and a box both say what to pose. Give one of them, --masks or --object."

@@ -2,14 +2,14 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import Fits, evaluate_views
-from stylesplat.options import check_arguments
+from stylesplat.options import check_arguments, with_settings
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture
@@ -153,10 +153,8 @@ def _chosen(
         )
     preset = preset or "default"
     check_choice(preset, "preset", PRESETS)
-    for name in settings:
-        check_choice(name, "setting", [field.name for field in fields(TrainConfig)])
     refuse_two_lengths(settings)
-    return replace(config or PRESETS[preset], **settings), preset
+    return with_settings(config or PRESETS[preset], settings), preset
 
 
 def _lifted(splats: Splats, capture: Capture, rows: Sequence[int]) -> Splats:
