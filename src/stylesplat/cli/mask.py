@@ -98,13 +98,14 @@ class Mask(MakingCommand):
     def run(self) -> Answer:
         from stylesplat.io.kinds import SCENE
         from stylesplat.scene.virtual_cameras import has_no_photos
-        from stylesplat.verbs.mask import settled_method
+        from stylesplat.verbs.mask import mask_source
 
-        given = self._drawn() | {"source": self.source, "model": self.model, "scene": self.scene}
-        settled_method(self.method, given)  # before photos are read
+        scene = ss.open(self.scene) if self.scene else None
+        given = self._drawn() | {"source": self.source, "model": self.model, "scene": scene}
+        mask_source(self.method, **given)  # before photos are read
         if is_file(self.capture / SCENE) and has_no_photos(ss.open(self.capture)):
             return self._mask_scene()
-        return self._mask_photos()
+        return self._mask_photos(scene)
 
     @property
     def _corrects(self) -> bool:
@@ -139,7 +140,7 @@ class Mask(MakingCommand):
         options |= {"method": self.method, "model": self.model, "device": self.device}
         return ss.mask(photos, source=self.source, progress=progress, **drawn, **options)
 
-    def _mask_photos(self) -> Answer:
+    def _mask_photos(self, scene: "ss.Scene | None") -> Answer:
         from stylesplat.figures.sheets import lower_rims, mask_preview
         from stylesplat.io.captures.capture_folder import OBJECT_MASK, read_sfm
         from stylesplat.io.images import write_image
@@ -147,7 +148,6 @@ class Mask(MakingCommand):
         from stylesplat.scene.cameras import find_name
 
         self.refuse_given(("output",), "photos, whose label maps go into object_mask/")
-        scene = ss.open(self.scene) if self.scene else None
         folder = find_photos_capture(
             self.capture, beside=self.capture, drawn=_places(self._drawn())
         )

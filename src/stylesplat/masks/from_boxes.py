@@ -1,7 +1,7 @@
 """`mask --method grabcut`: label maps of objects that the user drew boxes around."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import cast
 
@@ -37,67 +37,74 @@ Strokes = Mapping[str, PlacedStroke | Sequence[PlacedStroke]]
 """By object's name."""
 
 
-def mask_boxes(
-    capture: Capture,
-    boxes: Boxes,
-    strokes: Strokes,
-    keep: Boxes,
-    drop: Boxes,
-    *,
-    scene: Scene | None,
-    device: str,
-) -> Capture:
-    """Cut objects out of all photos, from boxes in one or a few, without any model.
+@dataclass(frozen=True, eq=False)
+class FromBoxes:
+    """Label maps of what the user drew boxes around in one or a few photos, without any model.
 
     Without boxes around objects the label maps of the capture are corrected.
-
-    Raises:
-        StyleSplatError: If there is neither a box nor a label map to correct, a box is no part of
-            its photo or shows nothing that stands out, or an object cannot be called so.
     """
-    small, full = at_most(capture, SIZE), capture.full_cameras
-    named = dict(enumerate(boxes, start=1)) if boxes else dict(capture.object_names)
-    names = named if boxes else _names_in(capture)
-    if boxes or not names:
-        refuse_without_box(boxes)
-    around = _place_boxes(boxes, full, small.cameras)
-    over = _place_strokes(strokes, [*names.values()], full, small.cameras)
-    marks = _marks(over, keep, drop, names, full, small.cameras)
-    working = working_splat(small, scene, device)
-    cameras, images = working.capture.cameras, view_images(working.splats, working.capture)
-    masks = {
-        id: propagate_boxes(
-            working.splats,
-            cameras,
-            images,
-            [(row, box) for (each, row), box in around.items() if each == name],
-            [(row, stroke) for each, row, stroke in over if each == name],
-            name=name,
-        )
-        for id, name in names.items()
-        if boxes
-    }
-    changes = {
-        id: spread_marks(working.splats, cameras, marks[name])
-        for id, name in names.items()
-        if name in marks
-    }
 
-    def labels(row: int) -> OwnLabels:
-        found = capture.labels(row)
-        if boxes:
-            found = overlay_masks([(id, each[row]) for id, each in masks.items()])
-        elif found is None:
-            found = torch.zeros(*capture.cameras[row].size[::-1], dtype=torch.int32)
-        found = found.clone()
-        for id, each in changes.items():
-            kept, dropped = (resize_labels(m.int(), found.shape).bool() for m in each[row])
-            found[dropped & (found == id)] = BACKGROUND
-            found[kept] = id
-        return found
+    boxes: Boxes = field(default_factory=dict)
+    strokes: Strokes = field(default_factory=dict)
+    keep: Boxes = field(default_factory=dict)
+    drop: Boxes = field(default_factory=dict)
+    scene: Scene | None = None
 
-    maps = [partial(labels, row) for row in range(len(capture))]
-    return with_label_maps(capture, maps, named)
+    def __post_init__(self) -> None:
+        if self.boxes or not (self.strokes or self.keep or self.drop):
+            refuse_without_box(self.boxes)
+
+    def mask(self, capture: Capture, device: str) -> Capture:
+        """Cut the objects out of all photos.
+
+        Raises:
+            StyleSplatError: If there is neither a box nor a label map to correct, or a box is no
+                part of its photo or shows nothing that stands out.
+        """
+        boxes = self.boxes
+        small, full = at_most(capture, SIZE), capture.full_cameras
+        named = dict(enumerate(boxes, start=1)) if boxes else dict(capture.object_names)
+        names = named if boxes else _names_in(capture)
+        if not names:
+            refuse_without_box({})
+        around = _place_boxes(boxes, full, small.cameras)
+        over = _place_strokes(self.strokes, [*names.values()], full, small.cameras)
+        marks = _marks(over, self.keep, self.drop, names, full, small.cameras)
+        working = working_splat(small, self.scene, device)
+        cameras, images = working.capture.cameras, view_images(working.splats, working.capture)
+        masks = {
+            id: propagate_boxes(
+                working.splats,
+                cameras,
+                images,
+                [(row, box) for (each, row), box in around.items() if each == name],
+                [(row, stroke) for each, row, stroke in over if each == name],
+                name=name,
+            )
+            for id, name in names.items()
+            if boxes
+        }
+        changes = {
+            id: spread_marks(working.splats, cameras, marks[name])
+            for id, name in names.items()
+            if name in marks
+        }
+
+        def labels(row: int) -> OwnLabels:
+            found = capture.labels(row)
+            if boxes:
+                found = overlay_masks([(id, each[row]) for id, each in masks.items()])
+            elif found is None:
+                found = torch.zeros(*capture.cameras[row].size[::-1], dtype=torch.int32)
+            found = found.clone()
+            for id, each in changes.items():
+                kept, dropped = (resize_labels(m.int(), found.shape).bool() for m in each[row])
+                found[dropped & (found == id)] = BACKGROUND
+                found[kept] = id
+            return found
+
+        maps = [partial(labels, row) for row in range(len(capture))]
+        return with_label_maps(capture, maps, named)
 
 
 def _names_in(capture: Capture) -> dict[int, str]:

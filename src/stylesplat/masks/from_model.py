@@ -103,61 +103,67 @@ def _is_ours(folder: Path) -> bool:
 SIZE = 1024  # pixels of the longer side; the models look at no more
 
 
-def mask_with_model(
-    capture: Capture,
-    method: Method,
-    *,
-    model: str | None,
-    scene: Scene | None,
-    device: str,
-    progress: Path | None,
-) -> Capture:
-    """Find the objects of all photos with a segmentation model, under ids that agree in 3D.
+@dataclass(frozen=True, eq=False)
+class FromModel:
+    """Label maps of all objects that a segmentation model finds, under ids that agree in 3D.
 
     `sam` knows single photos; its masks are propagated from photo to photo by the splat.
-
-    Raises:
-        StyleSplatError: If the model cannot be had or finds nothing, or another folder is in the
-            place of intermediate results.
     """
-    small, place = at_most(capture, SIZE), pick_device(device)
-    proposer = load_proposer(method, model, place)
-    propagator = load_propagator(method, model, place) if FAMILIES[method].video_types else None
-    bare = replace(small, label_maps=None, object_names={})
-    settings = {
-        "method": method,
-        "model": model,
-        "sizes": small.cameras.sizes.tolist(),
-        "photos": fingerprint(bare, photos=len(bare)),
-        "clips": split_clips(small.cameras),
-    }
-    with TemporaryDirectory() as temporary:
-        checkpoint = open_checkpoint(progress or Path(temporary) / "progress", settings)
-        working = working_splat(small, scene, device)
-        photos, cameras = working.capture.photos, working.capture.cameras
 
-        def propose(row: int) -> list[Mask]:
-            return [mask.cpu() for mask in proposer.propose(photos[row])]
+    family: Method
+    model: str | None = None
+    scene: Scene | None = None
+    progress: Path | None = None
 
-        def propagate(rows: Sequence[int], seeds: Mapping[int, Mask]) -> list[dict[int, Mask]]:
-            if propagator is None:
-                return propagate_through_splat(working.splats, cameras, rows, seeds)
-            return propagator.propagate([photos[row] for row in rows], seeds)
+    def mask(self, capture: Capture, device: str) -> Capture:
+        """Find the objects of all photos.
 
-        def size(row: int) -> tuple[int, int]:
-            width, height = cameras[row].size
-            return height, width
-
-        tracked = _track(Segmenter(size, propose, propagate), checkpoint)
-    maps = repair_ids(working.splats, cameras, tracked)
-    if not any(labels.any() for labels in maps):
-        raise StyleSplatError(
-            f"{method} has found no object that several photos confirm. Try another model, or draw "
-            "boxes with --box."
+        Raises:
+            StyleSplatError: If the model cannot be had or finds nothing, or another folder is in
+                the place of intermediate results.
+        """
+        small, place = at_most(capture, SIZE), pick_device(device)
+        proposer = load_proposer(self.family, self.model, place)
+        propagator = (
+            load_propagator(self.family, self.model, place)
+            if FAMILIES[self.family].video_types
+            else None
         )
-    return with_label_maps(
-        capture, [partial(maps.__getitem__, row) for row in range(len(maps))], {}
-    )
+        bare = replace(small, label_maps=None, object_names={})
+        settings = {
+            "method": self.family,
+            "model": self.model,
+            "sizes": small.cameras.sizes.tolist(),
+            "photos": fingerprint(bare, photos=len(bare)),
+            "clips": split_clips(small.cameras),
+        }
+        with TemporaryDirectory() as temporary:
+            checkpoint = open_checkpoint(self.progress or Path(temporary) / "progress", settings)
+            working = working_splat(small, self.scene, device)
+            photos, cameras = working.capture.photos, working.capture.cameras
+
+            def propose(row: int) -> list[Mask]:
+                return [mask.cpu() for mask in proposer.propose(photos[row])]
+
+            def propagate(rows: Sequence[int], seeds: Mapping[int, Mask]) -> list[dict[int, Mask]]:
+                if propagator is None:
+                    return propagate_through_splat(working.splats, cameras, rows, seeds)
+                return propagator.propagate([photos[row] for row in rows], seeds)
+
+            def size(row: int) -> tuple[int, int]:
+                width, height = cameras[row].size
+                return height, width
+
+            tracked = _track(Segmenter(size, propose, propagate), checkpoint)
+        maps = repair_ids(working.splats, cameras, tracked)
+        if not any(labels.any() for labels in maps):
+            raise StyleSplatError(
+                f"{self.family} has found no object that several photos confirm. Try another "
+                "model, or draw boxes with --box."
+            )
+        return with_label_maps(
+            capture, [partial(maps.__getitem__, row) for row in range(len(maps))], {}
+        )
 
 
 def _track(segmenter: Segmenter, checkpoint: MaskCheckpoint) -> list[Labels]:

@@ -1,6 +1,7 @@
 """Masks of other programs as label maps: pictures of ids, masks by object, run lengths of COCO."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
@@ -10,6 +11,7 @@ import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.captures.capture_folder import with_drawn_maps
 from stylesplat.io.captures.lens import MAX_SIDE
 from stylesplat.io.images import MAX_PIXELS
 from stylesplat.io.json_yaml import MAX_BYTES, fitting, read_json_as
@@ -22,7 +24,7 @@ from stylesplat.io.label_maps import (
     sizes_differ,
 )
 from stylesplat.io.mask_pictures import match_masks, without_suffix
-from stylesplat.scene.capture import BACKGROUND, MAX_ID, Labels, Mask, OwnLabels, ids_of
+from stylesplat.scene.capture import BACKGROUND, MAX_ID, Capture, Labels, Mask, OwnLabels, ids_of
 
 REMEDY = "Export images, annotations and RLE masks."
 MAX_BITS = 40  # of a run's letters; 8 letters of 5, more than MAX_PIXELS needs
@@ -142,6 +144,23 @@ def _unpack(text: str) -> list[int]:
             runs.append(value + runs[-2] if len(runs) > 2 else value)
             value = shift = 0
     return runs
+
+
+@dataclass(frozen=True, eq=False)
+class FromFiles:
+    """Label maps of another program."""
+
+    source: Path
+
+    def __post_init__(self) -> None:
+        check_mask_source(self.source)
+
+    def mask(self, capture: Capture, device: str) -> Capture:
+        """Give the photos the label maps, which have their names."""
+        found = import_label_maps(self.source, capture.cameras.names)
+        maps = (drawn.read() for drawn in found.maps.values())
+        refuse_plain(maps, f"The masks in {self.source}", "Make them anew.")
+        return with_drawn_maps(capture, found.maps, found.names)
 
 
 def import_label_maps(source: Path, names: Sequence[str]) -> FoundMasks:

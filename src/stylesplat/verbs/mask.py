@@ -1,16 +1,15 @@
 """`mask`: a capture's label maps, or a scene's objects; `labels`: a scene's labels lifted anew."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.captures.capture_folder import OBJECT_MASK, load, with_drawn_maps
 from stylesplat.masks import sam
-from stylesplat.masks.from_boxes import Boxes, Strokes, mask_boxes, refuse_without_box
-from stylesplat.masks.from_model import mask_with_model
-from stylesplat.masks.import_masks import check_mask_source, import_label_maps, refuse_plain
+from stylesplat.masks.from_boxes import Boxes, FromBoxes, Strokes
+from stylesplat.masks.from_model import FromModel
+from stylesplat.masks.import_masks import FromFiles, import_label_maps, refuse_plain
 from stylesplat.masks.working_splat import rendered_capture
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
@@ -103,10 +102,7 @@ def _with_masks(scene: Scene, masks: Path | str | None) -> Capture:
 
 Photos = TypeVar("Photos", Capture, Scene)
 Method = Literal["files", "grabcut"] | sam.Method
-# The arguments of each method; others would have no effect
-MARKS = {"strokes", "keep", "drop"}
-TAKES = {"files": {"source"}, "grabcut": {"boxes", "scene"} | MARKS}
-MODELS_TAKE = {"model", "scene", "progress"}
+MaskSource = FromFiles | FromBoxes | FromModel
 
 
 @check_arguments
@@ -164,61 +160,48 @@ def mask(
             means nothing with the method, an object cannot be called so, a model cannot be had,
             or nothing is found. If a scene has photos, which are what to mask then.
     """
-    if isinstance(capture, Scene):
-        if scene is not None:
-            raise StyleSplatError("`scene` means nothing for a scene. Leave it out.")
-        options = {"boxes": boxes, "strokes": strokes, "keep": keep, "drop": drop}
-        options |= {"source": source, "method": method, "model": model, "progress": progress}
-        return _mask_scene(capture, options, device)
-    drawn = {"boxes": boxes or {}, "strokes": strokes or {}, "keep": keep or {}, "drop": drop or {}}
-    given = {**drawn, "source": source, "model": model}
-    method = settled_method(method, given | {"scene": scene, "progress": progress})
-    if method == "files":
-        assert source is not None
-        found = import_label_maps(Path(source), capture.cameras.names)
-        maps = (drawn.read() for drawn in found.maps.values())
-        refuse_plain(maps, f"The masks in {source}", "Make them anew.")
-        return with_drawn_maps(capture, found.maps, found.names)
-    if method == "grabcut":
-        return mask_boxes(capture, **drawn, scene=scene, device=device)
-    return mask_with_model(
-        capture, method, model=model, scene=scene, device=device, progress=progress
+    if isinstance(capture, Scene) and scene is not None:
+        raise StyleSplatError("`scene` means nothing for a scene. Leave it out.")
+    masks = mask_source(
+        method,
+        boxes=boxes,
+        strokes=strokes,
+        keep=keep,
+        drop=drop,
+        source=None if source is None else Path(source),
+        model=model,
+        scene=scene,
+        progress=progress,
     )
-
-
-def settled_method(method: Method | None, given: Mapping[str, Any]) -> Method:
-    """The method that the other arguments of `mask` imply, by name; photos are not needed.
-
-    Refuses arguments that the method does not take, and files that are missing.
-    """
-    source = given.get("source")
-    method = method or ("grabcut" if source is None else "files")
-    check_choice(method, "method", ("files", "grabcut", *get_args(sam.Method)))
-    for name, value in given.items():
-        if value and name not in TAKES.get(method, MODELS_TAKE):
-            raise StyleSplatError(
-                f"`{name}` means nothing with the method `{method}`. Leave it out."
-            )
-    if method == "files":
-        if source is None:
-            raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
-        check_mask_source(Path(source))
-    if method == "grabcut" and (given.get("boxes") or not any(given.get(n) for n in MARKS)):
-        refuse_without_box(given.get("boxes") or {})
-    return method
-
-
-def _mask_scene(scene: Scene, options: dict[str, Any], device: str) -> Scene:
-    """Mask renders of a scene without photos, and lift the labels onto it."""
-    if not has_no_photos(scene):
+    if not isinstance(capture, Scene):
+        return masks.mask(capture, device)
+    if not has_no_photos(capture):
         raise StyleSplatError(
             "This scene was made from photos. Mask those, and train or import again; or name what "
             "it has with `select`."
         )
     place = pick_device(device)
-    foreign = options["method"] == "files" or options["source"] is not None
-    masked = mask(
-        rendered_capture(scene, place), **options, scene=None if foreign else scene, device=device
-    )
-    drawn = options["method"] in (None, "grabcut") and not foreign
-    return relabel(scene, masked, add=drawn, device=place)
+    views = rendered_capture(capture, place)
+    if not isinstance(masks, FromFiles):
+        masks = replace(masks, scene=capture)
+    masked = masks.mask(views, device)
+    return relabel(capture, masked, add=isinstance(masks, FromBoxes), device=place)
+
+
+def mask_source(method: Method | None, **given: Any) -> MaskSource:
+    """Where masks come from, by the arguments of `mask`; photos are not needed.
+
+    Refuses arguments that the method does not take, and files that are missing.
+    """
+    method = method or ("grabcut" if given.get("source") is None else "files")
+    check_choice(method, "method", ("files", "grabcut", *get_args(sam.Method)))
+    kinds: dict[str, type[MaskSource]] = {"files": FromFiles, "grabcut": FromBoxes}
+    kind, given = kinds.get(method, FromModel), {name: v for name, v in given.items() if v}
+    known = {each.name for each in fields(kind)}
+    if idle := [name for name in given if name not in known]:
+        raise StyleSplatError(
+            f"`{idle[0]}` means nothing with the method `{method}`. Leave it out."
+        )
+    if kind is FromFiles and "source" not in given:
+        raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
+    return kind(**given, **({"family": method} if kind is FromModel else {}))
