@@ -40,10 +40,9 @@ from stylesplat.selection.labels import pick
 from stylesplat.stylization.config import PATTERN_LENGTH, Network, StyleConfig
 from stylesplat.stylization.features import PACKAGED, FeatureNetwork, fastest_dtype, load_weights
 from stylesplat.stylization.matching import most_similar
-from stylesplat.stylization.optimize import paint_steps
-from stylesplat.stylization.paint import paint_context
+from stylesplat.stylization.painter import paint_setup, paint_steps
+from stylesplat.stylization.painting import Painting
 from stylesplat.stylization.style import style_features
-from stylesplat.stylization.target import PaintTarget
 from stylesplat.stylization.views import ObjectView, object_views, require_boxes
 
 FOX = 1  # label id
@@ -74,10 +73,10 @@ class Bench:
     scene: ss.Scene
     paintings: dict[str, Tensor]
 
-    def job(self, painting: str) -> PaintTarget:
+    def job(self, painting: str) -> Painting:
         """The fox in a painting."""
         picked = pick(self.scene.splats, object_id=FOX)
-        return PaintTarget(painting, picked, (self.paintings[painting],), StyleConfig())
+        return Painting(painting, picked, (self.paintings[painting],), StyleConfig())
 
 
 def photos(scene: str) -> list[Tensor]:
@@ -89,7 +88,7 @@ def photos(scene: str) -> list[Tensor]:
 def fox_views(bench: Bench, length: float) -> tuple[list[ObjectView], list[Tensor]]:
     """Views of the fox at some size, and their renders."""
     training, _ = bench.scene.working_views()
-    studio = paint_context(bench.scene.splats, training, bench.vgg19)
+    studio = paint_setup(bench.scene.splats, training, bench.vgg19)
     job = bench.job(next(iter(bench.paintings)))
     views = evenly(object_views(studio, job, require_boxes(studio, job), length), VIEWS)
     images = [rasterize(bench.scene.splats, view.camera)[0][0].clamp(0, 1) for view in views]
@@ -170,7 +169,7 @@ def equivalence(bench: Bench) -> str:
     for name in bench.paintings:
         job, losses = bench.job(name), {}
         for title, network in (("vgg19", bench.vgg19), ("compact", bench.compact)):
-            studio = paint_context(bench.scene.splats, training, network, held_out=held_out)
+            studio = paint_setup(bench.scene.splats, training, network, held_out=held_out)
             *_, last = paint_steps(studio, job)
             judged = replace(studio, network=bench.vgg19, cameras=held_out or training)
             found = measure_style(judged, job, last.splats)

@@ -36,7 +36,7 @@ from stylesplat.selection.labels import pick
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.matching import most_similar
-from stylesplat.stylization.paint import paint
+from stylesplat.stylization.painter import paint
 
 LAYER = 3  # group of the network's layers, as the default paints with
 VIEWS = 4

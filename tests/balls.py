@@ -25,8 +25,8 @@ from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.selection.labels import render_labels
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.painting import Painting, paint_setup
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.target import PaintTarget, paint_context
 from stylesplat.stylization.views import Box, ObjectView, object_views
 from stylesplat.verbs.stylize import stylize
 
@@ -169,13 +169,13 @@ def cropped(
     splats: Splats, boxes: Sequence[Box], mask: Tensor, network: FeatureNetwork, **options: Any
 ) -> list[ObjectView]:
     """Views of some Gaussians, for the features of one block."""
-    config = StyleConfig(block=options.pop("block", 2), published=True)  # colours by direction, too
-    target = PaintTarget("object", mask, (), config)
-    context = paint_context(splats, CAMERAS, network)
-    return object_views(context, target, boxes, options.pop("zoom", 1.0), **options)
+    config = StyleConfig(block=options.pop("block", 2))
+    painting = Painting("object", mask, (), config)
+    setup = paint_setup(splats, CAMERAS, network)
+    return object_views(setup, painting, boxes, options.pop("zoom", 1.0), **options)
 
 
-def with_settings(job: PaintTarget, **settings) -> PaintTarget:
+def with_settings(job: Painting, **settings) -> Painting:
     return replace(job, config=replace(job.config, **settings))
 
 

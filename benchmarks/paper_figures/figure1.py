@@ -9,8 +9,8 @@ from paper_figures.painting import default_config, painted, paper_config
 from paper_figures.story import Block, Figure, Row, Table, digits, percent
 from paper_figures.subject import Subject, cut, shot
 from stylesplat.evaluation.style import content_ssim, measure_style
-from stylesplat.stylization.paint import paint_context
-from stylesplat.stylization.target import PaintTarget
+from stylesplat.stylization.painter import paint_setup
+from stylesplat.stylization.painting import Painting
 
 NAME = "figure1"
 WAYS = {"paper": paper_config, "ours": default_config}
@@ -46,8 +46,8 @@ def _styled(subject: Subject, style: str, way: str) -> Outcome:
     spent = process_time() - start
     numbers = {"painting": spent} | leakage(subject, subject.splats, styled, id)
     numbers["content_ssim"] = content_ssim(subject.splats, styled, subject.held_out, picked)
-    job = PaintTarget(subject.called(id), picked, (picture,), config)
-    studio = paint_context(subject.splats, subject.held_out, subject.network)
+    job = Painting(subject.called(id), picked, (picture,), config)
+    studio = paint_setup(subject.splats, subject.held_out, subject.network)
     close = measure_style(studio, job, styled)
     numbers |= {name: close[name] for name in ("nnfm_before", "nnfm_after")}
     camera = subject.best_view(id)

@@ -27,8 +27,8 @@ from stylesplat.imaging.similarity import mask_iou
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, Labels, Mask, resize_labels
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.paint import paint_context
-from stylesplat.stylization.target import PaintTarget
+from stylesplat.stylization.painter import paint_setup
+from stylesplat.stylization.painting import Painting
 
 NAME = "official"
 SQUASHED, BLACK, BICUBIC = "style squashed", "black background counts", "bicubic labels"
@@ -75,8 +75,8 @@ def _styled(subject: Subject, faults: tuple[str, ...]) -> Outcome:
 def _closeness(subject: Subject, styled: Splats) -> float:
     """NNFM of the object as it is now with the style as it is, in held-out views."""
     id, style = subject.ids[0], next(iter(subject.styles.values()))
-    job = PaintTarget(subject.called(id), subject.picked(id), (style,), paper_config(subject))
-    studio = paint_context(subject.splats, subject.held_out, subject.network)
+    job = Painting(subject.called(id), subject.picked(id), (style,), paper_config(subject))
+    studio = paint_setup(subject.splats, subject.held_out, subject.network)
     return measure_style(studio, job, styled)["nnfm_after"]
 
 

@@ -13,8 +13,8 @@ from paper_figures.subject import Subject
 from stylesplat.scene.layers import Composed
 from stylesplat.stylization import optimize
 from stylesplat.stylization.config import PRESETS, StyleConfig
-from stylesplat.stylization.paint import paint_context, paint_objects
-from stylesplat.stylization.target import PaintTarget
+from stylesplat.stylization.painter import paint_objects, paint_setup
+from stylesplat.stylization.painting import Painting
 
 
 def default_config(subject: Subject) -> StyleConfig:
@@ -36,9 +36,9 @@ def painted(
 ) -> Composed:
     """Some objects in a style each, from the training views, this long if that is said."""
     views = subject.training if side is None else subject.training.at_most(side)
-    studio = paint_context(subject.splats, views, subject.network, held_out=subject.held_out)
+    studio = paint_setup(subject.splats, views, subject.network, held_out=subject.held_out)
     jobs = [
-        PaintTarget(subject.called(id), subject.picked(id), (style,), config)
+        Painting(subject.called(id), subject.picked(id), (style,), config)
         for id, style in styles.items()
     ]
     return paint_objects(studio, jobs)

@@ -27,21 +27,21 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import Composed
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.paint import paint_context, paint_objects
-from stylesplat.stylization.target import PaintTarget
-from stylesplat.stylization.views import ObjectView
+from stylesplat.stylization.painter import paint_objects, paint_setup
+from stylesplat.stylization.painting import Painting
+from stylesplat.stylization.views import PaintView
 
 NOISE = rand(48, 48, 3)
 
 
 def measured(
-    jobs: Sequence[PaintTarget],
+    jobs: Sequence[Painting],
     network: FeatureNetwork,
     cameras: Cameras = CAMERAS,
     *,
     held_out: Cameras | None = None,
 ) -> tuple[Composed, dict[str, Any]]:
-    studio = paint_context(SCENE, cameras, network, held_out=held_out)
+    studio = paint_setup(SCENE, cameras, network, held_out=held_out)
     styled = paint_objects(studio, jobs)
     return styled, measure_painted([studio] * len(jobs), jobs, styled.splats, held_out=held_out)
 
@@ -52,13 +52,13 @@ def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def job(stripes: torch.Tensor) -> PaintTarget:
-    return PaintTarget("ball", ball(0), (stripes,), FAST)
+def job(stripes: torch.Tensor) -> Painting:
+    return Painting("ball", ball(0), (stripes,), FAST)
 
 
 @pytest.mark.parametrize(("color", "quality"), [("blend", "draft"), ("free", "normal")])
 def test_the_object_comes_closer_to_the_style(
-    job: PaintTarget, network: FeatureNetwork, color: str, quality: str
+    job: Painting, network: FeatureNetwork, color: str, quality: str
 ):
     job = with_settings(job, steps=60, color=color, quality=quality)
     styled, metrics = measured([job], network, CAMERAS[1:], held_out=CAMERAS[:1])
@@ -86,7 +86,7 @@ def test_the_background_has_no_say(network: FeatureNetwork):
     image = torch.rand(40, 50, 3, generator=generator)
     mask = torch.zeros(20, 25, dtype=torch.bool)
     mask[6, 9] = True
-    view = ObjectView(CAMERAS[0], mask, torch.ones(40, 50, dtype=torch.bool))
+    view = PaintView(CAMERAS[0], mask, torch.ones(40, 50, dtype=torch.bool))
     cells = network.cells(2)
     top, left = (i * cells.stride - cells.before for i in (6, 9))
     inside = torch.zeros(40, 50, 1, dtype=torch.bool)

@@ -23,7 +23,7 @@ from stylesplat.studio_app.history import replace_scene
 from stylesplat.studio_app.paint_queue import PaintQueue, seconds_left
 from stylesplat.studio_app.session import Change, Session
 from stylesplat.stylization.config import plain_settings
-from stylesplat.stylization.paint import paint
+from stylesplat.stylization.painter import paint
 from stylesplat.verbs.export import export
 
 

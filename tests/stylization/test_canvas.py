@@ -13,12 +13,11 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import colors_and_coverage, coverage
 from stylesplat.scene.layers import compose
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
+from stylesplat.stylization.canvas import Canvas, PaintState, fit_canvas, lay_canvas
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.confine import LONG, align_to_strokes, confine_canvas
-from stylesplat.stylization.optimize import PaintState
-from stylesplat.stylization.paint import layer_of
-from stylesplat.stylization.target import PaintTarget
+from stylesplat.stylization.painter import layer_of
+from stylesplat.stylization.painting import Painting
 from stylesplat.stylization.views import Box, find_boxes
 
 FINE = enlarged(CAMERAS, 4)
@@ -120,8 +119,8 @@ def test_it_fades_in_as_strongly_as_is_wanted(laid: Canvas):
     sh0 = laid.splats.sh0.clone()
     sh0[count:] = -sh0[count:]  # any other colours
     after = replace(laid.splats, sh0=sh0)
-    state = PaintState(1, 1, torch.zeros(()), after, before, laid.parents, torch.zeros(len(after)))
-    layer = layer_of(state, PaintTarget("ball", PICKED, (), StyleConfig()), ROWS)
+    state = PaintState(1, 1, torch.zeros(()), after, laid, torch.zeros(len(after)))
+    layer = layer_of(state, Painting("ball", PICKED, (), StyleConfig()), ROWS)
     for index in (0, 3):
         first, last = (rasterize(s, FINE[index])[0][0] for s in (before, after))
         assert torch.equal(first, rasterize(SOLID, FINE[index])[0][0])

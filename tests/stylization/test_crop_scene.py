@@ -6,34 +6,34 @@ import torch
 
 from balls import CAMERAS, FAST, ball, same
 from balls import STRIPED_SCENE as SCENE
-from stylesplat.stylization import paint as cutting
+from stylesplat.stylization import painter as cutting
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.paint import crop_scene, paint_context, paint_objects
-from stylesplat.stylization.target import PaintContext, PaintTarget
+from stylesplat.stylization.painter import crop_scene, paint_objects, paint_setup
+from stylesplat.stylization.painting import Painting, PaintSetup
 
 BALL = ball(0)
 ELSEWHERE = 100  # Gaussians that no camera sees, before all others
 
 
 @pytest.fixture
-def studio(network: FeatureNetwork, monkeypatch: pytest.MonkeyPatch) -> PaintContext:
+def studio(network: FeatureNetwork, monkeypatch: pytest.MonkeyPatch) -> PaintSetup:
     """A scene that counts as large, most of which is out of sight."""
     monkeypatch.setattr(cutting, "LARGE", 0)
     away = SCENE[torch.arange(ELSEWHERE)]
     away = replace(away, means=away.means + torch.tensor([0.0, 0.0, 1e4]))
     both = {name: torch.cat([away.tensors()[name], t]) for name, t in SCENE.tensors().items()}
-    return paint_context(replace(SCENE, **both), CAMERAS, network)
+    return paint_setup(replace(SCENE, **both), CAMERAS, network)
 
 
 def behind(mask: torch.Tensor) -> torch.Tensor:
     return torch.cat([torch.zeros(ELSEWHERE, dtype=torch.bool), mask])
 
 
-def target(mask: torch.Tensor, *styles: torch.Tensor, **settings: Any) -> PaintTarget:
-    return PaintTarget("ball", behind(mask), styles, replace(FAST, **settings))
+def target(mask: torch.Tensor, *styles: torch.Tensor, **settings: Any) -> Painting:
+    return Painting("ball", behind(mask), styles, replace(FAST, **settings))
 
 
-def test_what_the_object_hides_matters_and_what_no_view_shows_does_not(studio: PaintContext):
+def test_what_the_object_hides_matters_and_what_no_view_shows_does_not(studio: PaintSetup):
     inside = SCENE.means[BALL].mean(dim=0)
     means = studio.splats.means.clone()
     hidden = ELSEWHERE + int((~BALL).nonzero()[0])
@@ -45,7 +45,7 @@ def test_what_the_object_hides_matters_and_what_no_view_shows_does_not(studio: P
     assert same(part.splats, scene.splats[rows]) and torch.equal(own.mask, behind(BALL)[rows])
 
 
-def test_views_that_hide_the_object_do_not_matter(studio: PaintContext):
+def test_views_that_hide_the_object_do_not_matter(studio: PaintSetup):
     """Nor is there a cut if only held-out views show it: that is refused as in the whole scene."""
     away = CAMERAS[0]
     turned = away.viewmats.clone()
@@ -59,7 +59,7 @@ def test_views_that_hide_the_object_do_not_matter(studio: PaintContext):
 
 
 def test_painted_as_in_the_whole_scene(
-    studio: PaintContext, stripes: torch.Tensor, monkeypatch: pytest.MonkeyPatch
+    studio: PaintSetup, stripes: torch.Tensor, monkeypatch: pytest.MonkeyPatch
 ):
     job = target(BALL, stripes)
     cut = paint_objects(studio, [job])
@@ -71,7 +71,7 @@ def test_painted_as_in_the_whole_scene(
     assert torch.equal(cut.layers[0].rows, job.mask.nonzero()[:, 0]), "rows of the whole base"
 
 
-def test_nothing_else_changes_beside_a_canvas(studio: PaintContext, stripes: torch.Tensor):
+def test_nothing_else_changes_beside_a_canvas(studio: PaintSetup, stripes: torch.Tensor):
     job = target(BALL, stripes, quality="normal")
     styled = paint_objects(studio, [job])
     count = len(studio.splats)

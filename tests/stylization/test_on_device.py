@@ -16,13 +16,13 @@ from stylesplat.rendering.visibility import in_view, pixel_bounds, visible
 from stylesplat.rendering.weights import contributions, coverage
 from stylesplat.selection.shares import own_shares
 from stylesplat.stylization import canvas as fitting
-from stylesplat.stylization import paint as cutting
+from stylesplat.stylization import painter as cutting
 from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
 from stylesplat.stylization.confine import confine_canvas
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.paint import crop_scene
+from stylesplat.stylization.painter import crop_scene
+from stylesplat.stylization.painting import Painting, paint_setup
 from stylesplat.stylization.surface import unpainted_views
-from stylesplat.stylization.target import PaintTarget, paint_context
 from stylesplat.stylization.views import find_boxes
 
 LARGER = enlarged(CAMERAS[::4], 2)
@@ -131,8 +131,8 @@ def test_crops_of_large_scenes(
     means[:ELSEWHERE, 2] += 1e4
     scene, rows = replace(SCENE, means=means), {}
     for device in ("cpu", cuda):
-        context = paint_context(scene.to(device), CAMERAS[:3], network.to(device))
-        target = PaintTarget("ball", ball(0).to(device), (), FAST)
+        context = paint_setup(scene.to(device), CAMERAS[:3], network.to(device))
+        target = Painting("ball", ball(0).to(device), (), FAST)
         part, own, rows[device] = crop_scene(context, target)
         assert same(part.splats.to("cpu"), scene[rows[device].cpu()])
         assert torch.equal(own.mask.cpu(), ball(0)[rows[device].cpu()])

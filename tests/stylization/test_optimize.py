@@ -1,5 +1,6 @@
 """What a step of painting asks of a GPU; on any machine, see `fake_cuda.py`."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -13,8 +14,8 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import RasterizedContributions
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.optimize import paint_steps
-from stylesplat.stylization.target import PaintTarget, paint_context
+from stylesplat.stylization.painter import paint_steps
+from stylesplat.stylization.painting import Painting, paint_setup
 from stylesplat.stylization.views import find_boxes, object_views
 
 
@@ -31,8 +32,8 @@ def test_steps_never_wait_for_the_device(
     settings: dict[str, Any],
 ):
     config = StyleConfig(block=2, scale=1.5, object_size=24, **settings)
-    target = PaintTarget("ball", ball(0).to(cuda), (stripes.to(cuda),), config)
-    context = paint_context(SPLATS.to(cuda), CAMERAS[:2], network.to(cuda))
+    target = Painting("ball", ball(0).to(cuda), (stripes.to(cuda),), config)
+    context = paint_setup(SPLATS.to(cuda), CAMERAS[:2], network.to(cuda))
     inner, last = set[int](), 0
     for stage in config.stages(24.0):  # its first step also prepares it, its last completes it
         inner |= {*range(last + 2, last + stage.steps)}
@@ -48,12 +49,13 @@ def test_steps_never_wait_for_the_device(
 
 
 def test_views_on_a_device_rasterize_what_reaches_them(cuda: str, network: FeatureNetwork):  # noqa: F811
-    splats, mask = SPLATS.to(cuda), ball(0).to(cuda)
-    target = PaintTarget("ball", mask, (), StyleConfig(block=2))
-    context = paint_context(splats, CAMERAS, network.to(cuda))
+    matte = replace(SPLATS, shN=torch.zeros_like(SPLATS.shN))
+    splats, mask = matte.to(cuda), ball(0).to(cuda)
+    target = Painting("ball", mask, (), StyleConfig(block=2))
+    context = paint_setup(splats, CAMERAS, network.to(cuda))
     boxes = find_boxes(splats, CAMERAS[:2], mask)
     for view in object_views(context, target, boxes, 1.0):
         assert isinstance(view.linear, RasterizedContributions)
         assert len(view.linear.near) < len(splats)
         whole = rasterize(splats, view.camera)[0][0]
-        torch.testing.assert_close(view.render(splats).cpu(), whole.cpu())
+        torch.testing.assert_close(view.render(splats.sh0[mask, 0]).cpu(), whole.cpu())

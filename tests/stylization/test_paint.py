@@ -19,23 +19,24 @@ from stylesplat.scene.layers import Composed, compose
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.stylization.config import PRESETS
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.optimize import PREVIEW_STEPS, paint_steps
-from stylesplat.stylization.paint import (
+from stylesplat.stylization.painter import (
+    PREVIEW_STEPS,
     layer_of,
     paint,
-    paint_context,
     paint_objects,
+    paint_setup,
+    paint_steps,
 )
+from stylesplat.stylization.painting import Painting
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.target import PaintTarget
 from stylesplat.verbs.stylize import stylize
 
 
-def painted(jobs: Sequence[PaintTarget], network: FeatureNetwork, **options) -> Composed:
-    return paint_objects(paint_context(SCENE, CAMERAS, network, **options), jobs)
+def painted(jobs: Sequence[Painting], network: FeatureNetwork, **options) -> Composed:
+    return paint_objects(paint_setup(SCENE, CAMERAS, network, **options), jobs)
 
 
-def styled_by(job: PaintTarget, network: FeatureNetwork, **settings) -> Splats:
+def styled_by(job: Painting, network: FeatureNetwork, **settings) -> Splats:
     return painted([with_settings(job, **settings)], network).splats
 
 
@@ -46,14 +47,12 @@ def picture_error(one: Splats, other: Splats) -> float:
 
 
 @pytest.fixture(scope="module")
-def job(stripes: torch.Tensor) -> PaintTarget:
-    return PaintTarget("ball", ball(0), (stripes,), FAST)
+def job(stripes: torch.Tensor) -> Painting:
+    return Painting("ball", ball(0), (stripes,), FAST)
 
 
 @pytest.mark.parametrize("quality", ["draft", "normal"])
-def test_all_but_the_object_stays_to_the_bit(
-    job: PaintTarget, network: FeatureNetwork, quality: str
-):
+def test_all_but_the_object_stays_to_the_bit(job: Painting, network: FeatureNetwork, quality: str):
     """Drafts paint the object's own Gaussians, in the shapes that they have, however large."""
     styled, count = painted([with_settings(job, quality=quality)], network), len(SCENE)
     for name, before in SCENE.tensors().items():
@@ -73,34 +72,34 @@ def test_all_but_the_object_stays_to_the_bit(
     assert not styled.layers[0].surfels.shN.any(), "a canvas is matte"
 
 
-def test_colors_stay_in_range_where_gradients_exist(job: PaintTarget, network: FeatureNetwork):
+def test_colors_stay_in_range_where_gradients_exist(job: Painting, network: FeatureNetwork):
     styled = styled_by(job, network, lr=2.0, color="free")
     colors = rgb_from_sh0(styled.sh0[job.mask])
     assert -1e-6 <= colors.min() < 0.01  # a few roundings; and some did go to the limit
     assert 0.99 < colors.max() <= 1 + 1e-6
 
 
-def test_each_object_is_painted_on_those_before(job: PaintTarget, network: FeatureNetwork):
+def test_each_object_is_painted_on_those_before(job: Painting, network: FeatureNetwork):
     """And each with its own settings. The first does not see the second."""
     job = with_settings(job, quality="normal")
     own = replace(FAST, steps=7, color="free", seed=5, quality="normal")
-    second = PaintTarget("second", ball(2), (job.styles[0].flip(-1),), own)
-    both = paint_objects(paint_context(SCENE, CAMERAS, network), [job, second])
+    second = Painting("second", ball(2), (job.images[0].flip(-1),), own)
+    both = paint_objects(paint_setup(SCENE, CAMERAS, network), [job, second])
     assert [layer.object for layer in both.layers] == ["ball", "second"]
     first = painted([job], network)
     assert same(compose(SCENE, both.layers[:1]).splats, first.splats)
-    studio = paint_context(first.splats, CAMERAS, network)
+    studio = paint_setup(first.splats, CAMERAS, network)
     upon = paint_objects(studio, [replace(second, mask=second.mask[first.parents])])
     assert same(upon.splats, both.splats)
     neither = ~(job.mask | second.mask)
     assert same(both.splats[torch.arange(len(SCENE))[neither]], SCENE[neither])
 
 
-def test_an_object_may_lie_on_the_canvas_of_another(job: PaintTarget, network: FeatureNetwork):
+def test_an_object_may_lie_on_the_canvas_of_another(job: Painting, network: FeatureNetwork):
     """What was painted is what is composed, as far as a row may stand for a piece of canvas."""
     job = with_settings(job, quality="normal")
     over = replace(with_settings(job, quality="normal", seed=3), name="over")
-    over = replace(over, styles=(1 - job.styles[0],), mask=ball(0) | ball(1))
+    over = replace(over, images=(1 - job.images[0],), mask=ball(0) | ball(1))
     both = painted([job, over], network)
     low, high = both.layers
     assert len(low.surfels) and len(high.surfels)
@@ -112,7 +111,7 @@ def test_an_object_may_lie_on_the_canvas_of_another(job: PaintTarget, network: F
     assert same(compose(SCENE, [low, replace(high, strength=0.0)]).splats, beneath)
 
 
-def test_intensity_blends_renders(job: PaintTarget, network: FeatureNetwork):
+def test_intensity_blends_renders(job: Painting, network: FeatureNetwork):
     half, full = (painted([with_settings(job, intensity=i)], network) for i in (0.5, 1.0))
     for name in ("sh0", "shN"):
         pair = getattr(SCENE, name), getattr(full.splats, name)
@@ -124,14 +123,14 @@ def test_intensity_blends_renders(job: PaintTarget, network: FeatureNetwork):
 
 @pytest.mark.parametrize("steps", [1, 3])
 def test_the_papers_steps_are_those_of_adam_at_its_rates(
-    job: PaintTarget, network: FeatureNetwork, steps: int
+    job: Painting, network: FeatureNetwork, steps: int
 ):
     """3D Gaussian splatting's code: 0.0025 for the constant band, a twentieth for the others."""
     glaring = SCENE.sh0.clone()
     glaring[job.mask] *= 3  # beyond white and black, where it stays
     scene = replace(SCENE, sh0=glaring)
     paper = replace(PRESETS["paper"], steps=steps, block=2, scale=1.5)
-    studio = paint_context(scene, enlarged(CAMERAS, 3), network)
+    studio = paint_setup(scene, enlarged(CAMERAS, 3), network)
     styled = paint_objects(studio, [replace(job, config=paper)]).splats
     before, after = scene.tensors(), styled.tensors()
     assert {n for n in before if not torch.equal(before[n], after[n])} == {"sh0", "shN"}
@@ -146,7 +145,7 @@ def test_the_papers_steps_are_those_of_adam_at_its_rates(
 
 
 def test_views_that_do_not_fit_into_memory_give_the_same_picture(
-    job: PaintTarget, network: FeatureNetwork
+    job: Painting, network: FeatureNetwork
 ):
     kept, drawn = (
         painted([job], network, max_memory=memory, precision="bfloat16").splats
@@ -166,9 +165,9 @@ def seen_colors(splats: Splats, picked: torch.Tensor) -> torch.Tensor:
     return torch.cat(pixels)
 
 
-def test_whose_colors_the_object_has(job: PaintTarget, network: FeatureNetwork):
+def test_whose_colors_the_object_has(job: Painting, network: FeatureNetwork):
     own = seen_colors(SCENE, job.mask).mean(dim=0)
-    style = job.styles[0].reshape(-1, 3)
+    style = job.images[0].reshape(-1, 3)
     ways = {
         color: seen_colors(styled_by(job, network, color=color), job.mask)
         for color in ("style", "keep", "blend")
@@ -184,19 +183,17 @@ def test_whose_colors_the_object_has(job: PaintTarget, network: FeatureNetwork):
     assert (spread - wanted).norm() < 0.6 * wanted.norm()
 
 
-def test_features_take_the_best_match_of_several_pictures(
-    job: PaintTarget, network: FeatureNetwork
-):
+def test_features_take_the_best_match_of_several_pictures(job: Painting, network: FeatureNetwork):
     noise = rand(44, 52, 3)
-    both = painted([replace(job, styles=(*job.styles, noise))], network)
-    twice = painted([replace(job, styles=job.styles * 2)], network)
+    both = painted([replace(job, images=(*job.images, noise))], network)
+    twice = painted([replace(job, images=job.images * 2)], network)
     single = styled_by(job, network)
     assert picture_error(twice.splats, single) > picture_error(both.splats, single) + 3
 
 
-def test_the_verb(job: PaintTarget, network: FeatureNetwork, tmp_path: Path):
+def test_the_verb(job: Painting, network: FeatureNetwork, tmp_path: Path):
     path = tmp_path / "style.png"
-    pixels = (job.styles[0] * 255).round().to(torch.uint8)
+    pixels = (job.images[0] * 255).round().to(torch.uint8)
     Image.fromarray(pixels.numpy()).save(path)
     photos = [torch.zeros(36, 48, 3, dtype=torch.uint8)] * len(CAMERAS)
     rest = {"config": FAST, "network": network}
@@ -207,9 +204,9 @@ def test_the_verb(job: PaintTarget, network: FeatureNetwork, tmp_path: Path):
         paint(SCENE, CAMERAS, job.mask, tmp_path / "none.png", **rest)
 
 
-def test_states_lead_to_the_same(job: PaintTarget, network: FeatureNetwork):
+def test_states_lead_to_the_same(job: Painting, network: FeatureNetwork):
     job = with_settings(job, quality="normal")
-    context = paint_context(SCENE, CAMERAS, network)
+    context = paint_setup(SCENE, CAMERAS, network)
     live = paint_steps(context, job, preview=True)
     early = list(islice(live, 5))
     assert [state.step for state in early] == [1, 2, 3, 4, 5]
@@ -223,9 +220,11 @@ def test_states_lead_to_the_same(job: PaintTarget, network: FeatureNetwork):
     assert same(compose(SCENE, [layer]).splats, painted([job], network).splats)
     assert torch.equal(early[-1].splats.sh0, kept), "later steps leave earlier states alone"
     assert not torch.equal(early[-2].splats.sh0, kept)
-    assert len(early[0].splats) == len(early[0].parents) == len(SCENE), "the preview comes first"
-    assert len(late[-1].splats) == len(late[-1].parents) > len(SCENE)
-    assert same(early[0].base, SCENE)
+    assert len(early[0].splats) == len(early[0].canvas.parents) == len(SCENE), (
+        "the preview comes first"
+    )
+    assert len(late[-1].splats) == len(late[-1].canvas.parents) > len(SCENE)
+    assert early[0].canvas.before is context.splats
     again = next(paint_steps(context, job, preview=True))
     assert same(again.splats, early[0].splats), "who starts again gets the same"
     other = next(paint_steps(context, with_settings(job, seed=1), preview=True))
@@ -241,7 +240,7 @@ HAZE = replace(  # half-covered pixels are there, but none is painted by one Gau
 FEW = ball(0) & (torch.arange(len(SCENE)) < TABLE + 49)
 
 
-def test_what_cannot_be_painted_is_refused(job: PaintTarget, network: FeatureNetwork):
+def test_what_cannot_be_painted_is_refused(job: Painting, network: FeatureNetwork):
     for splats, jobs, fault in (
         (HIDDEN, [job], "ball: it is seen in none of the 8 views"),
         (HAZE, [job], "ball: most of what each"),
@@ -251,12 +250,12 @@ def test_what_cannot_be_painted_is_refused(job: PaintTarget, network: FeatureNet
         (SCENE, [], "Nothing to stylise"),
     ):
         with pytest.raises(StyleSplatError, match=fault):
-            paint_objects(paint_context(splats, CAMERAS, network), jobs)
+            paint_objects(paint_setup(splats, CAMERAS, network), jobs)
     with pytest.raises(StyleSplatError, match="Cannot keep views in -1"):
         painted([job], network, max_memory=-1.0)
 
 
-def test_a_viewer_may_paint_without_gradients(job: PaintTarget, network: FeatureNetwork):
+def test_a_viewer_may_paint_without_gradients(job: Painting, network: FeatureNetwork):
     with torch.no_grad():
         quiet = styled_by(job, network)
     assert same(quiet, styled_by(job, network))
@@ -266,27 +265,27 @@ def test_no_object_is_painted_if_another_cannot_be(monkeypatch: pytest.MonkeyPat
     def no_step(*_: object) -> None:
         raise AssertionError("an object was painted")
 
-    monkeypatch.setattr("stylesplat.stylization.optimize.optimize_colors", no_step)
+    monkeypatch.setattr("stylesplat.stylization.painter.optimize_colors", no_step)
     picture = torch.rand(64, 64, 3)
     styles = {"red": picture, "green": Style(picture, object_size=4, scale=50.0)}
     with pytest.raises(StyleSplatError, match="green: it is hardly visible"):
         stylize(TRAINED, styles, device="cpu")
 
 
-def test_a_style_smaller_than_a_feature_is_painted(job: PaintTarget, network: FeatureNetwork):
+def test_a_style_smaller_than_a_feature_is_painted(job: Painting, network: FeatureNetwork):
     small = with_settings(job, object_size=24, scale=0.1, steps=4)
     styled = painted([small], network)
     assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
 
 
-def test_soft_picks_leave_what_is_not_the_object(job: PaintTarget, network: FeatureNetwork):
+def test_soft_picks_leave_what_is_not_the_object(job: Painting, network: FeatureNetwork):
     """A picked Gaussian that hangs beside the ball, large and faint, keeps every bit."""
     means, scales, opacities = (t.clone() for t in (SCENE.means, SCENE.scales, SCENE.opacities))
     means[0] += torch.tensor([0.0, 0.0, 0.5])
     scales[0], opacities[0] = math.log(0.5), -2.0
     scene = replace(SCENE, means=means, scales=scales, opacities=opacities)
     hazy = replace(job, mask=job.mask.index_fill(0, torch.tensor([0]), True))
-    studio = paint_context(scene, CAMERAS, network)
+    studio = paint_setup(scene, CAMERAS, network)
     first = torch.tensor([0])
     for quality in ("draft", "normal"):
         styled = paint_objects(studio, [with_settings(hazy, quality=quality)])

@@ -21,8 +21,8 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.optimize import target_features
+from stylesplat.stylization.painting import Painting, PaintSetup
 from stylesplat.stylization.style import all_colors, fit_style, style_features
-from stylesplat.stylization.target import PaintContext, PaintTarget
 from stylesplat.stylization.views import (
     Box,
     ObjectView,
@@ -44,8 +44,8 @@ SURELY_NEAR = 5.0  # of Lab: no colours in a cube of this size are farther apart
 
 
 def measure_painted(
-    contexts: Sequence[PaintContext],
-    targets: Sequence[PaintTarget],
+    setups: Sequence[PaintSetup],
+    paintings: Sequence[Painting],
     styled: Splats,
     *,
     held_out: Cameras | None = None,
@@ -54,8 +54,8 @@ def measure_painted(
     """Measure how painting some objects changed them and the rest of the scene.
 
     Args:
-        contexts: For each object the scene before, the views that were optimised on, its network.
-        targets: The objects and their styles.
+        setups: For each object the scene before, the views that were optimised on, its network.
+        paintings: The objects and their styles.
         styled: The scene after; new Gaussians are at its end.
         held_out: Views to measure on instead.
         surveys: By name, the boxes of objects in the views, if they are known.
@@ -64,33 +64,33 @@ def measure_painted(
         The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
         which are empty where the style is too small to be compared.
     """
-    base, cameras = contexts[0].splats, held_out or contexts[0].cameras
-    targets = [target.to(base) for target in targets]
+    base, cameras = setups[0].splats, held_out or setups[0].cameras
+    paintings = [painting.to(base) for painting in paintings]
     names, objects = {*cameras.names}, {}
-    for context, target in zip(contexts, targets, strict=True):
+    for setup, painting in zip(setups, paintings, strict=True):
         if surveys is None:
-            survey = find_boxes(base, context.all_cameras, target.mask)
+            survey = find_boxes(base, setup.all_cameras, painting.mask)
         else:
-            survey = surveys[target.name]
+            survey = surveys[painting.name]
         boxes = [box for box in survey if box.camera.names[0] in names] or survey
         try:
-            objects[target.name] = measure_style(context, target, styled, boxes=boxes)
+            objects[painting.name] = measure_style(setup, painting, styled, boxes=boxes)
         except StyleSplatError as error:  # the object is painted all the same
-            say(f"{target.name} is not compared with its style: {error}")
-            objects[target.name] = {}
-    picked = torch.stack([target.mask for target in targets]).any(dim=0)
+            say(f"{painting.name} is not compared with its style: {error}")
+            objects[painting.name] = {}
+    picked = torch.stack([painting.mask for painting in paintings]).any(dim=0)
     return measure_changes(base, styled, cameras, picked) | {"objects": objects}
 
 
 @torch.no_grad()
 def measure_style(
-    context: PaintContext,
-    target: PaintTarget,
+    setup: PaintSetup,
+    painting: Painting,
     styled: Splats,
     *,
     boxes: Sequence[Box] | None = None,
 ) -> dict[str, float]:
-    """Measure how close an object is to its style by NNFM, in float32, in the views of `context`.
+    """Measure how close an object is to its style by NNFM, in float32, in the views of `setup`.
 
     Returns:
         `nnfm_before` and `nnfm_after`; if the pictures are large enough, `nnfm_of_style` (see
@@ -101,25 +101,25 @@ def measure_style(
     Raises:
         StyleSplatError: If the object is not visible, or a picture is too small to compare.
     """
-    block, network = target.config.block, context.network
-    boxes = boxes or require_boxes(context, target)
+    block, network = painting.config.block, setup.network
+    boxes = boxes or require_boxes(setup, painting)
     zoom = LENGTH / typical_length(boxes)
-    views = object_views(context, target, evenly(boxes, VIEWS), zoom)
-    style_feats = target_features(network, target.config, target.styles, LENGTH)
+    views = object_views(setup, painting, evenly(boxes, VIEWS), zoom)
+    style_feats = target_features(network, painting.config, painting.images, LENGTH)
     images = renders(styled, views)
     before, after = (
         object_nnfm(each, views, style_feats, network, block)
-        for each in (renders(context.splats, views), images)
+        for each in (renders(setup.splats, views), images)
     )
     numbers = {"nnfm_before": before, "nnfm_after": after}
-    own = own_nnfm(target.styles, network, block, length=target.config.scale * LENGTH)
+    own = own_nnfm(painting.images, network, block, length=painting.config.scale * LENGTH)
     if own is not None:
         numbers["nnfm_of_style"] = own
         if before > own:
             numbers["share_of_way"] = min(1.0, max(0.0, (before - after) / (before - own)))
-    if target.config.color == "style":
+    if painting.config.color == "style":
         colors = [image[view.pixels] for image, view in zip(images, views, strict=True)]
-        numbers["off_palette"] = off_palette(torch.cat(colors), all_colors(target.styles))
+        numbers["off_palette"] = off_palette(torch.cat(colors), all_colors(painting.images))
     return numbers
 
 

@@ -29,21 +29,17 @@ from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.config import PRESETS, WINDOW, Stage, without_retired
-from stylesplat.stylization.objective import Objective
-from stylesplat.stylization.optimize import (
-    optimize_colors,
-    stage_objective,
-    style_pictures,
-    survey_detail,
-)
-from stylesplat.stylization.style import Style, all_colors
-from stylesplat.stylization.target import PaintContext, load_network, paint_context
+from stylesplat.stylization.features import Cells
+from stylesplat.stylization.form import survey_detail
+from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
+from stylesplat.stylization.painting import PaintSetup, load_network, paint_setup
+from stylesplat.stylization.style import KEPT_HUES, Style, all_colors, style_pictures
 from stylesplat.stylization.views import (
     MARGIN,
     MIN_CELLS,
     VISITS_OF_WINDOWS,
     Box,
-    ObjectView,
+    PaintView,
     crop_to_box,
     find_boxes,
     per_view,
@@ -56,26 +52,26 @@ LONGEST = 1600.0  # pixels of the object's longer side: finer strokes nobody see
 
 
 @dataclass(frozen=True, eq=False)
-class TexelView(ObjectView):
-    """A view of a mesh as a function of its texels, which stand for Gaussians."""
+class TexelView(PaintView):
+    """A view of a mesh as a function of its texels."""
 
-    matrix: csr_array | None = None
+    matrix: csr_array
     """The weight of each texel [L] in each pixel."""
-    texels: Int[Tensor, " L"] | None = None
+    texels: Int[Tensor, " L"]
     """The rows of the texels."""
-    background: Float[Tensor, "H W 3"] | None = None
+    count: int
+    """How many texels there are in all."""
+    background: Float[Tensor, "H W 3"]
 
-    def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
-        """The image with the colours of these texels, which gradients reach."""
-        assert self.texels is not None and self.background is not None
-        colors = rgb_from_sh0(splats.sh0.index_select(0, self.texels)[:, 0])
-        return _Product.apply(colors, self.matrix).view_as(self.background) + self.background
+    def render(self, colors: Float[Tensor, "P 3"]) -> Float[Tensor, "H W 3"]:
+        """See `PaintView`."""
+        own = rgb_from_sh0(colors.index_select(0, self.texels))
+        return _Product.apply(own, self.matrix).view_as(self.background) + self.background
 
-    def backproject(self, splats: Splats, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
-        """The sum of an image times the weights of each texel."""
-        assert self.texels is not None and self.matrix is not None
+    def backproject(self, image: Float[Tensor, "H W D"]) -> Float[Tensor, "P D"]:
+        """See `PaintView`."""
         sums = torch.from_numpy(self.matrix.T @ image.flatten(0, 1).numpy())
-        return image.new_zeros(len(splats), image.shape[-1]).index_add_(0, self.texels, sums)
+        return image.new_zeros(self.count, image.shape[-1]).index_add_(0, self.texels, sums)
 
 
 class _Product(Function):
@@ -104,104 +100,67 @@ def repaint(
         name: What messages call the object.
     """
     texels = texels_of(mesh)
-    paint = _as_splats(mesh, texels)
-    context, style = _context(unpainted, views, layer)
-    boxes = find_boxes(unpainted, context.cameras, torch.ones(len(unpainted), dtype=torch.bool))
+    setup, style = _setup(unpainted, views, layer)
+    config, every = style.config, torch.ones(len(unpainted), dtype=torch.bool)
+    boxes = find_boxes(unpainted, setup.cameras, every)
     side, area = np.ptp(mesh.vertices, axis=0).max(), face_areas(mesh.vertices, mesh.faces).sum()
     length = min(LONGEST, float(side) * math.sqrt(len(texels.points) / area))
-    photo_length = float(context.cameras.sizes.max())
-    (*_, last) = style.config.stages(photo_length)
+    (*_, last) = config.stages(float(setup.cameras.sizes.max()))
     stage = Stage(length, STEPS, WINDOW, last.rate, fine=True)
-    objective = _objective(context, style, stage, boxes, mesh.texture[texels.inside])
-    generator = torch.Generator().manual_seed(style.config.seed)
-    seen = _texel_views(mesh, texels, objective, boxes, stage, generator)
-    targets = objective.targets(seen, unpainted, paint)
-    every, sh0 = torch.ones(len(paint), dtype=torch.bool), paint.sh0
+    before = torch.from_numpy(mesh.texture[texels.inside])
+    images = style_pictures(style.read(), config, before if config.color in KEPT_HUES else None)
+    palette = None if config.color == "free" else build_palette(all_colors(images))
+    detail = survey_detail(unpainted, every, boxes)
+    objective = stage_objective(setup, config, images, stage, detail, palette, rate=CANVAS_RATE)
+    found = _texel_views(mesh, texels, setup.network.cells(config.block), boxes, stage, config.seed)
+    colors = painted = sh0_from_rgb(before)
+    targets = objective.targets(found, unpainted, colors)
     with task(f"{name}'s texture", STEPS) as bar:
-        for painted, nnfm in optimize_colors(paint, every, targets, objective, STEPS):
+        steps = optimize_colors(colors, targets, objective, STEPS, seed=config.seed)
+        for painted, nnfm in steps:  # noqa: B007  (the last is used)
             bar.advance()
             bar.note(f"NNFM {nnfm:.3f}")
-            sh0 = painted.sh0
-    sh0 = paint.sh0.lerp(sh0, min(layer.strength, 1.0))
+    painted = rgb_from_sh0(colors.lerp(painted, min(layer.strength, 1.0)))
     texture = mesh.texture.copy()
-    texture[texels.inside] = rgb_from_sh0(sh0[:, 0]).clamp(0, 1).numpy()
+    texture[texels.inside] = painted.clamp(0, 1).numpy()
     return replace(mesh, texture=texture[texels.nearest])
 
 
-def _as_splats(mesh: TexturedMesh, texels: Texels) -> Splats:
-    """Texels as Gaussians, whose colours alone count."""
-    count = len(texels.points)
-    colors = torch.from_numpy(mesh.texture[texels.inside])
-    return Splats(
-        means=torch.from_numpy(texels.points),
-        quats=torch.zeros(1, 4).expand(count, 4),
-        scales=torch.zeros(1, 3).expand(count, 3),
-        opacities=torch.zeros(1).expand(count),
-        sh0=sh0_from_rgb(colors)[:, None],
-        shN=torch.zeros(count, 0, 3),
-    )
-
-
-def _context(unpainted: Splats, views: MeshViews, layer: Layer) -> tuple[PaintContext, Style]:
+def _setup(unpainted: Splats, views: MeshViews, layer: Layer) -> tuple[PaintSetup, Style]:
     files = [source.path for source in layer.styles]
     config = with_settings(PRESETS["default"], without_retired(layer.settings))
     style = Style(*(file for file in files if file is not None), config=config)
-    network = load_network([style], layer.features, layer.weights)
+    network = load_network(layer.features, layer.weights, depth=config.block)
     cameras = views.cameras[views.trusted.nonzero()[0].tolist()]
-    return paint_context(unpainted, cameras, network), style
-
-
-def _objective(
-    context: PaintContext,
-    style: Style,
-    stage: Stage,
-    boxes: Sequence[Box],
-    colors: Float[np.ndarray, "T 3"],
-) -> Objective:
-    config = style.config
-    own = torch.from_numpy(colors) if config.color in ("blend", "keep") else None  # as painted
-    pictures = style_pictures(style.read(), config, own)
-    mask = torch.ones(len(context.splats), dtype=torch.bool)
-    return stage_objective(
-        context,
-        config,
-        pictures,
-        stage,
-        survey_detail(context.splats, mask, boxes),
-        None if config.color == "free" else build_palette(all_colors(pictures)),
-        is_fine_surface=True,
-    )
+    return paint_setup(unpainted, cameras, network), style
 
 
 def _texel_views(
     mesh: TexturedMesh,
     texels: Texels,
-    objective: Objective,
+    cells: Cells,
     boxes: Sequence[Box],
     stage: Stage,
-    generator: torch.Generator,
+    seed: int,
 ) -> list[TexelView]:
     """Windows of the mesh; those that hardly show it are skipped."""
     zoom, size = stage.length / typical_length(boxes), len(mesh.texture)
     rows = np.full((size, size), -1, np.int32)
     rows[texels.inside] = np.arange(len(texels.points))
     rows = rows[texels.nearest]
-    cells = objective.network.cells(objective.config.block)
     count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
-    places = windows(boxes, WINDOW / zoom, count, generator)
+    places = windows(boxes, WINDOW / zoom, count, torch.Generator().manual_seed(seed))
     grey = torch.from_numpy(mesh.texture[texels.inside].mean(axis=0))
 
     def look(box: Box) -> TexelView:
         camera, inside = crop_to_box(box, zoom, (MARGIN, MARGIN))
         fragments = draw_mesh(mesh.vertices, mesh.faces, camera)
         covered = torch.from_numpy(fragments.faces != NOTHING)
-        own = (covered & inside).float()
-        matrix, used = _texel_weights(
-            fragments.of_corners(mesh.uvs, mesh.faces) * size, rows, covered
-        )
-        mask = F.avg_pool2d(own[None], cells.stride)[0] > COVERED
+        own = F.avg_pool2d((covered & inside).float()[None], cells.stride)[0] > COVERED
+        corners = fragments.of_corners(mesh.uvs, mesh.faces) * size
+        matrix, used = _texel_weights(corners, rows, covered)
         background = grey * ~covered[..., None]
-        return TexelView(camera, mask, covered, matrix=matrix, texels=used, background=background)
+        return TexelView(camera, own, covered, matrix, used, len(texels.points), background)
 
     found = per_view(look, places, "preparing the texture's views")
     return [view for view in found if view.cells.sum() >= MIN_CELLS]

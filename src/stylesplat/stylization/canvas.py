@@ -110,6 +110,26 @@ class Canvas:
         return replace(self, splats=self.splats[kept], parents=self.parents[kept])
 
 
+@dataclass(frozen=True, eq=False)
+class PaintState:
+    """An object that is being painted."""
+
+    step: int
+    """Steps taken."""
+    steps: int
+    """Steps to take in all."""
+    nnfm: Float[Tensor, ""]
+    """The loss in the view of the last step, before it; reading it waits for the device."""
+    splats: Splats
+    """The scene with the paint so far, at full intensity."""
+    canvas: Canvas
+    """The same Gaussians without the paint."""
+    relief: Float[Tensor, " N"]
+    """The object's form as luminance that each Gaussian adds; see `form_relief`."""
+    boxes: Sequence[Box] = ()
+    """Where the object is seen, in the views to optimise on."""
+
+
 @torch.no_grad()
 def lay_canvas(
     splats: Splats,

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import reduce
 
 import torch
@@ -10,15 +9,15 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.imaging.color import LUMA, Palette, color_map, map_colors, mapped
+from stylesplat.imaging.color import LUMA, Palette, color_map, mapped
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sequences import evenly
-from stylesplat.scene.splats import SH_C0, Splats, rgb_from_sh0, sh0_from_rgb
+from stylesplat.scene.splats import SH_C0, Splats, map_bands, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.config import RecolorConfig, parse_color
-from stylesplat.stylization.views import ObjectView, total_weights
+from stylesplat.stylization.views import PaintView, total_weights
 
 VARIATION = 0.05  # deviation of the colours that `vary_colors` adds, of 1
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
@@ -32,115 +31,102 @@ DARKEST = 1e-4  # of 1: above the clamp at black, which has no gradient, far bel
 FAINT = 0.05  # of the median weight: Gaussians that show less move accordingly less
 
 
+Colors = Float[Tensor, "P 3"]
+"""Of the Gaussians or texels of an object, as coefficients of the constant band."""
+
+
 @torch.no_grad()
 def transfer_colors(
-    splats: Splats,
-    mask: Bool[Tensor, " N"],
-    style: Float[Tensor, "P 3"],
-    views: Sequence[ObjectView],
-) -> Splats:
+    colors: Colors, style: Float[Tensor, "Q 3"], views: Sequence[PaintView]
+) -> Colors:
     """Map an object's colours so that its pixels have the style's mean and covariance."""
-    return map_colors(splats, mask, color_map(object_colors(splats, views), style))
+    change = color_map(object_colors(colors, views), style)
+    return map_bands(colors[:, None], colors.new_zeros(len(colors), 0, 3), change)[0][:, 0]
 
 
 @torch.no_grad()
-def object_colors(splats: Splats, views: Sequence[ObjectView]) -> Float[Tensor, "P 3"]:
-    """The colours of the object's pixels in all views."""
-    return torch.cat([view.render(splats)[view.pixels] for view in views])
+def object_colors(colors: Colors, views: Sequence[PaintView]) -> Float[Tensor, "Q 3"]:
+    """The colours of the object's pixels in all views, in 0..1."""
+    return torch.cat([view.render(colors)[view.pixels] for view in views])
 
 
 @torch.no_grad()
-def vary_colors(splats: Splats, mask: Bool[Tensor, " N"], *, seed: int) -> Splats:
+def vary_colors(colors: Colors, means: Float[Tensor, "P 3"], *, seed: int) -> Colors:
     """Add smooth patches of other hues, of the same luminance: flat areas vary as paintings do."""
     generator = torch.Generator().manual_seed(seed)
     directions = F.normalize(torch.randn(WAVES, 3, generator=generator), dim=1)
     phases = 2 * math.pi * torch.rand(WAVES, generator=generator)
     mixture = torch.randn(WAVES, 3, generator=generator) * math.sqrt(2 / WAVES)
-    means = splats.means[mask]
     size = (means.quantile(0.95, dim=0) - means.quantile(0.05, dim=0)).norm()
     waves = directions.to(means) * (2 * math.pi / (WAVELENGTH * size))
     pattern = torch.cos(means @ waves.T + phases.to(means)) @ mixture.to(means)
     pattern = pattern - (pattern @ pattern.new_tensor(LUMA))[:, None]
-    rows = mask.nonzero()[:, 0]
-    varied = splats.sh0[rows] + VARIATION / SH_C0 * pattern[:, None]
-    return splats.with_rows(rows, {"sh0": varied})
+    return colors + VARIATION / SH_C0 * pattern
 
 
 @torch.no_grad()
 def remove_pattern(
-    splats: Splats,
-    mask: Bool[Tensor, " N"],
-    views: Sequence[ObjectView],
-    length: float,
-    share: float,
-) -> Splats:
+    colors: Colors, views: Sequence[PaintView], length: float, share: float
+) -> Colors:
     """Remove a share of the object's own pattern, all that is smaller than `PATTERN` of it.
 
     With it goes a part of the shading, so that strokes and form have room between the style's
     darkest colour and its brightest. The views show the whole object, so many pixels long.
     """
     if share == 0:
-        return splats
-    blurred = blur_colors(splats, mask, views, PATTERN * length).sh0[mask]
-    flat = blurred.mean(dim=0).lerp(blurred, SHADING)
-    rows = mask.nonzero()[:, 0]
-    return splats.with_rows(rows, {"sh0": splats.sh0[rows].lerp(flat, share)})
+        return colors
+    blurred = blur_colors(colors, views, PATTERN * length)
+    return colors.lerp(blurred.mean(dim=0).lerp(blurred, SHADING), share)
 
 
-def add_luminance(splats: Splats, luminance: Float[Tensor, " N"]) -> Splats:
-    return replace(splats, sh0=splats.sh0 + luminance[:, None, None] / SH_C0)
+def add_luminance(colors: Colors, luminance: Float[Tensor, " P"]) -> Colors:
+    return colors + luminance[:, None] / SH_C0
 
 
 @torch.no_grad()
-def blur_colors(
-    splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[ObjectView], deviation: float = 0.0
-) -> Splats:
+def blur_colors(colors: Colors, views: Sequence[PaintView], deviation: float = 0.0) -> Colors:
     """Give Gaussians the mean colour of the pixels that they contribute to.
 
     Renders as small as the strokes are large match nothing finer than their pixels: there Gaussians
     differ by chance. The deviation is that of a Gaussian blur of the renders, in pixels.
     """
-    total, weights = torch.zeros_like(splats.means), torch.zeros_like(splats.means)
+    total, weights = torch.zeros_like(colors), torch.zeros_like(colors)
     for view in views:
-        image, own = view.render(splats), view.pixels[..., None]
+        image, own = view.render(colors), view.pixels[..., None]
         blurred = smooth(image.permute(2, 0, 1), view.pixels, deviation).permute(1, 2, 0)
-        total += view.backproject(splats, blurred)
-        weights += view.backproject(splats, own.expand_as(image).to(image))
+        total += view.backproject(blurred)
+        weights += view.backproject(own.expand_as(image).to(image))
     mean = sh0_from_rgb(total / weights.clamp(min=HIDDEN))
-    visible = mask[:, None] & (weights > HIDDEN)
-    return replace(splats, sh0=torch.where(visible, mean, splats.sh0[:, 0])[:, None])
+    return torch.where(weights > HIDDEN, mean, colors)
 
 
 @torch.no_grad()
 def project_to_palette(
-    splats: Splats,
-    mask: Bool[Tensor, " N"],
-    views: Sequence[ObjectView],
+    colors: Colors,
+    views: Sequence[PaintView],
     palette: Palette,
-    beneath: Bool[Tensor, " N"],
-) -> Splats:
+    beneath: Bool[Tensor, " P"],
+) -> Colors:
     """Move an object's colours until its pixels are near the palette.
 
     Of Gaussians beneath the strokes the colours themselves are near it: other views may show them
     bare. Each round backprojects every pixel's offset to the Gaussians by their weights, and
     averages (simultaneous algebraic reconstruction, Gilbert 1972).
     """
-    weights = total_weights(views, splats, mask)
-    weights = weights + FAINT * weights[weights > 0].median()
-    rows = mask.nonzero()[:, 0]
-    colors = splats.sh0[rows, 0] * SH_C0 + 0.5
-    brightest = colors.clamp(min=1)  # Gaussians that show in part need colours beyond white
+    weights = total_weights(views)
+    weights = (weights + FAINT * weights[weights > 0].median())[:, None]
+    rgb = colors * SH_C0 + 0.5
+    brightest = rgb.clamp(min=1)  # Gaussians that show in part need colours beyond white
     for _ in range(ROUNDS):
         # below black nothing shows, and nothing can be asked for
-        colors = colors.clamp(min=DARKEST)
-        painted = splats.with_rows(rows, {"sh0": sh0_from_rgb(colors)[:, None]})
-        offsets = torch.zeros_like(splats.means)
+        rgb = rgb.clamp(min=DARKEST)
+        offsets = torch.zeros_like(rgb)
         for view in views:
-            wanted = palette.offset(view.render(painted)) * view.pixels[..., None]
-            offsets += view.backproject(painted, wanted)
-        colors = (colors + STRIDE * offsets[rows] / weights[:, None]).minimum(brightest)
-        colors = torch.where(beneath[rows, None], colors + palette.offset(colors), colors)
-    return splats.with_rows(rows, {"sh0": sh0_from_rgb(colors.clamp(min=0))[:, None]})
+            wanted = palette.offset(view.render(sh0_from_rgb(rgb))) * view.pixels[..., None]
+            offsets += view.backproject(wanted)
+        rgb = (rgb + STRIDE * offsets / weights).minimum(brightest)
+        rgb = torch.where(beneath[:, None], rgb + palette.offset(rgb), rgb)
+    return sh0_from_rgb(rgb.clamp(min=0))
 
 
 # W3C, Filter Effects 1, hueRotate: what the sine of the angle is multiplied by

@@ -8,7 +8,7 @@ luminance. What differs in hue alone, as hair and skin of a doll do, becomes lum
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -20,14 +20,16 @@ from torch.nn import functional as F
 from stylesplat.imaging.color import luma_weights
 from stylesplat.imaging.similarity import blur, smooth
 from stylesplat.rendering.render import render
+from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.colors import HIDDEN, STRIDE
-from stylesplat.stylization.views import ObjectView
+from stylesplat.stylization.views import Box, PaintView, box_cameras
 
 BAND_DEVIATIONS = (0.004, 0.015, 0.05)  # of blurs whose differences are bands, in lengths
 ENERGY_DEVIATION = 0.03  # of the blur that averages a band's energy, in lengths
 SALIENT = 0.6  # times the median energy: less is pattern
 SURVEY_LENGTH = 96.0  # pixels of the object's longer side where bands are compared
+SURVEY_VIEWS = 8  # with 6 rare sides get too much form
 # Deviation of a band's energy over the object, of its mean: of pattern, and what counts in full.
 # The demo's vase and teapot have .67 to .75, a doll .89, fox and a face 1.1 to 1.5.
 EVEN, UNEVEN = 0.75, 0.88
@@ -65,6 +67,14 @@ class FormBand(NamedTuple):
     """How much each pixel counts; the sum is at most 1."""
     energy: Float[Tensor, "H W"]
     """The detail's square, blurred."""
+
+
+def survey_detail(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]) -> FormSurvey:
+    """The detail of an object, whatever size it is painted in."""
+    cameras = box_cameras(boxes, SURVEY_LENGTH, SURVEY_VIEWS, margin=0)
+    pairs = [colors_and_coverage(splats, camera, mask) for camera in cameras]
+    images, covered = zip(*pairs, strict=True)
+    return survey_form(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH)
 
 
 @torch.no_grad()
@@ -202,36 +212,33 @@ def _faint_energy(near: float) -> float:
 @torch.no_grad()
 def form_relief(
     before: Splats,
-    splats: Splats,
-    mask: Bool[Tensor, " N"],
-    views: Sequence[ObjectView],
+    views: Sequence[PaintView],
+    count: int,
     length: float,
     survey: FormSurvey,
-) -> Float[Tensor, "N 2"]:
-    """The form of an object as luminance that each of its Gaussians adds, by bands, in -1..1.
+) -> Float[Tensor, "P 2"]:
+    """The form of an object as luminance that each of its points adds, by bands, in -1..1.
 
     Adding it to painted colours, or taking it away, changes the form in closed form. It is the
-    luminance whose renders are nearest to the form in all views (simultaneous algebraic
-    reconstruction, Gilbert 1972). The views show the whole object, so many pixels long.
+    luminance whose renders are nearest to the form of the scene before in all views (simultaneous
+    algebraic reconstruction, Gilbert 1972). They show the whole object, so many pixels long.
     """
-    hidden = mask[:, None, None]
-    flat = replace(splats, sh0=splats.sh0.masked_fill(hidden, 0), shN=splats.shN * ~hidden)
-    weights, targets = torch.zeros_like(splats.opacities), []
+    relief, weights = before.means.new_zeros(count, 2), before.means.new_zeros(count, 1)
+    targets = []
     for view in views:
         form = measure_form(render(before, view.camera)[0], view.pixels, length, survey)
-        own = view.pixels.to(splats.means)
+        own = view.pixels.to(relief)
         target = torch.stack([*(band.detail for band in form), own], dim=2)
-        weights += view.backproject(flat, target)[:, 2]
-        targets.append((view, (target + view.render(flat))[..., :2], own[..., None]))
-    visible, relief = mask & (weights > HIDDEN), splats.means.new_zeros(len(splats), 2)
+        weights += view.backproject(target)[:, 2:]
+        grey = view.render(F.pad(relief, (0, 1)))
+        targets.append((view, (target + grey)[..., :2], own[..., None]))
     for _ in range(ROUNDS):
-        sh0 = flat.sh0 + F.pad(relief, (0, 1))[:, None] / SH_C0
         missing = torch.zeros_like(relief)
         for view, target, own in targets:
-            error = (target - view.render(replace(flat, sh0=sh0))[..., :2]) * own
-            missing += view.backproject(flat, F.pad(error, (0, 1)))[:, :2]
-        relief = relief + STRIDE * missing / weights.clamp(min=HIDDEN)[:, None]
-        relief = torch.where(visible[:, None], relief, 0).clamp(-1, 1)
+            error = (target - view.render(F.pad(relief / SH_C0, (0, 1)))[..., :2]) * own
+            missing += view.backproject(F.pad(error, (0, 1)))[:, :2]
+        relief = relief + STRIDE * missing / weights.clamp(min=HIDDEN)
+        relief = torch.where(weights > HIDDEN, relief, 0).clamp(-1, 1)
     return relief
 
 

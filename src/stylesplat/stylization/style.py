@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice, one_line, some
+from stylesplat.imaging.color import color_map, mapped
 from stylesplat.io.files import read_bytes
 from stylesplat.io.style_pictures import Picture, is_material, picture_file, read_style, resize
 from stylesplat.options import with_settings
@@ -21,6 +22,7 @@ from stylesplat.stylization.config import (
     NETWORKS,
     PRESETS,
     USUAL_SCALE,
+    ColorMode,
     Network,
     Precision,
     RecolorConfig,
@@ -33,6 +35,7 @@ MAX_COARSENED = 8.0  # scale: beyond it strokes are as large as pictures
 RIDGE = 0.06  # curvature across a stroke, of 1: less is no stroke
 LARGEST = 1300.0  # pixels of a resized style image's longer side: of a larger one parts are used
 BROAD = 0.05  # of the object's length: what is less is a stroke
+KEPT_HUES: dict[ColorMode, float] = {"blend": 0.5, "keep": 1.0}  # share of an object's own
 PARTS = 9  # that together are as large
 
 
@@ -92,6 +95,21 @@ def without_strokes(pictures: Sequence[Tensor], scale: float) -> list[Tensor]:
     Shapes of an object that take these colours leave the rest of a style's contrast to strokes.
     """
     return [resize(each, min(scale / BROAD, float(max(each.shape[:2])))) for each in pictures]
+
+
+def style_pictures(
+    images: Sequence[Tensor],
+    config: StyleConfig,
+    own: Float[Tensor, "P 3"] | None,
+    share: float = 1.0,
+) -> list[Tensor]:
+    """Style images for strokes of this size, with a share of the object's own hues if known."""
+    if config.color != "free":
+        images = [coarsen_style(image, config.scale) for image in images]
+    if own is None:
+        return [*images]
+    to_own = color_map(all_colors(images), own)
+    return [image.lerp(mapped(image, to_own).clamp(0, 1), share) for image in images]
 
 
 def style_parts(

@@ -7,13 +7,13 @@ from statistics import median
 from typing import TypeVar
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say, track
-from stylesplat.rendering.render import colors_of, rasterize
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.weights import (
     COVERED,
@@ -27,7 +27,7 @@ from stylesplat.scene.projection import crop, project
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.stylization.config import Stage
-from stylesplat.stylization.target import PaintContext, PaintTarget
+from stylesplat.stylization.painting import Painting, PaintSetup
 
 SURVEY_SIZE = 160  # longer side of the renders that find boxes, in pixels
 STRAY = 0.002  # share of the covered pixels that a box may leave out on each side
@@ -35,6 +35,8 @@ MARGIN = 12  # pixels around a box at most: farther ones move a deep feature by 
 MIN_CELLS = 16  # views with fewer features of the object are skipped
 VISITS = 5  # steps per view at least: preparing a view takes as long as a step
 VISITS_OF_WINDOWS = 2  # fewer, as it takes many windows to cover the object
+WHOLE_VIEWS = 8  # of the whole object, which tell its colours and its form
+WHOLE_LENGTH = 240.0  # longer side of the object in them at most, in pixels
 MEBIBYTE = 2**20
 
 Surface = tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]]
@@ -60,7 +62,7 @@ class Box:
 
 
 @dataclass(frozen=True, eq=False)
-class ObjectView:
+class PaintView:
     """A view cropped to an object and to what its features depend on."""
 
     camera: Cameras
@@ -69,36 +71,47 @@ class ObjectView:
     """Which features are the object's."""
     pixels: Bool[Tensor, "H W"]
     """Those of the object."""
+
+    def render(self, colors: Float[Tensor, "P 3"]) -> Float[Tensor, "H W 3"]:
+        """The image when the object's points have these colours, as coefficients of sh0."""
+        raise NotImplementedError
+
+    def backproject(self, image: Float[Tensor, "H W D"]) -> Float[Tensor, "P D"]:
+        """The sum of an image times the weights of each point."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectView(PaintView):
+    """A view of Gaussians of a scene. They look the same from everywhere."""
+
+    scene: Splats
+    rows: Int[Tensor, " P"]
+    """The object's Gaussians."""
     linear: Contributions | None = None
-    """The image as a function of the object's colours; None rasterises the scene every time."""
-    is_view_independent: bool = False
-    """Whether the object's colours have no higher bands, which is quicker."""
+    """The image as a function of their colours; None rasterises the scene every time."""
 
-    def render(self, splats: Splats) -> Float[Tensor, "H W 3"]:
-        """Render splats that differ from the scene at most in the object's colours."""
-        if self.linear is None:
-            return rasterize(splats, self.camera)[0][0]
-        rows = self.linear.gaussians
-        if self.is_view_independent:
-            return self.linear.render(rgb_from_sh0(splats.sh0[:, 0].index_select(0, rows)).relu())
-        return self.linear.render(colors_of(splats, rows, self.camera.positions.to(splats.means)))
+    def render(self, colors: Float[Tensor, "P 3"]) -> Float[Tensor, "H W 3"]:
+        """See `PaintView`."""
+        if self.linear is not None:
+            own = colors.index_select(0, self.linear.gaussians)
+            return self.linear.render(rgb_from_sh0(own).relu())
+        matte = colors.new_zeros(len(colors), *self.scene.shN.shape[1:])
+        bands = {"sh0": colors[:, None], "shN": matte}
+        return rasterize(self.scene.with_rows(self.rows, bands), self.camera)[0][0]
 
-    def backproject(self, splats: Splats, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
-        """The sum of an image times the weights of each Gaussian; right for the object's alone."""
+    def backproject(self, image: Float[Tensor, "H W D"]) -> Float[Tensor, "P D"]:
+        """See `PaintView`."""
         if self.linear is None:
-            return backproject(splats, self.camera, image)
-        sums = image.new_zeros(len(splats), image.shape[-1])
+            return backproject(self.scene, self.camera, image)[self.rows]
+        sums = image.new_zeros(len(self.rows), image.shape[-1])
         return sums.index_add_(0, self.linear.gaussians, self.linear.backproject(image))
 
 
-def total_weights(
-    views: Sequence[ObjectView], splats: Splats, mask: Bool[Tensor, " N"]
-) -> Float[Tensor, " M"]:
-    """The contribution of each of the object's Gaussians, summed over all views."""
-    weights = splats.means.new_zeros(len(splats))
-    for view in views:
-        weights += view.backproject(splats, weights.new_ones(*view.pixels.shape, 1))[:, 0]
-    return weights[mask]
+def total_weights(views: Sequence[PaintView]) -> Float[Tensor, " P"]:
+    """The contribution of each of the object's points, summed over all views."""
+    every = (view.backproject(torch.ones_like(view.pixels[..., None]).float()) for view in views)
+    return sum(every, torch.zeros(()))[:, 0]
 
 
 def per_view(
@@ -132,20 +145,20 @@ def typical_length(boxes: Sequence[Box]) -> float:
     return median(box.length for box in boxes)
 
 
-def require_boxes(context: PaintContext, target: PaintTarget) -> list[Box]:
+def require_boxes(setup: PaintSetup, painting: Painting) -> list[Box]:
     """Find the views to optimise on that show the object; refuse it if none does."""
-    boxes = find_boxes(context.splats, context.cameras, target.mask)
+    boxes = find_boxes(setup.splats, setup.cameras, painting.mask)
     if not boxes:
         raise StyleSplatError(
-            f"Cannot stylise {target.name}: it is seen in none of the {len(context.cameras)} "
+            f"Cannot stylise {painting.name}: it is seen in none of the {len(setup.cameras)} "
             f"views. Pick other Gaussians, or show views of it."
         )
     return boxes
 
 
 def object_views(
-    context: PaintContext,
-    target: PaintTarget,
+    setup: PaintSetup,
+    painting: Painting,
     boxes: Sequence[Box],
     zoom: float,
     *,
@@ -156,13 +169,13 @@ def object_views(
     Boxes that hardly show it are skipped. Linear views may take so many bytes of memory, none on a
     GPU; others are rasterised in every step.
     """
-    splats, mask = context.splats, target.mask
-    cells = context.network.cells(target.config.block)
+    splats, mask = setup.splats, painting.mask
+    cells = setup.network.cells(painting.config.block)
     views, used, full = list[ObjectView](), 0, False
     # what features depend on around a box
     margins = min(MARGIN, cells.before), min(MARGIN, cells.size - cells.before)
     is_linear = max_memory > 0 or splats.device.type != "cpu"
-    is_view_independent = not target.config.published
+    rows, places = mask.nonzero()[:, 0], mask.cumsum(dim=0) - 1
 
     def prepare(box: Box) -> tuple[Cameras, Tensor, Contributions | None]:
         camera, inside = crop_to_box(box, zoom, margins)
@@ -181,10 +194,12 @@ def object_views(
             full = used > max_memory
             linear = None if full else linear
             own = covered > COVERED
-            views.append(ObjectView(camera, own_cells, own, linear, is_view_independent))
+            if linear is not None:  # the object's Gaussians alone count
+                linear = replace(linear, count=len(rows), gaussians=places[linear.gaussians])
+            views.append(ObjectView(camera, own_cells, own, splats, rows, linear))
     if not views:
         raise StyleSplatError(
-            f"Cannot stylise {target.name}: it is hardly visible in the {len(boxes)} views that "
+            f"Cannot stylise {painting.name}: it is hardly visible in the {len(boxes)} views that "
             f"show it. Pick a larger object, or show closer views of it."
         )
     if is_linear and full:
@@ -197,8 +212,8 @@ def object_views(
 
 
 def stage_views(
-    context: PaintContext,
-    target: PaintTarget,
+    setup: PaintSetup,
+    painting: Painting,
     boxes: Sequence[Box],
     stage: Stage,
     generator: torch.Generator,
@@ -211,7 +226,29 @@ def stage_views(
     else:
         count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
         boxes = windows(boxes, stage.window / zoom, count, generator, surface)
-    return object_views(context, target, boxes, zoom, max_memory=context.max_memory)
+    return object_views(setup, painting, boxes, zoom, max_memory=setup.max_memory)
+
+
+def whole_views(
+    setup: PaintSetup,
+    painting: Painting,
+    boxes: Sequence[Box],
+    stage: Stage,
+    least: int,
+    views: Sequence[ObjectView] = (),
+) -> tuple[list[ObjectView], float]:
+    """A few views of the whole object, and how long it is in them, in pixels.
+
+    They are a stage's, which are made if they are not given, unless these are windows or fewer than
+    `least`.
+    """
+    if stage.window is None:
+        views = views or stage_views(setup, painting, boxes, stage, torch.Generator())
+        if len(views) >= least:
+            return evenly(views, WHOLE_VIEWS), stage.length
+    length = min(stage.length, WHOLE_LENGTH)
+    few, zoom = evenly(boxes, WHOLE_VIEWS), length / typical_length(boxes)
+    return object_views(setup, painting, few, zoom, max_memory=math.inf), length
 
 
 def windows(

@@ -29,8 +29,8 @@ from stylesplat.scene.scene import Scene, shared_views
 from stylesplat.scene.sequences import evenly
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Precision, StyleConfig, without_retired
+from stylesplat.stylization.painting import Painting, load_network, paint_setup
 from stylesplat.stylization.style import Style, digest
-from stylesplat.stylization.target import PaintTarget, load_network, paint_context
 from stylesplat.stylization.views import Box, find_boxes
 from stylesplat.training.config import TrainConfig
 from stylesplat.verbs.stylize import flat_metrics
@@ -238,12 +238,12 @@ def _closeness(
     """Measure how close an object is to its style, if the style and its network are at hand."""
     try:
         style = _style_of(layer)
-        network = load_network([style], layer.features, layer.weights, download=False)
-        target = PaintTarget(layer.object, picked, style.read(), style.config).to(base)
-        context = paint_context(
-            base, views, network, precision=cast(Precision | None, layer.precision)
+        network = load_network(
+            layer.features, layer.weights, depth=style.config.block, download=False
         )
-        return measure_style(context, target, styled, boxes=boxes)
+        painting = Painting(layer.object, picked, style.read(), style.config).to(base)
+        setup = paint_setup(base, views, network, precision=cast(Precision | None, layer.precision))
+        return measure_style(setup, painting, styled, boxes=boxes)
     except StyleSplatError as error:
         say(f"{layer.object} is not compared with its style: {error}")
         return {}

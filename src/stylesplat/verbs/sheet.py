@@ -22,9 +22,8 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.config import Network
-from stylesplat.stylization.paint import check_targets
+from stylesplat.stylization.painting import Painting, check_paintings
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.target import PaintTarget
 from stylesplat.verbs.stylize import stylize
 
 CELL = 512  # pixels along a cell: strokes of a normal painting can be told apart
@@ -95,8 +94,8 @@ def sheet(
             place = row, column, style.config.intensity
             runs.setdefault(same, (full, []))[1].append(place)
     mask = find_object(scene, name)
-    jobs = [PaintTarget(name, mask, style.read(), style.config) for style, _ in runs.values()]
-    check_targets(jobs[:1])
+    jobs = [Painting(name, mask, style.read(), style.config) for style, _ in runs.values()]
+    check_paintings(jobs[:1])
     splats = scene.splats.to(pick_device(device))
     cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
     camera = close_up(splats, cameras, scene.to_splats(mask).to(splats.device), side=CELL)

@@ -18,51 +18,50 @@ from stylesplat.rendering.render import pick_device
 from stylesplat.scene.layers import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
+from stylesplat.stylization.canvas import PaintState
 from stylesplat.stylization.config import Network, Precision
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.optimize import PaintState, check_visible, paint_steps
-from stylesplat.stylization.paint import layer_of, paint_layer
-from stylesplat.stylization.style import Recipe, Style, as_recipe
-from stylesplat.stylization.target import (
+from stylesplat.stylization.painter import check_visible, layer_of, paint_layer, paint_steps
+from stylesplat.stylization.painting import (
     MAX_MEMORY,
-    PaintContext,
-    PaintTarget,
-    PaintTask,
+    Painting,
+    PaintSetup,
     load_network,
-    paint_context,
-    paint_tasks,
+    paint_setup,
+    plan_paintings,
 )
+from stylesplat.stylization.style import Recipe, Style, as_recipe
 from stylesplat.stylization.views import Box
 from stylesplat.verbs.adjust import recolor
 
-ContextOf = Callable[[Splats, PaintTask], PaintContext]
+SetupOf = Callable[[Splats, Painting], PaintSetup]
 
 
-def context_maker(
-    scene: Scene, tasks: Sequence[PaintTask], max_memory: float, device: torch.device
-) -> ContextOf:
-    """Returns a function that makes the context for painting or measuring a task on some splats.
+def setup_maker(
+    scene: Scene, paintings: Sequence[Painting], max_memory: float, device: torch.device
+) -> SetupOf:
+    """Returns a function that makes what painting on some splats needs.
 
-    It loads each network once, as deep as the tasks need it.
+    It loads each network once, as deep as the paintings need it.
     """
     training, held_out = scene.working_views()
 
     @cache
     def network(features: Network, weights: Source | None) -> FeatureNetwork:
-        same = [task for task in tasks if (task.features, task.weights) == (features, weights)]
-        return load_network([task.style for task in same], features, weights)
+        same = [each for each in paintings if (each.features, each.weights) == (features, weights)]
+        return load_network(features, weights, depth=max(each.config.block for each in same))
 
-    def context_of(splats: Splats, task: PaintTask) -> PaintContext:
-        return paint_context(
+    def setup_of(splats: Splats, painting: Painting) -> PaintSetup:
+        return paint_setup(
             splats.to(device),
             training,
-            network(task.features, task.weights),
+            network(painting.features, painting.weights),
             held_out=held_out,
             max_memory=max_memory,
-            precision=task.precision,
+            precision=painting.precision,
         )
 
-    return context_of
+    return setup_of
 
 
 @check_arguments
@@ -117,37 +116,37 @@ def stylize(
             "--protect mean nothing. Leave them out."
         )
     recipe = recipe.protecting((protect,) if isinstance(protect, str) else tuple(protect))
-    tasks = paint_tasks(recipe, scene, features, weights)
+    paintings = plan_paintings(recipe, scene, features, weights)
     torch_device = pick_device(device)
-    context_of = context_maker(scene, tasks, max_memory, torch_device)
-    if len(tasks) > 1:  # so that no object is painted in vain
-        for task in tasks:
-            below = scene.below(task.name)
-            context = context_of(below.splats, task)
-            check_visible(context, task.target(below.parents).to(context.splats))
+    setup_of = setup_maker(scene, paintings, max_memory, torch_device)
+    if len(paintings) > 1:  # so that no object is painted in vain
+        for painting in paintings:
+            below = scene.below(painting.name)
+            setup = setup_of(below.splats, painting)
+            check_visible(setup, painting.at(below.parents).to(setup.splats))
     shown = {layer.name for layer in scene.layers if layer.is_shown}
-    anew = [task.name for task in tasks if task.name in shown]
+    anew = [painting.name for painting in paintings if painting.name in shown]
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
     seconds, precision = dict[str, float](), ""
     surveys = dict[str, Sequence[Box]]()
-    for number, task in enumerate(tasks):
+    for number, painting in enumerate(paintings):
         scene = _recolored(scene, recipe, number)
         began = time.perf_counter()
-        below = scene.below(task.name)
-        context = context_of(below.splats, task)
-        target = task.target(below.parents).to(context.splats)
-        layer, surveys[task.name] = paint_layer(context, target, below.parents.to(torch_device))
-        precision = context.precision_name
-        scene = scene.with_layer(task.record(layer, precision))
-        seconds[task.name] = time.perf_counter() - began
-    scene = _recolored(scene, recipe, len(tasks))
+        below = scene.below(painting.name)
+        setup = setup_of(below.splats, painting)
+        own = painting.at(below.parents).to(setup.splats)
+        layer, surveys[painting.name] = paint_layer(setup, own, below.parents.to(torch_device))
+        precision = setup.precision_name
+        scene = scene.with_layer(painting.record(layer, precision))
+        seconds[painting.name] = time.perf_counter() - began
+    scene = _recolored(scene, recipe, len(paintings))
     strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
     forms = {each.name: each.form for each in recipe.objects if each.form is not None}
     scene = scene.with_strengths(strengths, forms)
     metrics = {
         "seconds": time.perf_counter() - start,
-        "steps": sum(task.style.config.all_steps for task in tasks),
+        "steps": sum(painting.config.all_steps for painting in paintings),
         "precision": precision,
         "seconds_by_object": {each.name: seconds[each.name] for each in recipe.objects},
         "train": before.metrics.get("train", before.metrics),
@@ -155,9 +154,9 @@ def stylize(
     scene = replace(scene, metrics=metrics)
     if on_painted is not None:
         on_painted(scene)
-    if not (measured and tasks):  # a recipe may hold recolourings alone
+    if not (measured and paintings):  # a recipe may hold recolourings alone
         return scene
-    found = _measure(context_of, tasks, scene, surveys)
+    found = _measure(setup_of, paintings, scene, surveys)
     return replace(scene, metrics=metrics | found)
 
 
@@ -182,25 +181,23 @@ def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _measure(
-    context_of: ContextOf,
-    tasks: Sequence[PaintTask],
+    setup_of: SetupOf,
+    paintings: Sequence[Painting],
     scene: Scene,
     surveys: Mapping[str, Sequence[Box]],
 ) -> dict[str, Any]:
     """Compare the painted objects with the scene before, as flat metrics."""
-    names = [task.name for task in tasks]
+    names = [painting.name for painting in paintings]
     before = scene.without_layers(names)
-    contexts = [context_of(before.splats, task) for task in tasks]
-    targets = [task.target(before.parents) for task in tasks]
+    setups = [setup_of(before.splats, painting) for painting in paintings]
+    own = [painting.at(before.parents) for painting in paintings]
     shown = [each for each in scene.layers if each.is_shown]
     is_new = [torch.zeros(len(scene.base), dtype=torch.bool)]
     is_new += [torch.full_like(each.parents, each.name in names).bool() for each in shown]
     styled = scene.splats[torch.cat(is_new).byte().argsort(stable=True)]  # those of `names` last
-    styled = styled.to(contexts[0].splats.device)
+    styled = styled.to(setups[0].splats.device)
     _, held_out = scene.working_views()
-    return flat_metrics(
-        measure_painted(contexts, targets, styled, held_out=held_out, surveys=surveys)
-    )
+    return flat_metrics(measure_painted(setups, own, styled, held_out=held_out, surveys=surveys))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,16 +209,15 @@ class Live:
     """The scene as it was given."""
     below: Scene
     """The scene below the object's layer."""
-    task: PaintTask
-    target: PaintTarget
-    """The object among the Gaussians of `below`, and settings."""
+    painting: Painting
+    """The object among the Gaussians of `below`."""
     precision: Precision
 
     @property
     def layer(self) -> Layer:
         """The present layer."""
         parents = self.below.parents.to(self.state.parents.device)
-        return self.task.record(layer_of(self.state, self.target, parents), self.precision)
+        return self.painting.record(layer_of(self.state, self.painting, parents), self.precision)
 
     @property
     def splats(self) -> Splats:
@@ -268,10 +264,10 @@ def stylize_live(
         ...         break
         >>> early = live.scene()  # doctest: +SKIP
     """
-    (task,) = tasks = paint_tasks(as_recipe({name: style}), scene, features, weights)
+    (painting,) = paintings = plan_paintings(as_recipe({name: style}), scene, features, weights)
     below = scene.below(name)
-    context_of = context_maker(scene, tasks, max_memory, pick_device(device))
-    context = context_of(below.splats, task)
-    target = task.target(below.parents).to(context.splats)
-    for state in paint_steps(context, target, preview=True):
-        yield Live(state, scene, below, task, target, context.precision_name)
+    setup_of = setup_maker(scene, paintings, max_memory, pick_device(device))
+    setup = setup_of(below.splats, painting)
+    painting = painting.at(below.parents).to(setup.splats)
+    for state in paint_steps(setup, painting, preview=True):
+        yield Live(state, scene, below, painting, setup.precision_name)

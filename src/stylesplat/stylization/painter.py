@@ -1,0 +1,492 @@
+"""Painting an object from top to bottom, and the layer that comes of it."""
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.imaging.color import Palette, build_palette
+from stylesplat.io.style_pictures import Picture, read_style
+from stylesplat.progress import say, task
+from stylesplat.rendering.visibility import LARGE, in_view, visible
+from stylesplat.rendering.weights import coverage, geometry_only
+from stylesplat.runtime import tidy_heap
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.layers import Composed, Layer, appearance_only, compose
+from stylesplat.scene.splats import Splats
+from stylesplat.selection.shares import own_shares
+from stylesplat.stylization.canvas import Canvas, PaintState, fit_canvas, lay_canvas
+from stylesplat.stylization.colors import (
+    Colors,
+    add_luminance,
+    blur_colors,
+    object_colors,
+    project_to_palette,
+    remove_pattern,
+    transfer_colors,
+    vary_colors,
+)
+from stylesplat.stylization.config import DEFAULT_NETWORK, Stage, StyleConfig, plain_settings
+from stylesplat.stylization.confine import confine_canvas, reached_pixels
+from stylesplat.stylization.features import FeatureNetwork, load_weights
+from stylesplat.stylization.form import FormSurvey, form_relief, survey_detail
+from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
+from stylesplat.stylization.painting import Painting, PaintSetup, check_paintings, paint_setup
+from stylesplat.stylization.paper import paint_as_published
+from stylesplat.stylization.style import KEPT_HUES, all_colors, style_pictures, without_strokes
+from stylesplat.stylization.views import (
+    WHOLE_VIEWS,
+    Box,
+    ObjectView,
+    find_boxes,
+    object_views,
+    per_view,
+    require_boxes,
+    stage_views,
+    typical_length,
+    whole_views,
+)
+
+OWN = 0.5  # share of a Gaussian that is the object's: one with less is not painted
+BLUR_VIEWS = 6  # of the whole object, that suffice between stages
+SHARPENED = 2.0  # form of the finer band, added before fine stages: coarser ones lose it
+PREVIEW_STEPS = 25  # on the object's own Gaussians: laying the canvas takes longer
+LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
+VISIBLE = 0.02  # share of some pixel: an object with less in a view is hidden, but for seams
+MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
+REPORT_EVERY = 10  # steps between two updates of the loss in the progress bar
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """An object on the Gaussians that carry its paint."""
+
+    setup: PaintSetup
+    """Its scene is that of the canvas."""
+    painting: Painting
+    """Its mask has the Gaussians that are painted."""
+    boxes: Sequence[Box]
+    """Where the object is visible, in the views to optimise on."""
+    detail: FormSurvey
+    canvas: Canvas
+
+    @property
+    def stages(self) -> list[Stage]:
+        return self.painting.config.stages(typical_length(self.boxes))
+
+    @property
+    def rows(self) -> Int[Tensor, " P"]:
+        """The Gaussians whose colours are optimised."""
+        return self.painting.mask.nonzero()[:, 0]
+
+    def on(self, canvas: Canvas) -> "Subject":
+        """The object on a canvas, whose colours are made the same from everywhere."""
+        matte = canvas.splats.shN.masked_fill(canvas.mask[:, None, None], 0)
+        canvas = canvas.changed(shN=matte)
+        setup = replace(self.setup, splats=canvas.splats)
+        painting = replace(self.painting, mask=canvas.mask)
+        return replace(self, setup=setup, painting=painting, canvas=canvas)
+
+    def painted(self, colors: Colors) -> Splats:
+        """The scene with these colours of the object."""
+        return self.canvas.splats.with_rows(self.rows, {"sh0": colors[:, None]})
+
+
+class Goal(NamedTuple):
+    """What the colours of an object are to become."""
+
+    images: Sequence[Float[Tensor, "_ _ 3"]]
+    """The style images, for strokes of this size."""
+    palette: Palette | None
+    """Their colours; None leaves the object's free."""
+    relief: Float[Tensor, "P 2"]
+    """The object's form, by bands; see `form_relief`."""
+
+
+Finish = Callable[[Colors, Sequence[ObjectView]], Colors]
+"""What completes the colours of a stage; it gets the views of the stage, too."""
+
+
+def paint_steps(
+    setup: PaintSetup, painting: Painting, *, preview: bool = False
+) -> Iterator[PaintState]:
+    """Paint one object of a scene.
+
+    Args:
+        setup: The scene and its views.
+        painting: The object and its style.
+        preview: Show first strokes on the object's own Gaussians before the canvas is laid. These
+            steps come in addition, and change nothing in the result.
+
+    Returns:
+        The state after every step. Whoever stops asking keeps what there is; whoever asks again
+        goes on.
+
+    Raises:
+        StyleSplatError: If the object is not seen, or nothing is its own.
+    """
+    if painting.config.published:
+        return paint_as_published(setup, painting)
+    painting = own_part(setup, painting)
+    boxes = require_boxes(setup, painting)
+    detail = survey_detail(setup.splats, painting.mask, boxes)
+    canvas = Canvas.without_discs(setup.splats, painting.mask)
+    subject = Subject(setup, painting, boxes, detail, canvas)
+    first, *_ = stages = subject.stages
+    short = replace(first, steps=min(PREVIEW_STEPS, first.steps))
+    previews = [short] if preview and painting.config.max_discs(1) > 0 else []
+    steps = sum(stage.steps for stage in [*previews, *stages])
+    states = chain(*(paint_preview(subject, stage) for stage in previews), paint_object(subject))
+    return (replace(state, step=n, steps=steps) for n, state in enumerate(states, start=1))
+
+
+def check_visible(setup: PaintSetup, painting: Painting) -> None:
+    """Raise the errors of `paint_steps`, in less time than painting takes."""
+    painting = own_part(setup, painting)
+    boxes = require_boxes(setup, painting)
+    length = typical_length(boxes)
+    object_views(setup, painting, boxes, painting.config.stages(length)[0].length / length)
+
+
+def own_part(setup: PaintSetup, painting: Painting) -> Painting:
+    """The painting without Gaussians that lie mostly beside the object; the paper paints all."""
+    if painting.config.published:
+        return painting
+    own = own_shares(setup.splats, painting.mask, setup.cameras) > OWN
+    if not own.any():
+        require_boxes(setup, painting)  # else that is why
+        raise StyleSplatError(
+            f"Cannot stylise {painting.name}: most of what each of its Gaussians paints lies "
+            "where they cover less than half. Pick more of the object."
+        )
+    return replace(painting, mask=own)
+
+
+def paint_object(subject: Subject) -> Iterator[PaintState]:
+    """Paint an object: coarse stages on new discs, then fine ones along their strokes."""
+    config, stages = subject.painting.config, subject.stages
+    generator = torch.Generator().manual_seed(config.seed)
+    # the last stage of a draft, which has no fine ones, is its finest
+    count = next((n for n, stage in enumerate(stages) if stage.fine), len(stages) - 1)
+    coarse, (*fine, last) = stages[:count], stages[count:]
+
+    subject = lay_discs(subject, last.length)
+    colors, goal = initial_colors(subject, stages[0])
+    for stage in coarse:
+        finish = partial(melt_strokes, goal, subject, stage)
+        colors = yield from paint_stage(subject, stage, colors, goal, generator, finish)
+
+    subject, colors = align_and_trim(subject, colors)
+    whole, length = whole_object(subject, stages[count], BLUR_VIEWS)
+    relief = form_relief(subject.canvas.before, whole, len(colors), length, subject.detail)
+    colors = add_luminance(colors, SHARPENED * config.form * config.pattern_removed * relief[:, 0])
+    goal = goal._replace(relief=relief)
+    for stage in fine:
+        finish = partial(match_style, goal, whole)
+        colors = yield from paint_stage(subject, stage, colors, goal, generator, finish)
+    finish = partial(settle_colors, goal, subject.canvas.is_disc[subject.rows], whole)
+    yield from paint_stage(subject, last, colors, goal, generator, finish)
+
+
+def paint_preview(subject: Subject, stage: Stage) -> Iterator[PaintState]:
+    """Paint first strokes on the object's own Gaussians."""
+    subject = subject.on(subject.canvas)
+    generator = torch.Generator().manual_seed(subject.painting.config.seed)
+    colors, goal = initial_colors(subject, stage)
+    finish = partial(melt_strokes, goal, subject, stage)
+    yield from paint_stage(subject, stage, colors, goal, generator, finish)
+
+
+def lay_discs(subject: Subject, length: float) -> Subject:
+    """The object on a canvas that is fine enough for this length, if it has a surface for it."""
+    painting, canvas = subject.painting, subject.canvas
+    max_discs = painting.config.max_discs(int(painting.mask.sum()))
+    if max_discs == 0 or painting.config.intensity == 0:
+        return subject.on(canvas)
+    laid = lay_canvas(
+        canvas.splats,
+        canvas.mask,
+        subject.boxes,
+        length=length,
+        max_discs=max_discs,
+        seed=painting.config.seed,
+    )
+    if laid is None:
+        say(f"{painting.name} has no surface for a canvas: its own Gaussians are painted.")
+        return subject.on(canvas)
+    return subject.on(fit_canvas(laid, seed=painting.config.seed))
+
+
+def initial_colors(subject: Subject, stage: Stage) -> tuple[Colors, Goal]:
+    """The colours before the first stage, and what they are to become.
+
+    They are the object's, without its pattern, with its form, and with the hues of the style.
+    """
+    painting, rows, config = subject.painting, subject.rows, subject.painting.config
+    whole, length = whole_object(subject, stage, WHOLE_VIEWS)
+    colors = subject.canvas.splats.sh0[rows, 0]
+    relief = form_relief(subject.canvas.before, whole, len(rows), length, subject.detail)
+    share = KEPT_HUES.get(config.color, 0.0)
+    own = object_colors(colors, whole) if share > 0 else None
+    images = style_pictures(painting.images, config, own, share)
+    colors = remove_pattern(colors, whole, length, config.pattern_removed)
+    form = config.form * config.pattern_removed  # what was removed of it with the pattern
+    colors = add_luminance(colors, form * relief.sum(dim=1))
+    if config.color == "free":
+        return colors, Goal(images, None, relief)
+    colors = vary_colors(colors, subject.canvas.splats.means[rows], seed=config.seed)
+    colors = transfer_colors(colors, all_colors(without_strokes(images, config.scale)), whole)
+    return colors, Goal(images, build_palette(all_colors(images)), relief)
+
+
+def paint_stage(
+    subject: Subject,
+    stage: Stage,
+    colors: Colors,
+    goal: Goal,
+    generator: torch.Generator,
+    finish: Finish,
+) -> Generator[PaintState, None, Colors]:
+    """Take the steps of a stage, the last of which completes the colours; returns these."""
+    setup, painting, canvas = subject.setup, subject.painting, subject.canvas
+    views = stage_views(setup, painting, subject.boxes, stage, generator, canvas.surface)
+    objective = stage_objective(
+        setup,
+        painting.config,
+        goal.images,
+        stage,
+        subject.detail,
+        goal.palette,
+        rate=CANVAS_RATE if canvas.is_disc.any() else 1.0,
+    )
+    targets = objective.targets(views, canvas.before, colors if stage.fine else None)
+    relief = torch.zeros_like(canvas.splats.opacities)
+    relief[subject.rows] = goal.relief.sum(dim=1)
+    taken = optimize_colors(colors, targets, objective, stage.steps, seed=painting.config.seed)
+    for step, (colors, nnfm) in enumerate(taken, start=1):
+        if step == stage.steps and goal.palette is not None:
+            colors = finish(colors, views)
+        splats = subject.painted(colors)
+        yield PaintState(step, stage.steps, nnfm, splats, canvas, relief, subject.boxes)
+    return colors
+
+
+def whole_object(
+    subject: Subject, stage: Stage, least: int, views: Sequence[ObjectView] = ()
+) -> tuple[Sequence[ObjectView], float]:
+    """See `whole_views`."""
+    return whole_views(subject.setup, subject.painting, subject.boxes, stage, least, views)
+
+
+def melt_strokes(
+    goal: Goal, subject: Subject, stage: Stage, colors: Colors, views: Sequence[ObjectView]
+) -> Colors:
+    """Leave the large shapes of a coarse stage, in the style's colours."""
+    whole, _ = whole_object(subject, stage, BLUR_VIEWS, views)
+    shapes = without_strokes(goal.images, subject.painting.config.scale)
+    return transfer_colors(blur_colors(colors, whole), all_colors(shapes), whole)
+
+
+def match_style(
+    goal: Goal, whole: Sequence[ObjectView], colors: Colors, _: Sequence[ObjectView]
+) -> Colors:
+    """Give the object's pixels the style's mean and covariance."""
+    return transfer_colors(colors, all_colors(goal.images), whole)
+
+
+def settle_colors(
+    goal: Goal,
+    is_disc: Bool[Tensor, " P"],
+    whole: Sequence[ObjectView],
+    colors: Colors,
+    views: Sequence[ObjectView],
+) -> Colors:
+    """Bring the colours of the last stage near to the palette."""
+    assert goal.palette is not None
+    colors = match_style(goal, whole, colors, views)
+    return project_to_palette(colors, whole, goal.palette, ~is_disc & is_disc.any())
+
+
+def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Colors]:
+    """Turn the discs along the strokes, and let none show beside the object."""
+    if not subject.canvas.is_disc.any():
+        return subject, colors
+    canvas, kept = confine_canvas(
+        subject.canvas,
+        subject.setup.all_cameras,
+        painted=subject.painted(colors),
+        protected=subject.painting.protected,
+    )
+    canvas = replace(canvas, views=())  # they are not needed again, and take memory
+    return subject.on(canvas), colors[kept[subject.rows]]
+
+
+def paint(
+    splats: Splats,
+    capture: Capture | Cameras,
+    mask: Bool[Tensor, " N"],
+    style: Picture,
+    *,
+    config: StyleConfig | None = None,
+    network: FeatureNetwork | None = None,
+) -> Splats:
+    """Repaint one object in the style of a picture (StyleSplat, section 3.4, and beyond).
+
+    Of the object's Gaussians the colours change, and what a canvas hides of them fades; no other
+    Gaussian changes. The canvas's new Gaussians follow all others.
+
+    Args:
+        splats: The scene.
+        capture: Views of the object; their photos are not used.
+        mask: The object's Gaussians.
+        style: A picture's file, or its colours: floats in 0..1, or bytes.
+        config: Settings; see `StyleConfig` and `PRESETS`.
+        network: The network whose features are matched; the package's own by default.
+
+    Raises:
+        StyleSplatError: If the picture is unfit, or the object is too small or not seen.
+    """
+    config = config or StyleConfig()
+    cameras = capture.cameras if isinstance(capture, Capture) else capture
+    network = network or load_weights(DEFAULT_NETWORK, depth=config.block)
+    image = read_style(style, rotate=config.rotate, region=config.region)
+    painting = Painting("object", mask, (image,), config)
+    return paint_objects(paint_setup(splats, cameras, network), [painting]).splats
+
+
+def paint_objects(setup: PaintSetup, paintings: Sequence[Painting]) -> Composed:
+    """Repaint several objects one after the other, each on what is painted before."""
+    check_paintings(paintings)
+    painted = compose(setup.splats, ())
+    for painting in paintings:
+        own = painting.to(painted.splats)
+        own = replace(own, mask=own.mask[painted.parents])
+        below = replace(setup, splats=painted.splats)
+        layer, *_ = paint_layer(below, own, painted.parents)
+        painted = compose(painted.base, (*painted.layers, layer), painted)
+    return painted
+
+
+def paint_layer(
+    setup: PaintSetup, painting: Painting, parents: Int[Tensor, " M"]
+) -> tuple[Layer, list[Box]]:
+    """Paint an object on what lies below its layer.
+
+    `parents` are the rows of the base that the Gaussians below belong to. Returns the layer, and
+    the boxes of the object in all views, held-out ones included.
+    """
+    part, own, rows = crop_scene(setup, painting)
+    state = None
+    with task(painting.name, painting.config.all_steps) as bar:
+        for state in paint_steps(part, own):
+            bar.advance()
+            if state.step % REPORT_EVERY == 0:
+                bar.note(f"NNFM {state.nnfm:.3f}")
+    assert state is not None  # there is at least one step
+    layer = layer_of(state, own, parents[rows])
+    held_out = part.all_cameras[len(part.cameras) :]
+    boxes = [*state.boxes, *find_boxes(part.splats, held_out, own.mask)]
+    tidy_heap()  # copies of the whole scene follow
+    return layer, boxes
+
+
+@torch.no_grad()
+def crop_scene(
+    setup: PaintSetup, painting: Painting
+) -> tuple[PaintSetup, Painting, Int[Tensor, " M"]]:
+    """Crop a large scene to the Gaussians and views that matter to an object.
+
+    Besides the object's Gaussians these are all that would show near it if it were not there: what
+    hides it, and what it hides. In views that hide the object some of these may be missing, so that
+    they are left out. A small scene stays whole, and one of which no view shows the object. The
+    crop's rows of the scene are returned, too.
+    """
+    splats, views = setup.splats, [*setup.all_cameras]
+    everything = setup, painting, torch.arange(len(splats), device=splats.device)
+    names = {*setup.all_cameras.names}
+    if len(splats) < LARGE or len(names) < len(views):
+        return everything
+    bare, own = geometry_only(splats), painting.mask.nonzero()[:, 0]
+    others = replace(bare, opacities=bare.opacities.masked_fill(painting.mask, -torch.inf))
+    alone, square = bare[own], np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
+
+    def look(view: Cameras) -> Tensor | None:
+        """The Gaussians that would show near the object; None if it is hidden."""
+        near = reached_pixels(alone, view)
+        if not near.any():
+            return None
+        near = torch.from_numpy(cv2.dilate(near.cpu().numpy().astype(np.uint8), square))
+        rows = visible(in_view(others, view, near.bool().to(own.device)), view).rows
+        there = torch.cat([own, rows])
+        is_own = torch.arange(len(there), device=there.device) < len(own)
+        shares = coverage(bare[there], view, is_own)
+        return rows if (shares > VISIBLE).any() else None
+
+    kept, shown = painting.mask.clone(), set[str]()
+    found = per_view(look, views, "looking around the object", splats.device)
+    for view, rows in zip(views, found, strict=True):
+        if rows is not None:
+            kept[rows] = True
+            shown.update(view.names)
+    if shown.isdisjoint(setup.cameras.names):
+        return everything
+    rows = kept.nonzero()[:, 0]
+    cameras, all_cameras = (
+        each[[n for n, name in enumerate(each.names) if name in shown]]
+        for each in (setup.cameras, setup.all_cameras)
+    )
+    part = replace(setup, splats=splats[rows], cameras=cameras, all_cameras=all_cameras)
+    protected = None if painting.protected is None else painting.protected[rows]
+    return part, replace(painting, mask=painting.mask[rows], protected=protected), rows
+
+
+def layer_of(state: PaintState, painting: Painting, parents: Int[Tensor, " M"]) -> Layer:
+    """The layer of an object that is being painted.
+
+    A row of the base stands for all Gaussians below that belong to it: its paint is their mean.
+    """
+    count, own = len(parents), painting.mask.nonzero()[:, 0]
+    before, after, canvas = state.canvas.before, state.splats.detach(), state.canvas
+    opacities = torch.sigmoid(before.opacities[own])
+    is_fading = after.opacities[own] != before.opacities[own]
+    factors = (torch.sigmoid(after.opacities[own]) / opacities).clamp(0, 1)
+    rows, members = parents[own].unique(return_inverse=True)
+    mean = partial(_group_means, members=members, weights=opacities.clamp(min=LEAST_WEIGHT))
+    return Layer(
+        object=painting.name,
+        rows=rows,
+        shares=torch.ones_like(rows, dtype=after.means.dtype),
+        sh0=mean(after.sh0[own]),
+        shN=mean(after.shN[own]),
+        opacity_factors=mean(torch.where(is_fading, factors, torch.ones_like(factors))),
+        surfels=appearance_only(after[count:]).map(torch.clone),  # without the rest's memory
+        surfels_sh0=canvas.splats.sh0[count:].clone(),
+        parents=parents[canvas.parents[count:]],
+        relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),
+        strength=painting.config.intensity,
+        form=painting.config.form,
+        settings=plain_settings(painting.config),
+    )
+
+
+def _group_means(
+    values: Float[Tensor, "O *_"], members: Int[Tensor, " O"], weights: Float[Tensor, " O"]
+) -> Float[Tensor, "R *_"]:
+    """The weighted means of groups of values; of a single value that value, to the bit."""
+    count = int(members.max()) + 1
+    shape = (-1, *(1,) * (values.dim() - 1))
+    sums = values.new_zeros(count, *values.shape[1:])
+    sums.index_add_(0, members, values * weights.view(shape))
+    total = weights.new_zeros(count).index_add_(0, members, weights)
+    means = sums / total.view(shape)
+    single = (members.bincount(minlength=count) == 1)[members]
+    return means.index_copy_(0, members[single], values[single])
