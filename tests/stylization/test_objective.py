@@ -149,7 +149,7 @@ def test_linear_views_give_the_gradient_of_rendering(objective: Objective, netwo
         assert leaf.grad is not None
         gradients.append(leaf.grad)
     linear, rendered = gradients
-    assert (linear - rendered).norm() / rendered.norm() < 1e-2
+    assert (linear - rendered).norm() / rendered.norm() < 2e-2  # weights are float16
 
 
 def test_those_that_hardly_show_take_small_steps(views: list[ObjectView], objective: Objective):

@@ -186,7 +186,8 @@ def run_in_order(
             for job in ready[: slots - len(running)]:
                 running[pool.submit(run, waiting.pop(job.name))] = job.name
             note(some(running.values(), 2))
-            wait_until(lambda seconds: wait(running, seconds, FIRST_COMPLETED).done)
+            if running:
+                wait_until(lambda seconds: wait(running, seconds, FIRST_COMPLETED).done)
             for future in [each for each in running if each.done()]:
                 record = future.result()
                 del running[future]

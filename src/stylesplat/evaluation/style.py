@@ -25,7 +25,7 @@ from stylesplat.stylization.painting import Painting, PaintSetup
 from stylesplat.stylization.style import all_colors, fit_style, style_features
 from stylesplat.stylization.views import (
     Box,
-    ObjectView,
+    PaintView,
     find_boxes,
     object_views,
     require_boxes,
@@ -183,13 +183,13 @@ def off_palette(colors: Float[Tensor, "P 3"], style: Float[Tensor, "Q 3"]) -> fl
     return int((distances > TOLERANCE).sum()) / len(lab)
 
 
-def renders(splats: Splats, views: Sequence[ObjectView]) -> list[Float[Tensor, "_ _ 3"]]:
+def renders(splats: Splats, views: Sequence[PaintView]) -> list[Float[Tensor, "_ _ 3"]]:
     return [render(splats, view.camera)[0].clamp(0, 1) for view in views]
 
 
 def object_nnfm(
     images: Sequence[Float[Tensor, "_ _ 3"]],
-    views: Sequence[ObjectView],
+    views: Sequence[PaintView],
     style_feats: Float[Tensor, "Q D"],
     network: FeatureNetwork,
     block: int,

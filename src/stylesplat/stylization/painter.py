@@ -316,7 +316,7 @@ def settle_colors(
     return project_to_palette(colors, whole, goal.palette, ~is_disc & is_disc.any())
 
 
-def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Colors]:
+def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Float[Tensor, "M 3"]]:
     """Turn the discs along the strokes, and let none show beside the object."""
     if not subject.canvas.is_disc.any():
         return subject, colors
@@ -368,8 +368,7 @@ def paint_objects(setup: PaintSetup, paintings: Sequence[Painting]) -> Composed:
     check_paintings(paintings)
     painted = compose(setup.splats, ())
     for painting in paintings:
-        own = painting.to(painted.splats)
-        own = replace(own, mask=own.mask[painted.parents])
+        own = painting.to(painted.splats).at(painted.parents)
         below = replace(setup, splats=painted.splats)
         layer, *_ = paint_layer(below, own, painted.parents)
         painted = compose(painted.base, (*painted.layers, layer), painted)
@@ -445,8 +444,7 @@ def crop_scene(
         for each in (setup.cameras, setup.all_cameras)
     )
     part = replace(setup, splats=splats[rows], cameras=cameras, all_cameras=all_cameras)
-    protected = None if painting.protected is None else painting.protected[rows]
-    return part, replace(painting, mask=painting.mask[rows], protected=protected), rows
+    return part, painting.at(rows), rows
 
 
 def layer_of(state: PaintState, painting: Painting, parents: Int[Tensor, " M"]) -> Layer:

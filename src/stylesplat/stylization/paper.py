@@ -22,6 +22,7 @@ from stylesplat.stylization.style import KEPT_HUES, style_pictures
 from stylesplat.stylization.views import (
     WHOLE_VIEWS,
     ObjectView,
+    PaintView,
     require_boxes,
     stage_views,
     typical_length,
@@ -67,8 +68,9 @@ def paint_as_published(setup: PaintSetup, painting: Painting) -> Iterator[PaintS
         yield PaintState(step, stage.steps, nnfm.detach(), painted, canvas, relief, every)
 
 
-def render_bands(view: ObjectView, splats: Splats) -> Float[Tensor, "H W 3"]:
+def render_bands(view: PaintView, splats: Splats) -> Float[Tensor, "H W 3"]:
     """Render splats that differ from the view's scene in the object's colour bands alone."""
+    assert isinstance(view, ObjectView)
     if view.linear is None:
         return rasterize(splats, view.camera)[0][0]
     origin = view.camera.positions.to(splats.means)

@@ -216,7 +216,7 @@ class Live:
     @property
     def layer(self) -> Layer:
         """The present layer."""
-        parents = self.below.parents.to(self.state.parents.device)
+        parents = self.below.parents.to(self.state.splats.device)
         return self.painting.record(layer_of(self.state, self.painting, parents), self.precision)
 
     @property
