@@ -115,7 +115,10 @@ def test_others_stay_and_the_objects_rows_only_fade(laid: Canvas):
 
 
 def test_it_fades_in_as_strongly_as_is_wanted(laid: Canvas):
-    count, before = len(SOLID), laid.unpainted
+    count = len(SOLID)
+    before = laid.changed(
+        opacities=torch.where(laid.is_disc, -20.0, laid.before.opacities[laid.parents])
+    ).splats
     sh0 = laid.splats.sh0.clone()
     sh0[count:] = -sh0[count:]  # any other colours
     after = replace(laid.splats, sh0=sh0)

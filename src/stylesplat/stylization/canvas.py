@@ -22,7 +22,6 @@ from stylesplat.rendering.render import colors_of, rasterize
 from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.visibility import in_view
 from stylesplat.rendering.weights import COVERED, coverage, geometry_only
-from stylesplat.scene.layers import UNSEEN
 from stylesplat.scene.sequences import drawn
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.surface import (
@@ -86,13 +85,6 @@ class Canvas:
     def mask(self) -> Bool[Tensor, " N"]:
         """Which of its Gaussians are painted."""
         return self.own[self.parents]
-
-    @property
-    def unpainted(self) -> Splats:
-        """The same Gaussians as the scene looked before: discs do not show."""
-        opacities = torch.full_like(self.splats.opacities, UNSEEN)
-        opacities[: len(self.own)] = self.before.opacities
-        return replace(self.splats, opacities=opacities)
 
     @property
     def surface(self) -> Surface | None:
