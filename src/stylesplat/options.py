@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence, Sized
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache, wraps
+from math import isfinite
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
@@ -255,13 +256,67 @@ def _refuse_unknown(entry: Mapping[str, Any], known: Mapping[str, Any]) -> None:
             raise StyleSplatError(f"there is no key {key!r}. {remedy}")
 
 
-Places = Sequence[Any]
-"""A view's name and its numbers, `("a.jpg", x, y)` or `("a.jpg", (x, y))`; or several of these."""
-
 PickSize = Literal["part", "object", "group"]
 """How much a click picks."""
 
-BOX = "x0, y0, x1, y1"  # in a view
+Places = Sequence[Any]
+"""A view's name and its numbers, `("a.jpg", x, y)` or `("a.jpg", (x, y))`; or several of these."""
+
+Place = tuple[str, Any]
+"""A view's name, which is empty in the world, and numbers."""
+
+
+@dataclass(frozen=True)
+class PlaceForm:
+    """How a place is written: `VIEW:x,y` on the command line, `(view, x, y)` in Python.
+
+    Example:
+        >>> POINT.parse("a.jpg:1,2"), POINT.parse(("a.jpg", 1, 2))
+        (('a.jpg', (1.0, 2.0)), ('a.jpg', (1.0, 2.0)))
+    """
+
+    in_view: str = ""
+    """The numbers of a place in a view, pixels of the photo; with dots any number of pairs."""
+    in_world: str = ""
+    """Those of a place in the world; empty if there is none."""
+
+    def parse(self, place: Any, what: str = "") -> Place:
+        """The name of the view and the numbers; refuses others, of the argument `what`."""
+        if isinstance(place, str):
+            view, _, text = place.rpartition(":")
+            numbers = text.split(",")
+        else:
+            named = isinstance(place, Sequence) and len(place) and isinstance(place[0], str)
+            view, numbers = (place[0], place[1:]) if named else ("", place)
+            if named and len(numbers) == 1 and isinstance(numbers[0], Sequence):
+                (numbers,) = numbers
+        try:
+            found = tuple(map(float, numbers))
+        except (TypeError, ValueError):
+            found = ()
+        names = self.in_view if view else self.in_world
+        is_line = names.endswith("...") and found and len(found) % 2 == 0
+        if names and all(map(isfinite, found)) and (is_line or len(found) == names.count(",") + 1):
+            return view, found
+        forms = [each for each in (self.in_world, self.in_view and f"VIEW:{self.in_view}") if each]
+        if isinstance(place, str):
+            raise StyleSplatError(f"Expected {' or '.join(forms)}, got {place!r}.")
+        forms = [f"({each.replace(':', ',').replace(',', ', ').lower()})" for each in forms]
+        raise StyleSplatError(f"Cannot use {what}={place!r}. Give {' or '.join(forms)}.")
+
+    def parse_all(self, places: Places | None, what: str) -> tuple[Place, ...]:
+        """The places that one or several stand for."""
+        if places is None or not len(places):
+            return ()
+        texts = not isinstance(places, str) and all(isinstance(each, str) for each in places)
+        alone = not texts and (isinstance(places[0], str) or not isinstance(places[0], Sized))
+        return tuple(self.parse(each, what) for each in ([places] if alone else places))
+
+
+POINT, BOX = PlaceForm("x,y"), PlaceForm("x0,y0,x1,y1")
+LINE = PlaceForm("x,y,x,y,...")
+BOX3D = PlaceForm(in_world="x0,y0,z0,x1,y1,z1")
+SPHERE = PlaceForm("x,y,RADIUS", "x,y,z,RADIUS")
 OVERSHOOT = 0.05  # of a side, by which boxes may exceed a photo: `sfm` crops while undistorting
 
 
@@ -288,48 +343,6 @@ def check_point(point: tuple[float, float], size: tuple[int, int], name: str) ->
             f"Point {point[0]:g},{point[1]:g} is outside {name}, which is {size[0]}x{size[1]} "
             "pixels. Coordinates are those of the photo at full size."
         )
-
-
-def parse_places(
-    places: Places | None, what: str, *, in_view: str = "", in_world: str = ""
-) -> tuple[tuple[str, Any], ...]:
-    """Separate views' names, which are empty in the world, and numbers.
-
-    Args:
-        places: One place, or several.
-        what: The name of the argument, for messages.
-        in_view: The numbers of a place in a view, as `x, y` of a point; empty if there is none.
-        in_world: Those of a place in the world.
-
-    Example:
-        >>> parse_places([("a.jpg", 1, 2), ("b.jpg", (3, 4))], "point", in_view="x, y")
-        (('a.jpg', (1.0, 2.0)), ('b.jpg', (3.0, 4.0)))
-    """
-    parsed = []
-    for place in several(places):
-        named = isinstance(place, Sequence) and len(place) and isinstance(place[0], str)
-        view, numbers = (place[0], place[1:]) if named else ("", place)
-        if named and len(numbers) == 1 and isinstance(numbers[0], Sequence):
-            (numbers,) = numbers
-        try:
-            found = tuple(map(float, numbers))
-        except (TypeError, ValueError):
-            found = ()
-        names = in_view if named else in_world
-        if not names or len(found) != names.count(",") + 1:
-            forms = [f"(view, {in_view})"] if in_view else []
-            forms += [f"({in_world})"] if in_world else []
-            raise StyleSplatError(f"Cannot use {what}={place!r}. Give {' or '.join(forms)}.")
-        parsed.append((view, found))
-    return tuple(parsed)
-
-
-def several(items: Sequence[Any] | None) -> Sequence[Any]:
-    """Returns a list of places or shapes where one or several were given."""
-    if items is None or not len(items):
-        return ()
-    alone = isinstance(items[0], str) or not isinstance(items[0], Sized)
-    return [items] if alone else items
 
 
 MAX_INTENSITY = 1.5  # beyond it colours leave their range

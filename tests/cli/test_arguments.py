@@ -7,7 +7,10 @@ import pytest
 
 from stylesplat.cli import VERBS, main
 from stylesplat.cli.arguments import help_texts, read_command
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.meshes.mesh_config import MeshConfig
+from stylesplat.options import options_of
+from stylesplat.structure_from_motion.config import SfmConfig
+from stylesplat.stylization.config import RecolorConfig, StyleConfig
 from stylesplat.training.config import TrainConfig
 
 STYLIZE = ("stylize", "garden", "-o", "wave")
@@ -33,11 +36,22 @@ def test_help_of_every_verb(verb: str, capsys):
     assert "None" not in page and "False" not in page and "repeatable" not in page
 
 
-@pytest.mark.parametrize(("verb", "config"), [("stylize", StyleConfig), ("train", TrainConfig)])
+@pytest.mark.parametrize(
+    ("verb", "config"),
+    [
+        ("stylize", StyleConfig),
+        ("recolor", RecolorConfig),
+        ("train", TrainConfig),
+        ("export", MeshConfig),
+        ("sfm", SfmConfig),
+    ],
+)
 def test_settings_have_the_help_and_the_defaults_of_their_config(verb: str, config: type, capsys):
     page = " ".join(printed(capsys, verb, "--help").replace("│", "").split())
-    assert f"{help_texts(config)['seed']} (default: {config().seed})" in page
-    assert help_texts(config)["steps"] in page
+    for name, option in options_of(config).items():
+        shown = "" if option.default is None else f" (default: {option.default})"
+        shown = "" if isinstance(option.default, bool) else shown
+        assert option.research or help_texts(config)[name] + shown in page
 
 
 @pytest.mark.parametrize(

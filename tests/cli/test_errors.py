@@ -14,11 +14,12 @@ from balls import CAMERAS, SPLATS
 from processes import complaint
 from scenes import assert_same
 from stylesplat.cli import main
-from stylesplat.cli.arguments import parse_place, parse_style
+from stylesplat.cli.arguments import parse_style
 from stylesplat.cli.command import BUG, OUT_OF_MEMORY, new_scene, unused
 from stylesplat.cli.objects import Objects
 from stylesplat.errors import StyleSplatError, pasted
 from stylesplat.io.scene_folder import open
+from stylesplat.options import BOX, LINE, SPHERE
 from stylesplat.scene.scene import Scene
 
 VIEW = CAMERAS.names[0]
@@ -67,13 +68,12 @@ def test_one_line_and_status_1(
 
 
 def test_places_and_styles_are_parsed(tmp_path: Path):
-    box = "VIEW:x0,y0,x1,y1"
-    assert parse_place("a:b.jpg:1,2,3,4.5", box) == ("a:b.jpg", (1.0, 2.0, 3.0, 4.5))
-    assert parse_place("0,1,2,3", box, "x,y,z,RADIUS") == ("", (0.0, 1.0, 2.0, 3.0))
-    assert parse_place("a.jpg:1,2,3,4", "VIEW:x,y,x,y,...")[1] == (1.0, 2.0, 3.0, 4.0)
+    assert BOX.parse("a:b.jpg:1,2,3,4.5") == ("a:b.jpg", (1.0, 2.0, 3.0, 4.5))
+    assert SPHERE.parse("0,1,2,3") == ("", (0.0, 1.0, 2.0, 3.0))
+    assert LINE.parse("a.jpg:1,2,3,4")[1] == (1.0, 2.0, 3.0, 4.0)
     for wrong in ("a.jpg:1,2", "a.jpg:1,2,3,b", "1,2,3,4", "a.jpg:1,2,3,nan", ""):
-        with pytest.raises(StyleSplatError, match=f"Expected {box}, got '{wrong}'"):
-            parse_place(wrong, box)
+        with pytest.raises(StyleSplatError, match=f"Expected VIEW:x0,y0,x1,y1, got '{wrong}'"):
+            BOX.parse(wrong)
     assert parse_style("vase=a=b.jpg,b.jpg") == ("vase", (Path("a=b.jpg"), Path("b.jpg")))
     for wrong in ("=b.jpg", "vase", "vase=", "vase=a.jpg,", "vase=a.jpg,,b.jpg"):
         with pytest.raises(StyleSplatError, match=f"OBJECT=IMAGE.*got '{wrong}'"):

@@ -88,7 +88,7 @@ def test_several_shapes_are_united():
         ({"point": (1.0, 2.0)}, r"Cannot use point=\(1.0, 2.0\)\. Give \(view, x, y\)"),
         ({"box": (VIEW, 1, 2, 3)}, r"Give \(view, x0, y0, x1, y1\)"),
         ({"sphere": [(1.0, 2.0, 3.0, 4.0), (1.0,)]}, r"Cannot use sphere=\(1.0,\)"),
-        ({"sphere": (VIEW, 1.0, 2.0)}, r"Give \(view, x, y, radius\) or \(x, y, z, radius\)"),
+        ({"sphere": (VIEW, 1.0, 2.0)}, r"Give \(x, y, z, radius\) or \(view, x, y, radius\)"),
         ({"box3d": (1.0, 2.0, 3.0)}, r"Cannot use box3d=\(1.0, 2.0, 3.0\)\. Give \(x0"),
         ({"point": ("lost.jpg", 1, 2)}, "No view is called 'lost.jpg'"),
     ],

@@ -4,7 +4,6 @@ The fields of a command are its options, and the strings under them their help. 
 are declared in the stage's config only: a command takes them by `from_config`.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from functools import reduce
@@ -157,34 +156,6 @@ def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
             kind, default = OmitArgPrefixes[settings], dict.fromkeys(flags, False)
         options.append(StructFieldSpec(each.name, kind, default, texts.get(each.name)))
     return StructConstructorSpec(info.type, tuple(options))
-
-
-Place = tuple[str, tuple[float, ...]]
-"""A view's name, which is empty in the world, and numbers."""
-
-
-def parse_place(text: str, *forms: str) -> Place:
-    """Numbers, which are pixels of the photo if the name of a view stands before them.
-
-    Args:
-        text: What the user typed.
-        forms: The allowed forms; one that ends with dots takes any number of pairs.
-
-    Example:
-        >>> parse_place("view_003.png:640,400,0.5", "x,y,z,RADIUS", "VIEW:x,y,RADIUS")
-        ('view_003.png', (640.0, 400.0, 0.5))
-    """
-    view, _, values = text.rpartition(":")
-    try:
-        numbers = tuple(map(float, values.split(",")))
-    except ValueError:
-        numbers = ()
-    for form in forms if all(map(math.isfinite, numbers)) else ():
-        in_view, _, names = form.rpartition(":")
-        is_even = names.endswith("...") and numbers and len(numbers) % 2 == 0
-        if bool(in_view) == bool(view) and (is_even or len(numbers) == names.count(",") + 1):
-            return view, numbers
-    raise StyleSplatError(f"Expected {' or '.join(forms)}, got {text!r}.")
 
 
 def parse_style(text: str) -> tuple[str, tuple[Path, ...]]:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 import stylesplat as ss
-from stylesplat.cli.arguments import parse_place
 from stylesplat.cli.command import (
     CONTINUES,
     Answer,
@@ -27,6 +26,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.interrupts import WHOLE
 from stylesplat.io.atomic import changing, partial_of, refuse_occupied
 from stylesplat.io.files import is_file
+from stylesplat.options import BOX, LINE
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished, view_of_photo
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 Drawn = dict[str, list[Any]]  # by object, places in views
 Method = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
 WITHOUT_MODEL = ("files", "grabcut")  # models keep what they have found so far
-BOX, LINE = "VIEW:x0,y0,x1,y1", "VIEW:x,y,x,y,..."
 PREVIEW, RIMS = "preview.jpg", "rims.jpg"  # beside the label maps, which are PNGs
 SCENE_PREVIEW = "masks.jpg"  # in the folder of a scene
 SIDE = 480  # pixels of the views in it
@@ -126,7 +125,7 @@ class Mask(MakingCommand):
         for kind, texts, over_object in given:
             for text in texts:
                 name, _, place = text.partition("=") if "=" in text else ("object", "", text)
-                view, mark = parse_place(place, BOX if over_object is None else LINE)
+                view, mark = (BOX if over_object is None else LINE).parse(place)
                 if over_object is not None:
                     points = zip(mark[::2], mark[1::2], strict=True)
                     mark = ss.Stroke((*points,), over_object)

@@ -10,7 +10,6 @@ from typing import Any, Literal
 from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
-from stylesplat.cli.arguments import parse_place
 from stylesplat.cli.command import (
     Answer,
     EditingCommand,
@@ -179,16 +178,12 @@ class Select(EditingCommand):
             say(f"Picture: {picture}, {what}.")
 
     def _select(self, scene: "ss.Scene") -> "ss.Scene":
-        same = ("of", "size", "text", "rows", "all", "background", "grow", "shrink")
+        same = ("box", "point", "not_point", "box3d", "sphere", "rows", "text")
+        same += ("of", "size", "all", "background", "grow", "shrink")
         return ss.select(
             scene,
             self.name,
             id=[*chain(*self.id)],
-            box=_places(self.box, "VIEW:x0,y0,x1,y1"),
-            point=_places(self.point, "VIEW:x,y"),
-            not_point=_places(self.not_point, "VIEW:x,y"),
-            box3d=_places(self.box3d, "x0,y0,z0,x1,y1,z1"),
-            sphere=_places(self.sphere, "x,y,z,RADIUS", "VIEW:x,y,RADIUS"),
             plus=[*chain(*self.plus)],
             minus=[*chain(*self.minus)],
             threshold=self.threshold,
@@ -215,12 +210,6 @@ class Select(EditingCommand):
                 write_image(picture, target)
             return target
         return None
-
-
-def _places(texts: tuple[str, ...], *forms: str) -> list[Any]:
-    """The places as `ss.select` takes them: numbers, after the view if there is one."""
-    places = (parse_place(text, *forms) for text in texts)
-    return [(view, *numbers) if view else numbers for view, numbers in places]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar
 from tyro.conf import Positional
 
 import stylesplat as ss
-from stylesplat.cli.arguments import from_config, parse_place
+from stylesplat.cli.arguments import from_config
 from stylesplat.cli.command import (
     CONTINUES,
     Answer,
@@ -20,6 +20,7 @@ from stylesplat.cli.command import (
 )
 from stylesplat.errors import StyleSplatError, some
 from stylesplat.io.atomic import changing, partial_of
+from stylesplat.options import BOX
 from stylesplat.progress import say
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.earlier_capture import capture_place, find_earlier_capture
@@ -58,7 +59,7 @@ class Sfm(MakingCommand):
             self.output,
             frames=self.frames,
             masks=self.masks,
-            box=self.object and parse_place(self.object, "VIEW:x0,y0,x1,y1"),
+            box=self.object and BOX.parse(self.object),
             overwrite=self.overwrite,
             **self.settings,
         )

@@ -12,7 +12,7 @@ from stylesplat.io.label_maps import overlay_masks
 from stylesplat.masks.box_propagation import propagate_boxes, spread_marks, view_images
 from stylesplat.masks.grabcut import Box, Stroke, pixels_inside, refuse_box
 from stylesplat.masks.working_splat import with_label_maps, working_splat
-from stylesplat.options import BOX, Places, check_box, parse_places
+from stylesplat.options import BOX, Places, check_box
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import (
     BACKGROUND,
@@ -55,12 +55,7 @@ class FromBoxes:
             refuse_without_box(self.boxes)
 
     def mask(self, capture: Capture, device: str) -> Capture:
-        """Cut the objects out of all photos.
-
-        Raises:
-            StyleSplatError: If there is neither a box nor a label map to correct, or a box is no
-                part of its photo or shows nothing that stands out.
-        """
+        """Cut the objects out of all photos."""
         boxes = self.boxes
         small, full = at_most(capture, SIZE), capture.full_cameras
         named = dict(enumerate(boxes, start=1)) if boxes else dict(capture.object_names)
@@ -129,7 +124,7 @@ def _place_boxes(boxes: Boxes, full: Cameras, small: Cameras) -> dict[tuple[str,
     """Boxes in pixels of the working size, by object's name and row of the view."""
     placed: dict[tuple[str, int], Box] = {}
     for name, places in boxes.items():
-        for view, box in parse_places(places, "boxes", in_view=BOX):
+        for view, box in BOX.parse_all(places, "boxes"):
             row = full.index(view)
             if (name, row) in placed:
                 raise StyleSplatError(
@@ -162,7 +157,7 @@ def _marks(
     for boxes, belongs in ((keep, True), (drop, False)):
         for name, places in boxes.items():
             own = _known_name(name, [*names.values()])
-            for view, box in parse_places(places, "keep" if belongs else "drop", in_view=BOX):
+            for view, box in BOX.parse_all(places, "keep" if belongs else "drop"):
                 row = full.index(view)
                 scaled = _scaled_box(check_box(box, full[row].size, view), full[row], small[row])
                 pixels = torch.from_numpy(pixels_inside(scaled, small[row].size))

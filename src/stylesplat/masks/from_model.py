@@ -116,12 +116,7 @@ class FromModel:
     progress: Path | None = None
 
     def mask(self, capture: Capture, device: str) -> Capture:
-        """Find the objects of all photos.
-
-        Raises:
-            StyleSplatError: If the model cannot be had or finds nothing, or another folder is in
-                the place of intermediate results.
-        """
+        """Find the objects of all photos."""
         small, place = at_most(capture, SIZE), pick_device(device)
         proposer = load_proposer(self.family, self.model, place)
         propagator = (

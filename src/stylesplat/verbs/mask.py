@@ -204,4 +204,6 @@ def mask_source(method: Method | None, **given: Any) -> MaskSource:
         )
     if kind is FromFiles and "source" not in given:
         raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
-    return kind(**given, **({"family": method} if kind is FromModel else {}))
+    if kind is FromModel:
+        given["family"] = method
+    return kind(**given)

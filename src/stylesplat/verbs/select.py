@@ -10,7 +10,16 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.gaussian_lists import read_rows
-from stylesplat.options import BOX, PickSize, Places, check_arguments, check_box, parse_places
+from stylesplat.options import (
+    BOX,
+    BOX3D,
+    POINT,
+    SPHERE,
+    PickSize,
+    Places,
+    check_arguments,
+    check_box,
+)
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.objects import check_name
@@ -18,8 +27,6 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.choose import Choice, choose, whole_of
 from stylesplat.selection.labels import THRESHOLD, object_ids
 from stylesplat.selection.text import load_detector
-
-POINT, BOX3D = "x, y", "x0, y0, z0, x1, y1, z1"
 
 
 @check_arguments
@@ -97,14 +104,14 @@ def select(
     texts = (text,) if isinstance(text, str) else tuple(text or ())
     choice = Choice(
         ids=(id,) if isinstance(id, int) else tuple(id),
-        boxes=parse_places(box, "box", in_view=BOX),
-        points=parse_places(point, "point", in_view=POINT),
-        not_points=parse_places(not_point, "not_point", in_view=POINT),
+        boxes=BOX.parse_all(box, "box"),
+        points=POINT.parse_all(point, "point"),
+        not_points=POINT.parse_all(not_point, "not_point"),
         of=of,
         size=size,
         text=texts,
-        box3d=tuple(corners for _, corners in parse_places(box3d, "box3d", in_world=BOX3D)),
-        sphere=parse_places(sphere, "sphere", in_view="x, y, radius", in_world="x, y, z, radius"),
+        box3d=tuple(corners for _, corners in BOX3D.parse_all(box3d, "box3d")),
+        sphere=SPHERE.parse_all(sphere, "sphere"),
         rows=_listed(scene, name, rows),
         plus=(plus,) if isinstance(plus, str) else tuple(plus),
         minus=(minus,) if isinstance(minus, str) else tuple(minus),

@@ -39,7 +39,6 @@ from stylesplat.options import (
     Places,
     check_arguments,
     check_box,
-    parse_places,
     with_settings,
 )
 from stylesplat.progress import say
@@ -244,7 +243,7 @@ def _shown(drawn: DrawnLabels) -> Bool[np.ndarray, "H W"]:
 
 def _place_box(box: Places, photos: Path, prepared: PreparedPhotos) -> tuple[str, Box]:
     """The name that the photo of a box has in the capture, and the box."""
-    placed = parse_places(box, "box", in_view=BOX)
+    placed = BOX.parse_all(box, "box")
     if len(placed) != 1:
         raise StyleSplatError(f"There are {len(placed)} boxes. Draw one, in the clearest photo.")
     view, corners = placed[0]
