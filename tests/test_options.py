@@ -53,14 +53,14 @@ def test_the_command_line_offers_all_but_those_for_research(verb: str):
 def test_numbers_have_ranges_and_defaults_fit(verb: str, name: str, option: Option):
     numbers = (int, float, int | None, float | None)
     assert (option.kind in numbers) == (option.low is not None)
-    assert not option.fault(option.default)
+    assert option.convert(option.default) == option.default
     assert getattr(COMMANDS[verb][0](), name) == option.default
 
 
 @pytest.mark.parametrize(("verb", "name", "option"), RANGES, ids=ids)
 def test_python_refuses_what_is_out_of_range(verb: str, name: str, option: Option):
     config = COMMANDS[verb][0]()
-    assert option.fault(option.low) == option.fault(option.high) == ""
+    assert (option.convert(option.low), option.convert(option.high)) == (option.low, option.high)
     for value in (*beyond(option), math.nan, True, "1", [1]):
         with pytest.raises(StyleSplatError, match=f"Cannot {config.verb} with {name} "):
             with_settings(config, {name: value})
@@ -104,4 +104,4 @@ def test_the_studio_offers_the_same_defaults_within_the_ranges(config: type[Conf
         option = options[each.name]
         assert (each.value, each.choices) == (option.default, option.choices)
         for value in option.choices or option.slider:
-            assert not option.fault(option.convert(value))
+            assert option.convert(value) == value

@@ -36,7 +36,6 @@ from stylesplat.torch_modes import own_modes, steps_in_own_modes, usable
 P = ParamSpec("P")
 T = TypeVar("T")
 C = TypeVar("C", bound="Config")
-LARGEST_FLOAT = 1e300  # integers may be larger than any float
 WIDER = {Path: PathLike, float: Real, int: Integral}  # what is accepted for a type
 REMEDIES = {
     "Capture": "`load` reads posed photos from a folder; `sfm` finds the poses of others.",
@@ -154,7 +153,7 @@ class Option:
     step: float | int = 0.05
     """Of the slider."""
     research: bool = False
-    """Whether only Python and recipes take it, and the command line does not."""
+    """Whether it is for Python and recipes; a command that has it declares its own option."""
     kind: Any = Any
     default: Any = None
 
@@ -164,25 +163,20 @@ class Option:
         return get_args(self.kind) if get_origin(self.kind) is Literal else ()
 
     def convert(self, value: Any) -> Any:
-        """Returns the value in this type where only the form differs: 2 as 2.0, a list as tuple."""
-        kinds = _alternatives(self.kind)
-        if isinstance(value, list):
-            return tuple(value)
-        if isinstance(value, bool) or not isinstance(value, Real):
-            return value
-        if float in kinds and abs(cast("float", value)) < LARGEST_FLOAT:
-            return float(value)
-        return int(value) if int in kinds and isinstance(value, Integral) else value
+        """The value in its type: 2 as 2.0, a list as a tuple.
 
-    def fault(self, value: Any) -> str:
-        """What is wrong with a value; empty if nothing is."""
-        kinds = _alternatives(self.kind)
+        Raises:
+            ValueError: With the remedy, if it is of another type, or beyond the range.
+        """
+        value, kinds = tuple(value) if isinstance(value, list) else value, _alternatives(self.kind)
         fits = any(_is_instance(value, each) for each in kinds)
         if not fits or (self.choices and value not in self.choices):
-            return f"it must be {_either(kinds)}"
-        if value is None or self.low is None or self.low <= value <= cast("float", self.high):
-            return ""
-        return f"use {self.low:,} to {self.high:,}"
+            raise ValueError(f"it must be {_either(kinds)}")
+        if value is None or self.low is None:
+            return value
+        if not self.low <= value <= cast("float", self.high):
+            raise ValueError(f"use {self.low:,} to {self.high:,}")
+        return float(value) if float in kinds else int(value)
 
 
 MANY = 10**9  # what lies beyond is a slip of the keyboard
@@ -208,23 +202,24 @@ class Config:
     """What the settings are for, in messages."""
 
     def __post_init__(self) -> None:
-        self.check(vars(self))
+        self.convert(vars(self))
 
-    def check(self, settings: Mapping[str, Any]) -> None:
-        """Refuse settings of other types than declared, or beyond their range."""
+    def convert(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Settings in their types; refuses others, and those beyond their range."""
+        options, found = options_of(type(self)), {}
+        _refuse_unknown(settings, options)
         for name, value in settings.items():
-            if fault := options_of(type(self))[name].fault(value):
+            try:
+                found[name] = options[name].convert(value)
+            except ValueError as fault:
                 shown = brief(repr(value))
-                raise StyleSplatError(f"Cannot {self.verb} with {name} {shown}: {fault}.")
+                raise StyleSplatError(f"Cannot {self.verb} with {name} {shown}: {fault}.") from None
+        return found
 
 
 def with_settings(config: C, settings: Mapping[str, Any]) -> C:
     """The config with some settings changed, which are converted to their types."""
-    options = options_of(type(config))
-    _refuse_unknown(settings, options)
-    converted = {key: options[key].convert(value) for key, value in settings.items()}
-    config.check(converted)
-    return replace(config, **converted)
+    return replace(config, **config.convert(settings))
 
 
 def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict[str, Any]:
@@ -234,17 +229,14 @@ def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict
     for key, value in entry.items():
         hint = hints[key]
         try:
-            fit[key] = (
-                hint.convert(value) if isinstance(hint, Option) else msgspec.convert(value, hint)
-            )
-            fault = hint.fault(fit[key]) if isinstance(hint, Option) else ""
-        except msgspec.ValidationError as error:
+            is_option = isinstance(hint, Option)
+            fit[key] = hint.convert(value) if is_option else msgspec.convert(value, hint)
+        except (ValueError, msgspec.ValidationError) as error:
             literals = [each for each in (hint, *get_args(hint)) if get_origin(each) is Literal]
             choices = [word for each in literals for word in get_args(each)]
             fault = f"it must be {' or '.join(choices)}" if choices else str(error)
-        if fault:
             shown = brief(json.dumps(value, ensure_ascii=False, default=str))
-            raise StyleSplatError(f"{key} cannot be {shown}: {fault}.")
+            raise StyleSplatError(f"{key} cannot be {shown}: {fault}.") from error
     return fit
 
 

@@ -117,16 +117,12 @@ class FromModel:
 
     def mask(self, capture: Capture, device: str) -> Capture:
         """Find the objects of all photos."""
-        small, place = at_most(capture, SIZE), pick_device(device)
-        proposer = load_proposer(self.family, self.model, place)
-        propagator = (
-            load_propagator(self.family, self.model, place)
-            if FAMILIES[self.family].video_types
-            else None
-        )
+        family, small, place = self.family, at_most(capture, SIZE), pick_device(device)
+        proposer, is_video = load_proposer(family, self.model, place), FAMILIES[family].video_types
+        propagator = load_propagator(family, self.model, place) if is_video else None
         bare = replace(small, label_maps=None, object_names={})
         settings = {
-            "method": self.family,
+            "method": family,
             "model": self.model,
             "sizes": small.cameras.sizes.tolist(),
             "photos": fingerprint(bare, photos=len(bare)),

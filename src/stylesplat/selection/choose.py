@@ -37,40 +37,26 @@ ALONE = frozenset({"text", "box3d", "sphere"})  # no list in objects.json where 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The union of all that is named, without what is excluded."""
+    """The union of all that is named, without what is excluded; see the arguments of `select`."""
 
     ids: tuple[int, ...] = ()
-    """Label ids."""
     boxes: tuple[tuple[str, Box], ...] = ()
-    """A view and a rectangle of its pixels: the object that shows most inside."""
     points: tuple[tuple[str, Point], ...] = ()
-    """A view and a pixel: the object that shows there."""
     not_points: tuple[tuple[str, Point], ...] = ()
-    """Objects to exclude."""
     of: str | None = None
-    """The name of the object that this is a part of."""
     size: PickSize | None = None
-    """How much points mean on the surface, whatever the labels; None to go by labels if known."""
     text: tuple[str, ...] = ()
-    """A few words each: the object that fits them best."""
     box3d: tuple[tuple[float, ...], ...] = ()
-    """Two corners in the world, the lower one first."""
     sphere: tuple[tuple[str, tuple[float, ...]], ...] = ()
-    """A centre in the world and a radius; or a view, the pixel that shows the centre, a radius."""
+    """A view or none, the centre, and the radius."""
     rows: tuple[tuple[str, Bool[Tensor, " B"]], ...] = ()
     """Listed Gaussians of the base, and the source of each list."""
     plus: tuple[str, ...] = ()
-    """Names of objects to add."""
     minus: tuple[str, ...] = ()
-    """Names of objects to exclude."""
     all: bool = False
-    """Everything."""
     background: bool = False
-    """What belongs to no object."""
     grow: float | None = None
-    """Share of its extent by which to grow the selection."""
     shrink: float | None = None
-    """Share of its extent by which to shrink it."""
 
     def __post_init__(self) -> None:
         if self.grow is not None and self.shrink is not None:

@@ -162,17 +162,9 @@ def mask(
     """
     if isinstance(capture, Scene) and scene is not None:
         raise StyleSplatError("`scene` means nothing for a scene. Leave it out.")
-    masks = mask_source(
-        method,
-        boxes=boxes,
-        strokes=strokes,
-        keep=keep,
-        drop=drop,
-        source=None if source is None else Path(source),
-        model=model,
-        scene=scene,
-        progress=progress,
-    )
+    drawn = {"boxes": boxes, "strokes": strokes, "keep": keep, "drop": drop}
+    given = {"source": None if source is None else Path(source), "model": model, "scene": scene}
+    masks = mask_source(method, **drawn, **given, progress=progress)
     if not isinstance(capture, Scene):
         return masks.mask(capture, device)
     if not has_no_photos(capture):
