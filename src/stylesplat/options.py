@@ -153,7 +153,7 @@ class Option:
     step: float | int = 0.05
     """Of the slider."""
     research: bool = False
-    """Whether it is for Python and recipes; a command that has it declares its own option."""
+    """Whether `from_config` leaves it out: it is for Python and recipes."""
     kind: Any = Any
     default: Any = None
 
