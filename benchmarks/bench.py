@@ -14,7 +14,7 @@ import numba
 import torch
 
 import stylesplat as ss
-from stylesplat.errors import counted
+from stylesplat.errors import count_noun
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features import FeatureNetwork, load_weights
@@ -113,7 +113,7 @@ def _status(field: str) -> int:
 def machine() -> str:
     """The processor and its threads, for the head of a report."""
     found = re.search(r"model name\s*: (.+)", Path("/proc/cpuinfo").read_text())
-    threads = counted(numba.get_num_threads(), "thread")
+    threads = count_noun(numba.get_num_threads(), "thread")
     return f"{found[1] if found else platform.processor()}, {threads}"
 
 

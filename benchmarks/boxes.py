@@ -20,8 +20,8 @@ from stylesplat.imaging.similarity import mask_iou
 from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.io.label_maps import read_label_map
 from stylesplat.masks.box_propagation import propagate_boxes, view_images
-from stylesplat.masks.from_boxes import SIZE
-from stylesplat.masks.grabcut import Box
+from stylesplat.masks.from_boxes import DRAWN_BOX_SIZE
+from stylesplat.masks.grabcut import DrawnBox
 from stylesplat.masks.working_splat import working_splat
 from stylesplat.scene.capture import BACKGROUND, Capture, Mask, at_most, ids_of, resize_labels
 
@@ -41,7 +41,7 @@ class Drawn:
     """By row of a view."""
 
     @property
-    def box(self) -> Box:
+    def box(self) -> DrawnBox:
         mask = self.truth[self.row]
         low, high = (edge.tolist() for edge in mask.nonzero().aminmax(dim=0))
         top, left = (max(0, edge - MARGIN) for edge in low)
@@ -108,10 +108,10 @@ def main(turntable: Path | None = None) -> None:
     Args:
         turntable: What `scripts/still_life/turntable.py` wrote; none is not measured.
     """
-    fox = at_most(ss.load(DATA / "fox"), SIZE)
+    fox = at_most(ss.load(DATA / "fox"), DRAWN_BOX_SIZE)
     rows = [*judge(fox, of_fox(fox))]
     path = OUT / "test_objects" / "demo" / "capture"
-    demo = at_most(ss.load(path, masks=exact_masks(path)), SIZE)
+    demo = at_most(ss.load(path, masks=exact_masks(path)), DRAWN_BOX_SIZE)
     rows += judge(demo, [*of_demo(demo)])
     if turntable is not None:
         first = next(iter(sorted((turntable / "photos").iterdir())))
@@ -119,7 +119,7 @@ def main(turntable: Path | None = None) -> None:
         box = Drawn("turntable", 0, {0: labels != BACKGROUND}).box
         with tempfile.TemporaryDirectory() as folder:
             posed = ss.sfm(turntable / "photos", Path(folder) / "c", box=(first.name, *box))
-            turned = at_most(posed, SIZE)
+            turned = at_most(posed, DRAWN_BOX_SIZE)
             rows += judge(turned, of_turntable(turned, turntable))
     print(f"{machine()}, calibration loop {calibration_ms():.0f} ms\n")
     columns = [

@@ -35,7 +35,7 @@ import stylesplat as ss
 from stylesplat.evaluation.style import measure_style
 from stylesplat.io.style_pictures import read_style, resize
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.selection.labels import pick
 from stylesplat.stylization.config import PATTERN_LENGTH, Network, StyleConfig
 from stylesplat.stylization.features import PACKAGED, FeatureNetwork, fastest_dtype, load_weights
@@ -81,7 +81,7 @@ class Bench:
 
 def photos(scene: str) -> list[Tensor]:
     """Some photos of a scene."""
-    paths = evenly(sorted((DATA / scene / "images").iterdir()), PHOTOS)
+    paths = evenly_spaced(sorted((DATA / scene / "images").iterdir()), PHOTOS)
     return [resize(read_style(path), PHOTO_SIZE) for path in paths]
 
 
@@ -90,7 +90,7 @@ def fox_views(bench: Bench, length: float) -> tuple[list[ObjectView], list[Tenso
     training, _ = bench.scene.working_views()
     studio = paint_setup(bench.scene.splats, training, bench.vgg19)
     job = bench.job(next(iter(bench.paintings)))
-    views = evenly(object_views(studio, job, require_boxes(studio, job), length), VIEWS)
+    views = evenly_spaced(object_views(studio, job, require_boxes(studio, job), length), VIEWS)
     images = [rasterize(bench.scene.splats, view.camera)[0][0].clamp(0, 1) for view in views]
     return views, images
 

@@ -23,7 +23,7 @@ from stylesplat.imaging.color import LUMA
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
@@ -76,7 +76,7 @@ def find_sights(splats: Splats, cameras: Cameras, picked: Tensor, count: int) ->
     views = [cameras[row] for row in range(len(cameras))]
     areas = [float((coverage(splats, v.at_most(SMALL), picked) > COVERED).sum()) for v in views]
     good = [v for v, area in zip(views, areas, strict=True) if area > SEEN * max(areas)]
-    return [_sight(splats, view, picked) for view in evenly(good, count)]
+    return [_sight(splats, view, picked) for view in evenly_spaced(good, count)]
 
 
 def _sight(splats: Splats, camera: Cameras, picked: Tensor) -> Sight:

@@ -65,7 +65,7 @@ from stylesplat.io.style_pictures import read_style
 from stylesplat.rendering.render import render
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.selection.choose import find_object
 from stylesplat.stylization.features import load_weights
 
@@ -258,7 +258,7 @@ def way(
 ) -> Figures:
     """The share of the way from before to the best pixels that is done, at each size."""
     network = list(networks.values())[-1]
-    rows = evenly(range(len(subject.sights)), options.target_views)
+    rows = evenly_spaced(range(len(subject.sights)), options.target_views)
     sights = [subject.sights[row] for row in rows]
     best = targets(subject, painting, sights, picture, options, networks)
     found = {}

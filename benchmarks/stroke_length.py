@@ -15,18 +15,20 @@ from torch import Tensor
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.views import Box
+from stylesplat.stylization.views import ObjectBox
 
 SLOW = 0.25  # of the object's length: what changes more slowly is no stroke
 LEVEL = 0.5  # of the autocorrelation
 VIEWS = 4
 
 
-def stroke_length(before: Splats, after: Splats, picked: Tensor, boxes: list[Box]) -> float:
+def stroke_length(before: Splats, after: Splats, picked: Tensor, boxes: list[ObjectBox]) -> float:
     """Pixels from one half of a stroke to the other, the mean over some views."""
-    lengths = [_length(before, after, picked, b.camera, b.length) for b in evenly(boxes, VIEWS)]
+    lengths = [
+        _length(before, after, picked, b.camera, b.length) for b in evenly_spaced(boxes, VIEWS)
+    ]
     return sum(lengths) / len(lengths)
 
 

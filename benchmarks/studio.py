@@ -104,7 +104,7 @@ def pictures(tab: Tab, url: str, turns: int) -> Times:
         tab.page.until("window.studio?.shown.after >= 0")
         yield "page to the first picture", time.perf_counter() - start
     tab.page.evaluate(WATCH)
-    tab.settle()
+    tab.wait_until_idle()
 
 
 def picks(tab: Tab, names: tuple[str, str], turns: int) -> Times:
@@ -119,7 +119,7 @@ def picks(tab: Tab, names: tuple[str, str], turns: int) -> Times:
         tab.click(*middles[name])
         tab.page.until(f"String(studio.overlay.picked?.names) === {json.dumps(name)}")
         yield "click to the outline", time.perf_counter() - start
-        tab.settle()
+        tab.wait_until_idle()
 
 
 def moves(tab: Tab, turns: int) -> Times:
@@ -139,7 +139,7 @@ def moves(tab: Tab, turns: int) -> Times:
         yield "a picture of a moving camera", seconds / max(count, 1)
         tab.page.evaluate("studio.camera.reset() || studio.moved()")
         x = SIZE[0] / 2
-        tab.settle()
+        tab.wait_until_idle()
 
 
 def paintings(tab: Tab, name: str, turns: int) -> Times:
@@ -167,7 +167,7 @@ def strengths(tab: Tab) -> Times:
         event = "new Event('input', {bubbles: true})"
         act = f"{found}.value = {value}; {found}.dispatchEvent({event})"
         yield "strength", seconds_to(tab, "true", act)
-        tab.settle()
+        tab.wait_until_idle()
         time.sleep(1.0)
 
 
@@ -248,14 +248,14 @@ def painted(scene: Path, styles: Path, objects: tuple[str, str]) -> Iterator[lis
         copy = shutil.copytree(scene, Path(folder) / "scene")
         opened = ss.studio(copy, styles=styles, port=0, block=False)
         actions, session = opened.server.actions, opened.session
-        session.worker.settle(600)
+        session.worker.wait_until_idle(600)
         yield ["memory, scene open", f"{memory('self', 'VmRSS'):.2f} GiB", ""]
         pictures = [*actions.gallery.pictures.values()]
         for number in range(PAINTINGS):
             picture, name = pictures[number % len(pictures)], objects[number % 2]
             style = ss.Style(picture.path, steps=STEPS)
             session.ask(lambda s=style, n=name, t=picture.title: actions.queue.paint([n], s, t))
-            assert session.worker.settle(900)
+            assert session.worker.wait_until_idle(900)
         assert len(actions.variants) == PAINTINGS
         peak = f"peak {memory('self', 'VmHWM'):.2f}"
         yield [f"memory, {PAINTINGS} paintings", f"{memory('self', 'VmRSS'):.2f} GiB", peak]

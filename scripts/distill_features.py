@@ -28,7 +28,7 @@ from tqdm import tqdm
 from stylesplat.stylization.features import (
     COMPACT_CELLS,
     DEPTHS,
-    FOLD,
+    NETWORK_FOLD,
     PACKAGED,
     FeatureNetwork,
     compact_from,
@@ -144,8 +144,8 @@ def find_teacher(network: FeatureNetwork, batches: Iterator[Tensor]) -> Teacher:
 
 def first_weights(generator: torch.Generator) -> dict[str, Tensor]:
     """Random weights, the matrices as [out, in * k * k] with the inputs last."""
-    params, inputs = {}, 3 * FOLD**2
-    outputs = (DIRECTIONS[0] * FOLD**2, *DIRECTIONS[1:])
+    params, inputs = {}, 3 * NETWORK_FOLD**2
+    outputs = (DIRECTIONS[0] * NETWORK_FOLD**2, *DIRECTIONS[1:])
     for block, (width, depth) in enumerate(zip(WIDTHS, DEPTHS["compact"], strict=True)):
         shapes = {}
         for layer in range(depth):

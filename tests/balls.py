@@ -27,7 +27,7 @@ from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.painting import Painting, paint_setup
 from stylesplat.stylization.style import Style
-from stylesplat.stylization.views import Box, ObjectView, object_views
+from stylesplat.stylization.views import ObjectBox, ObjectView, object_views
 from stylesplat.verbs.stylize import stylize
 
 BALLS = {  # label id: centre (x right, y forward, z up) and colour
@@ -166,7 +166,11 @@ def same(one: Splats, other: Splats) -> bool:
 
 
 def cropped(
-    splats: Splats, boxes: Sequence[Box], mask: Tensor, network: FeatureNetwork, **options: Any
+    splats: Splats,
+    boxes: Sequence[ObjectBox],
+    mask: Tensor,
+    network: FeatureNetwork,
+    **options: Any,
 ) -> list[ObjectView]:
     """Views of some Gaussians, for the features of one block."""
     config = StyleConfig(block=options.pop("block", 2))
@@ -226,8 +230,8 @@ def painted(
 def painting_quickly() -> Iterator[None]:
     """Objects are compared with their styles at a small size, and new Gaussians hardly fitted."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stylesplat.evaluation.style.LENGTH", 30.0)
-        patch.setattr("stylesplat.stylization.canvas.STEPS", 4)
+        patch.setattr("stylesplat.evaluation.style.LOOK_LENGTH", 30.0)
+        patch.setattr("stylesplat.stylization.canvas.CANVAS_STEPS", 4)
         yield
 
 

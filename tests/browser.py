@@ -322,7 +322,7 @@ class Tab:
         """Load the page, until it shows the exact picture and knows what lies where in it."""
         self.page.open(url)
         until(lambda: self.page.evaluate("Boolean(window.studio)"), "the page")
-        self.settle()
+        self.wait_until_idle()
 
     def settle(self) -> None:
         """Wait for the picture, the map and the glow of the camera as it is."""
@@ -385,13 +385,13 @@ class Tab:
 
     def picture(self) -> np.ndarray:
         """The exact picture that the page shows, without what lies over it."""
-        self.settle()
+        self.wait_until_idle()
         content = self.page.evaluate("studio.after.toDataURL('image/png').split(',')[1]")
         return np.array(Image.open(BytesIO(base64.b64decode(content))).convert("RGB")).astype(float)
 
     def middle_of(self, name: str) -> tuple[float, float]:
         """Where an object shows on the page, in pixels of it."""
-        self.settle()
+        self.wait_until_idle()
         return self.page.evaluate(f"""(() => {{
             const {{ ids, names, size }} = studio.overlay.map;
             const number = names.indexOf({json.dumps(name)}) + 1;

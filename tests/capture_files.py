@@ -23,7 +23,7 @@ from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.label_maps import write_label_map
 from stylesplat.masks import from_boxes as mask_boxes
 from stylesplat.masks import working_splat as working
-from stylesplat.masks.grabcut import Box
+from stylesplat.masks.grabcut import DrawnBox
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.capture import Capture, resize_labels
@@ -141,7 +141,7 @@ HALF = enlarged(CAMERAS, 2)  # that `mask` works at
 LARGE = enlarged(CAMERAS, 4)  # the photos; worked on at half of that
 
 
-def box(id: int, row: int) -> Box:
+def box(id: int, row: int) -> DrawnBox:
     """Around a ball in the pixels of a photo."""
     return box_around(render_labels(SPLATS, LARGE[row]) == id, 4)
 

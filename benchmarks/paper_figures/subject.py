@@ -17,7 +17,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, Labels, resize_labels
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import object_ids, pick
 from stylesplat.stylization.features import FeatureNetwork, load_weights
@@ -116,7 +116,7 @@ class Subject:
         every = self.scene.working_views()[1]
         if every is None:
             raise SystemExit(f"{self.name} has no held-out views. Train it with --test-every 8.")
-        return every[evenly(range(len(every)), self.effort.judged)]
+        return every[evenly_spaced(range(len(every)), self.effort.judged)]
 
     def true_map(self, camera: Cameras) -> Labels:
         """The true label map of one view, at its size."""

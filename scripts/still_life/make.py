@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 from PIL import Image
 
-from stylesplat.io.captures.capture_folder import EXACT, OBJECT_MASK
+from stylesplat.io.captures.capture_folder import CAPTURE_EXACT, OBJECT_MASK
 from stylesplat.io.label_maps import write_label_map
 
 from .label_faults import corrupt_label_maps
@@ -45,7 +45,7 @@ EPOCH = (1980, 1, 1, 0, 0, 0)  # of all files in the archive: the same capture i
 NOTE = f"""A still life, ray-traced by scripts/still_life of StyleSplat.
 
 The label maps in {OBJECT_MASK}/ are wrong on purpose, in the ways in which segmenters are: ragged
-borders, lost and merged objects. Training has to live with them. Those in {EXACT}/ say what
+borders, lost and merged objects. Training has to live with them. Those in {CAPTURE_EXACT}/ say what
 is really there; `stylesplat evaluate` compares with these.
 """
 
@@ -74,7 +74,7 @@ def write_capture(
     for name, view in zip(cameras.names, traced, strict=True):
         photo = cv2.GaussianBlur(view.photo.numpy(), (0, 0), LENS_BLUR)
         Image.fromarray(photo).save(folder / "images" / name, **PHOTO_JPEG)
-    for kind, maps in ((OBJECT_MASK, corrupt_label_maps(exact, seed=seed)), (EXACT, exact)):
+    for kind, maps in ((OBJECT_MASK, corrupt_label_maps(exact, seed=seed)), (CAPTURE_EXACT, exact)):
         for name, labels in zip(cameras.names, maps, strict=True):
             write_label_map(labels, (folder / kind / name).with_suffix(".png"))
     for name, paint in PAINTINGS.items():

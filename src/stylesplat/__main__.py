@@ -3,7 +3,12 @@
 import gc
 import sys
 
-from stylesplat.interrupts import catch_signals, check, ignore_signals, report_interruption
+from stylesplat.interrupts import (
+    catch_signals,
+    ignore_signals,
+    raise_if_interrupted,
+    report_interruption,
+)
 
 
 def main() -> int:
@@ -13,7 +18,7 @@ def main() -> int:
             catch_signals()
             from stylesplat.cli import main as run
 
-            check()
+            raise_if_interrupted()
             return run()
         finally:
             ignore_signals()

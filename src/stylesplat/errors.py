@@ -37,25 +37,25 @@ def printable(text: str) -> str:
     return UNPRINTABLE.sub(" ", text)
 
 
-def brief(name: str) -> str:
+def shorten(name: str) -> str:
     """A name, shortened if it is too long for a message."""
     return name if len(name) <= LONGEST_NAME else f"{name[:20]}..."
 
 
-def some(names: Iterable[object], most: int = NAMED, *, whole: bool = False) -> str:
+def join_names(names: Iterable[object], most: int = NAMED, *, whole: bool = False) -> str:
     """The first names, and how many others there are; `whole` keeps long names, as paths to type.
 
     Example:
         >>> some("abc"), some("abcde"), some("")
         ('a, b, c', 'a, b, c and 2 more', '')
     """
-    several = [printable(str(name) if whole else brief(str(name))) for name in names]
+    several = [printable(str(name) if whole else shorten(str(name))) for name in names]
     others = f" and {len(several) - most} more" if len(several) > most else ""
     return ", ".join(several[:most]) + others
 
 
 @contextmanager
-def within(place: str) -> Iterator[None]:
+def error_context(place: str) -> Iterator[None]:
     """Put the place where errors occur before their messages."""
     try:
         yield
@@ -65,17 +65,17 @@ def within(place: str) -> Iterator[None]:
         raise StyleSplatError(f"{place}: {error.strerror}: {error.filename}.") from error
 
 
-def one_line(noun: object, *parts: object) -> str:
+def noun_repr(noun: object, *parts: object) -> str:
     """The one-line representation of a noun, made without reading a photo."""
     texts = (printable(str(part)) for part in parts if part is not None)
     return f"{type(noun).__name__}({', '.join(filter(None, texts))})"
 
 
-def counted(count: int, what: str) -> str:
+def count_noun(count: int, what: str) -> str:
     """A number and its noun, such as '1 photo' or '60,000 Gaussians'."""
     return f"{count:,} {what}{'s' * (count != 1)}"
 
 
-def pasted(verb: str, *arguments: object) -> str:
+def shell_command(verb: str, *arguments: object) -> str:
     """A command for the shell, its arguments quoted where necessary."""
     return shlex.join(["stylesplat", verb, *map(str, arguments)])

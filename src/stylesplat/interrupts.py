@@ -1,6 +1,7 @@
-"""Ctrl-C and SIGTERM set a flag, which `check` raises where nothing is half done.
+"""Ctrl-C and SIGTERM set a flag, which `raise_if_interrupted` raises where nothing is half done.
 
-So no signal lands in an import, in numba's compiler or in a library. All long work calls `check`:
+So no signal lands in an import, in numba's compiler or in a library. All long work calls
+`raise_if_interrupted`:
 `progress` does at every advance, `wait_until` while it waits. A second signal ends the process at
 once. That is safe, because all output is written beside its place and then renamed.
 """
@@ -35,9 +36,9 @@ class Terminated(Interrupted):
 
 @dataclass
 class _Flag:
-    number: int | None = None  # of the signal that `check` has not raised yet
+    number: int | None = None  # of the signal that `raise_if_interrupted` has not raised yet
     first: float | None = None  # when the first signal came
-    is_held: bool = False  # whether `check` raises nothing
+    is_held: bool = False  # whether `raise_if_interrupted` raises nothing
 
 
 _flag = _Flag()
@@ -58,7 +59,7 @@ def ignore_signals() -> None:
             signal.signal(number, signal.SIG_IGN)
 
 
-def check() -> None:
+def raise_if_interrupted() -> None:
     """Raise Interrupted after Ctrl-C, Terminated after SIGTERM, once; in the main thread only."""
     if _flag.number is not None and not _flag.is_held and _in_main_thread():
         kind = Terminated if _flag.number == signal.SIGTERM else Interrupted
@@ -69,7 +70,7 @@ def check() -> None:
 def wait_until(has_ended: Callable[[float], object]) -> None:
     """Wait until a function is true that itself waits for some seconds, such as `Event.wait`."""
     while not has_ended(POLL_SECONDS):
-        check()
+        raise_if_interrupted()
 
 
 @contextmanager
@@ -95,7 +96,7 @@ def held_signals() -> Iterator[Callable[[], bool]]:
         if (came := _flag.number) is not None and came in taken:
             _flag.number = None
             signal.raise_signal(came)
-        check()
+        raise_if_interrupted()
 
 
 @contextmanager

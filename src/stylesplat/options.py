@@ -30,7 +30,7 @@ from typing import (
 
 import msgspec
 
-from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.errors import StyleSplatError, join_names, shorten
 from stylesplat.torch_modes import own_modes, steps_in_own_modes, usable
 
 P = ParamSpec("P")
@@ -124,9 +124,9 @@ def _refuse(verb: str, name: str, value: Any, kinds: list[Any]) -> None:
     given = type(value).__name__
     if isinstance(value, dict | list | tuple):
         items = value.values() if isinstance(value, dict) else value
-        given += f" of {some(dict.fromkeys(type(each).__name__ for each in items))}"
+        given += f" of {join_names(dict.fromkeys(type(each).__name__ for each in items))}"
     elif isinstance(value, str | int | float | PathLike):
-        given += f", {brief(repr(value))}"
+        given += f", {shorten(repr(value))}"
     remedies = [REMEDIES[each] for each in reversed(_names(kinds)) if each in REMEDIES]
     remedies.append(f"`help(stylesplat.{verb})` says what it takes.")
     raise StyleSplatError(
@@ -212,7 +212,7 @@ class Config:
             try:
                 found[name] = options[name].convert(value)
             except ValueError as fault:
-                shown = brief(repr(value))
+                shown = shorten(repr(value))
                 raise StyleSplatError(f"Cannot {self.verb} with {name} {shown}: {fault}.") from None
         return found
 
@@ -235,7 +235,7 @@ def convert_settings(entry: Mapping[str, Any], hints: Mapping[str, Any]) -> dict
             literals = [each for each in (hint, *get_args(hint)) if get_origin(each) is Literal]
             choices = [word for each in literals for word in get_args(each)]
             fault = f"it must be {' or '.join(choices)}" if choices else str(error)
-            shown = brief(json.dumps(value, ensure_ascii=False, default=str))
+            shown = shorten(json.dumps(value, ensure_ascii=False, default=str))
             raise StyleSplatError(f"{key} cannot be {shown}: {fault}.") from error
     return fit
 

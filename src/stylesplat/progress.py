@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import Protocol, TypeVar, runtime_checkable
 
-from stylesplat.interrupts import check
+from stylesplat.interrupts import raise_if_interrupted
 
 T = TypeVar("T")
 
@@ -72,7 +72,7 @@ class _InterruptibleTask:
 
     def advance(self, amount: int | float = 1) -> None:
         self._shown.advance(amount)
-        check()
+        raise_if_interrupted()
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from stylesplat.cli import main
 from stylesplat.cli.arguments import parse_style
 from stylesplat.cli.command import BUG, OUT_OF_MEMORY, new_scene, unused
 from stylesplat.cli.objects import Objects
-from stylesplat.errors import StyleSplatError, pasted
+from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.io.scene_folder import open
 from stylesplat.options import BOX, LINE, SPHERE
 from stylesplat.scene.scene import Scene
@@ -155,7 +155,7 @@ def test_places_that_are_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "garden-2.ply").touch()
     assert unused(scene, ".ply") == tmp_path / "garden-3.ply"
     (tmp_path / "garden-it's").mkdir()
-    command = pasted("export", "my garden", unused(scene, "-it's"))
+    command = shell_command("export", "my garden", unused(scene, "-it's"))
     assert shlex.split(command)[1:] == ["export", "my garden", f"{tmp_path}/garden-it's-2"]
     monkeypatch.chdir(scene)
     assert unused(Path(), ".spz") == tmp_path / "garden.spz"

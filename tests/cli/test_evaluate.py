@@ -13,7 +13,7 @@ import stylesplat as ss
 from balls import CAMERAS, SPLATS
 from capture_files import write_ball_capture
 from processes import complaint, result, run
-from stylesplat.io.captures.capture_folder import EXACT
+from stylesplat.io.captures.capture_folder import CAPTURE_EXACT
 from stylesplat.io.json_yaml import read_json, write_json
 from stylesplat.io.scene_folder import revise
 from stylesplat.stylization import features as weights
@@ -29,10 +29,10 @@ def test_evaluate_compares_with_the_capture(capture: Path, scene: Path, capsys):
     assert metrics["iou"] == {"3": 1, "7": 1, "300": 1}
     assert ss.open(scene).metrics == {"psnr": 30.0, "evaluate": metrics}
     exact = shutil.copytree(capture, scene.with_name("exact"))  # exact label maps are preferred
-    (exact / "object_mask").rename(exact / EXACT)
+    (exact / "object_mask").rename(exact / CAPTURE_EXACT)
     other = ("--capture", exact)
     assert result(capsys, "evaluate", scene, *other)["iou"] == metrics["iou"]
-    wrong = shutil.copytree(exact / EXACT, exact / "object_mask")
+    wrong = shutil.copytree(exact / CAPTURE_EXACT, exact / "object_mask")
     for file in wrong.glob("*.png"):
         Image.new("L", (48, 36)).save(file)
     assert result(capsys, "evaluate", scene, *other)["iou"] == metrics["iou"]

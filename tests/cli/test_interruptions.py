@@ -17,7 +17,7 @@ from processes import LIMIT, run, wait_until
 from stylesplat.__main__ import main as process
 from stylesplat.cli.command import CONTINUES
 from stylesplat.cli.train import FINISHES
-from stylesplat.interrupts import WHOLE, check, preserve_signal_handlers
+from stylesplat.interrupts import WHOLE, preserve_signal_handlers, raise_if_interrupted
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(stylesplat.__file__).parents[1])}
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
@@ -112,7 +112,7 @@ def test_signals_are_ignored_once_the_work_is_done(capsys, monkeypatch):
 
     def verb() -> int:
         signal.raise_signal(signal.SIGTERM)
-        check()
+        raise_if_interrupted()
         return 0
 
     monkeypatch.setattr("stylesplat.cli.main", verb)

@@ -13,7 +13,13 @@ from processes import QUICK, complaint, result, run
 from stylesplat.cli.command import selection_file
 from stylesplat.cli.mask import PREVIEW, RIMS
 from stylesplat.io import scene_folder
-from stylesplat.io.label_maps import NAMES, read_label_map, read_names, write_label_map, write_names
+from stylesplat.io.label_maps import (
+    LABEL_MAPS_NAMES,
+    read_label_map,
+    read_names,
+    write_label_map,
+    write_names,
+)
 from stylesplat.selection.labels import render_labels
 from stylesplat.verbs.export import export
 
@@ -120,7 +126,12 @@ def test_what_an_earlier_run_said_is_replaced_and_nothing_else(
     assert read_names(folder) == {1: "vase"}
     assert {*read_label_map(folder / "0000.png").unique().tolist()} == {0, 1}
     pictures = {f"000{row}.png" for row in range(8)}
-    assert {path.name for path in folder.iterdir()} == pictures | {"mine.png", NAMES, PREVIEW, RIMS}
+    assert {path.name for path in folder.iterdir()} == pictures | {
+        "mine.png",
+        LABEL_MAPS_NAMES,
+        PREVIEW,
+        RIMS,
+    }
     labels = torch.full((36, 48), 9)
     labels[:9] = 0
     write_label_map(labels, masks / "0000.png")

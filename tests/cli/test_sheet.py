@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from processes import complaint, result, run
-from stylesplat.figures.grid import CAPTION, HEAD, MARGIN
+from stylesplat.figures.grid import CAPTION, GRID_HEAD, GRID_MARGIN
 from stylesplat.io.images import read_image
 from stylesplat.stylization.config import PRESETS
 from stylesplat.stylization.recipe import parse_variation
-from stylesplat.verbs.sheet import CELL, sheet_rows
+from stylesplat.verbs.sheet import SHEET_CELL, sheet_rows
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 PAINT = "stylesplat.verbs.sheet.stylize"
@@ -20,9 +20,9 @@ FAST = ("--features", "compact", "--steps", 2, "--device", "cpu")
 
 def cell(sheet: torch.Tensor, row: int, column: int) -> torch.Tensor:
     """Column 0 holds the object as it is."""
-    top = MARGIN + row * (CELL + CAPTION + MARGIN)
-    left = HEAD + 2 * MARGIN + column * (CELL + MARGIN)
-    return sheet[top : top + CELL, left : left + CELL].float()
+    top = GRID_MARGIN + row * (SHEET_CELL + CAPTION + GRID_MARGIN)
+    left = GRID_HEAD + 2 * GRID_MARGIN + column * (SHEET_CELL + GRID_MARGIN)
+    return sheet[top : top + SHEET_CELL, left : left + SHEET_CELL].float()
 
 
 def test_columns_and_rows_are_settings(scene: Path, style: Path, tmp_path: Path, capsys):
@@ -30,8 +30,8 @@ def test_columns_and_rows_are_settings(scene: Path, style: Path, tmp_path: Path,
     vary = ("--vary", "quality=draft", "--vary", "intensity=0,0.5,1")
     call = ("sheet", scene, "-o", tmp_path / "sheet.png", "--style", f"3={style}", *FAST, *vary)
     shown, sheet = result(capsys, *call), read_image(tmp_path / "sheet.png")
-    rows, columns = 3 * (CELL + CAPTION + MARGIN), 2 * (CELL + MARGIN)
-    assert sheet.shape == (rows + MARGIN, columns + HEAD + 2 * MARGIN, 3)
+    rows, columns = 3 * (SHEET_CELL + CAPTION + GRID_MARGIN), 2 * (SHEET_CELL + GRID_MARGIN)
+    assert sheet.shape == (rows + GRID_MARGIN, columns + GRID_HEAD + 2 * GRID_MARGIN, 3)
     assert (shown["cells"], shown["repainted"]) == (3, 1), "intensities are blends of one result"
     assert before == {p.name: p.read_bytes() for p in scene.iterdir()}
     whole = cell(sheet, 0, 0)

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from processes import run
-from stylesplat.figures.grid import CAPTION, MARGIN
+from stylesplat.figures.grid import CAPTION, GRID_MARGIN
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ EXPORT = "stylesplat export"
 
 def test_a_painted_scene_and_its_picture(styled: Path, said):
     with Image.open(styled / "before_after.png") as picture:
-        assert picture.size == (2 * 48 + 3 * MARGIN, 36 + CAPTION + 2 * MARGIN)
+        assert picture.size == (2 * 48 + 3 * GRID_MARGIN, 36 + CAPTION + 2 * GRID_MARGIN)
     before = (styled / "before_after.png").read_bytes()
     lines = said("adjust", styled, "--intensity", 1)
     assert f"{styled}: 3 at 100 %, 7 at 100 % of the style." in lines

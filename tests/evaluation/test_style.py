@@ -14,14 +14,14 @@ from balls import STRIPED_SCENE as SCENE
 from scenes import rand, randn
 from stylesplat.evaluation import style
 from stylesplat.evaluation.style import (
-    TOLERANCE,
+    LOOK_TOLERANCE,
     content_ssim,
     measure_painted,
     object_nnfm,
     off_palette,
     own_nnfm,
 )
-from stylesplat.imaging.color import PIXELS
+from stylesplat.imaging.color import COLOR_PIXELS
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import Composed
@@ -125,13 +125,15 @@ def test_content_is_the_luminance_of_the_object():
 
 
 def test_a_picture_is_on_its_own_palette():
-    picture = rand(3 * PIXELS, 3)
+    picture = rand(3 * COLOR_PIXELS, 3)
     assert off_palette(picture, picture) == 0
     grey = torch.linspace(0, 1, 256)[:, None].expand(256, 3)
     assert off_palette(torch.tensor([[1.0, 0.0, 0.0]]), grey) == 1
 
 
-@pytest.mark.parametrize(("away", "expected"), [(TOLERANCE - 0.5, 0.0), (TOLERANCE + 0.5, 0.25)])
+@pytest.mark.parametrize(
+    ("away", "expected"), [(LOOK_TOLERANCE - 0.5, 0.0), (LOOK_TOLERANCE + 0.5, 0.25)]
+)
 def test_what_is_farther_than_10_is_off(away: float, expected: float):
     """L of grey is a third power of what sRGB makes of it."""
     light = torch.tensor([40.0, 40.0 + away])

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from stylesplat.evaluation.summary import (
-    WHOLE,
+    SUMMARY_WHOLE,
     describe_changes,
     photo_lines,
     style_lines,
@@ -28,9 +28,9 @@ STRAY = "12 % of it in colours that the painting does not have"
     ("metrics", "expected"),
     [
         (vase(0.12, 0.714), WAY),
-        (vase(0.08, 1.0), WHOLE),
+        (vase(0.08, 1.0), SUMMARY_WHOLE),
         (vase(0.1001, 0.999), "99 % of the way to the painting"),
-        (vase(0.05), WHOLE),
+        (vase(0.05), SUMMARY_WHOLE),
         (vase(0.2), "painted"),
         (vase(0.12, 0.714, off_palette=0.123), f"{WAY}, {STRAY}"),
         (vase(0.12, 0.714, off_palette=0.05), WAY),

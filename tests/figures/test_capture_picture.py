@@ -9,13 +9,13 @@ from torch import Tensor
 from still_life.photos import dome_cameras
 from stylesplat.figures.capture_picture import (
     BLURRED,
+    CAPTURE_PANEL,
     COVERED,
-    PANEL,
     UNCOVERED,
     WEAK,
     capture_picture,
 )
-from stylesplat.figures.grid import MARGIN
+from stylesplat.figures.grid import GRID_MARGIN
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
@@ -41,9 +41,11 @@ def block(count: int = 3000) -> Tensor:
 
 
 def panels(picture: Tensor) -> tuple[Tensor, Tensor]:
-    rows = picture[MARGIN : MARGIN + PANEL].float()
-    second = 2 * MARGIN + PANEL
-    return rows[:, MARGIN : MARGIN + PANEL], rows[:, second : second + PANEL]
+    rows = picture[GRID_MARGIN : GRID_MARGIN + CAPTURE_PANEL].float()
+    second = 2 * GRID_MARGIN + CAPTURE_PANEL
+    return rows[:, GRID_MARGIN : GRID_MARGIN + CAPTURE_PANEL], rows[
+        :, second : second + CAPTURE_PANEL
+    ]
 
 
 def like(panel: Tensor, color: tuple[int, ...], slack: int = 50) -> Tensor:
@@ -64,7 +66,7 @@ def test_points_from_above_and_from_the_side():
     assert high == pytest.approx(wide, rel=0.3), "a square block, perhaps turned"
     high, wide = widths[1].tolist()
     assert high < 0.45 * wide, "flat"
-    assert PANEL / 12 < wide < PANEL / 2, "strays do not set the scale"
+    assert CAPTURE_PANEL / 12 < wide < CAPTURE_PANEL / 2, "strays do not set the scale"
     cameras = like(side, (96, 44, 168)) | like(side, (0, 158, 190))
     above_it = cameras.nonzero()[:, 0] < shown[1][:, 0].float().median()
     assert above_it.float().mean() > 0.95, "up is up, and all look down at it"

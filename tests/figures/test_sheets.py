@@ -10,19 +10,19 @@ from balls import CAMERAS, CLASSIFIER, SPLATS, TRAINED, enlarged, painted, write
 from capture_files import write_ball_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.best_views import close_up
-from stylesplat.figures.grid import CAPTION, CARD, CELL, MARGIN
+from stylesplat.figures.grid import CAPTION, CARD, GRID_CELL, GRID_MARGIN
 from stylesplat.figures.pictures import label_colors
 from stylesplat.figures.sheets import (
     BELOW,
     OUTLINE,
-    PANEL,
     PHOTO_COLUMNS,
     RIM,
+    SHEET_PANEL,
     THICKNESS,
     TINT,
     before_after,
     beside_photo,
-    lower_rims,
+    draw_contact_contours,
     mask_preview,
     object_sheet,
     one_view,
@@ -37,7 +37,7 @@ from stylesplat.scene.splats import Classifier
 from stylesplat.selection.labels import pick, render_labels
 
 RED, GREEN, BLUE = (pick(SPLATS, object_id=id, remove_outliers=False) for id in (3, 7, 300))
-HEIGHT = PANEL * 36 // 48  # of a view of a selection
+HEIGHT = SHEET_PANEL * 36 // 48  # of a view of a selection
 GREY = 100
 
 
@@ -46,7 +46,9 @@ def part(sheet: torch.Tensor, left: int, top: int, width: int, height: int) -> t
 
 
 def portrait(sheet: torch.Tensor, column: int) -> torch.Tensor:
-    return part(sheet, MARGIN + column * (CELL + MARGIN), MARGIN, CELL, CELL)
+    return part(
+        sheet, GRID_MARGIN + column * (GRID_CELL + GRID_MARGIN), GRID_MARGIN, GRID_CELL, GRID_CELL
+    )
 
 
 def test_each_object_fills_its_picture_alone():
@@ -87,7 +89,13 @@ def drawn(picked: torch.Tensor, cameras: Cameras = CAMERAS) -> torch.Tensor:
 
 
 def panel(picture: torch.Tensor, number: int) -> torch.Tensor:
-    return part(picture, MARGIN + number * (PANEL + MARGIN), MARGIN, PANEL, HEIGHT)
+    return part(
+        picture,
+        GRID_MARGIN + number * (SHEET_PANEL + GRID_MARGIN),
+        GRID_MARGIN,
+        SHEET_PANEL,
+        HEIGHT,
+    )
 
 
 def colored(panel: torch.Tensor, color: tuple[int, ...]) -> torch.Tensor:
@@ -96,7 +104,11 @@ def colored(panel: torch.Tensor, color: tuple[int, ...]) -> torch.Tensor:
 
 def test_a_selection_has_its_colour_and_an_outline_and_all_else_is_grey():
     picture = drawn(BLUE)
-    assert picture.shape == (2 * MARGIN + HEIGHT + CAPTION, MARGIN + 3 * (PANEL + MARGIN), 3)
+    assert picture.shape == (
+        2 * GRID_MARGIN + HEIGHT + CAPTION,
+        GRID_MARGIN + 3 * (SHEET_PANEL + GRID_MARGIN),
+        3,
+    )
     for number in range(3):
         view = panel(picture, number)
         outline = colored(view, OUTLINE)
@@ -132,7 +144,10 @@ def masked(cameras: Cameras = CAMERAS, *, without: tuple[int, ...] = ()) -> Capt
 def photo(page: torch.Tensor, number: int) -> torch.Tensor:
     width, height = CAMERAS.size
     line, column = divmod(number, PHOTO_COLUMNS)
-    left, top = MARGIN + column * (width + MARGIN), MARGIN + line * (height + MARGIN)
+    left, top = (
+        GRID_MARGIN + column * (width + GRID_MARGIN),
+        GRID_MARGIN + line * (height + GRID_MARGIN),
+    )
     return part(page, left, top, width, height)
 
 
@@ -142,18 +157,21 @@ def test_masked_objects_are_tinted_and_the_rest_stays_as_it_is():
     expected[labels == 0] = GREY
     assert (photo(mask_preview(masked(), {}), 5) - expected).abs().max() <= 0.5, "rounding"
     page = mask_preview(masked(without=(0, 1, 2, 4, 5, 6, 7)), {})
-    assert page.shape[1] == CAMERAS.size[0] + 2 * MARGIN, "one cell"
+    assert page.shape[1] == CAMERAS.size[0] + 2 * GRID_MARGIN, "one cell"
 
 
 def test_the_lower_rims_are_of_views_that_differ_and_of_places_where_objects_end():
     capture = masked(enlarged(CAMERAS, 2), without=(0,))
     capture = replace(capture, photos=[torch.full((72, 96, 3), GREY, dtype=torch.uint8)] * 8)
-    page = lower_rims(capture, {3: "red", 7: "green"}).float()
-    assert page.shape[1] == 3 * RIM + 4 * MARGIN
+    page = draw_contact_contours(capture, {3: "red", 7: "green"}).float()
+    assert page.shape[1] == 3 * RIM + 4 * GRID_MARGIN
     outlined = (page - torch.tensor([*OUTLINE])).abs().amax(dim=-1) == 0
     for row in range(2):
         for column in range(3):
-            left, top = MARGIN + column * (RIM + MARGIN), MARGIN + row * (RIM + MARGIN + CAPTION)
+            left, top = (
+                GRID_MARGIN + column * (RIM + GRID_MARGIN),
+                GRID_MARGIN + row * (RIM + GRID_MARGIN + CAPTION),
+            )
             lines, columns = outlined[top : top + RIM, left : left + RIM].nonzero().T
             lowest = float(lines.max())
             assert abs(lowest - (1 - BELOW) * RIM) < RIM / 10, "what lies below shows, too"
@@ -164,7 +182,7 @@ def test_the_lower_rims_are_of_views_that_differ_and_of_places_where_objects_end
 def test_the_legend_calls_objects_by_name_or_id(name: str):
     plain = mask_preview(masked(), {})
     named = mask_preview(masked(), {3: name, 999: "shows nowhere"})
-    legend = slice(MARGIN + 2 * (CAMERAS.size[1] + MARGIN), None)
+    legend = slice(GRID_MARGIN + 2 * (CAMERAS.size[1] + GRID_MARGIN), None)
     assert torch.equal(plain[: legend.start], named[: legend.start])
     assert plain.shape[1] == named.shape[1] and plain.shape[0] <= named.shape[0]
     for id, is_shown in ((3, True), (7, True), (300, True), (999, False)):
@@ -174,7 +192,10 @@ def test_the_legend_calls_objects_by_name_or_id(name: str):
 
 def pair(picture: torch.Tensor, width: int, height: int) -> list[torch.Tensor]:
     """The two pictures of a row."""
-    return [part(picture, left, MARGIN, width, height) for left in (MARGIN, 2 * MARGIN + width)]
+    return [
+        part(picture, left, GRID_MARGIN, width, height)
+        for left in (GRID_MARGIN, 2 * GRID_MARGIN + width)
+    ]
 
 
 def test_before_and_after_at_the_photos_size(tmp_path: Path, quick_painting: None):
@@ -183,7 +204,7 @@ def test_before_and_after_at_the_photos_size(tmp_path: Path, quick_painting: Non
     styled = painted(scene, "red", pictures, measured=False, intensity=1.0, block=2)
     found = before_after(styled, device="cpu")
     assert found is not None and found[0] in styled.cameras.names
-    assert found[1].shape == (72 + CAPTION + 2 * MARGIN, 2 * 96 + 3 * MARGIN, 3)
+    assert found[1].shape == (72 + CAPTION + 2 * GRID_MARGIN, 2 * 96 + 3 * GRID_MARGIN, 3)
     before, after = pair(found[1], 96, 72)
     changed = (before - after).abs().amax(dim=-1) > 0
     assert 20 < int(changed.sum()) < 0.3 * changed.numel(), "the ball, and nothing else"
@@ -200,14 +221,14 @@ def test_a_photo_beside_its_render(tmp_path: Path):
     scene: Scene = replace(TRAINED, cameras=views, held_out=CAMERAS.names[2:3])
     picture = beside_photo(scene, capture, CAMERAS.names[2], device="cpu")
     wide, high = 12 * 48, 12 * 36
-    assert picture.shape == (high + CAPTION + 2 * MARGIN, 2 * wide + 3 * MARGIN, 3)
+    assert picture.shape == (high + CAPTION + 2 * GRID_MARGIN, 2 * wide + 3 * GRID_MARGIN, 3)
     photo, render = pair(picture, wide, high)
     assert (photo - render).abs().mean() < 12, "they show the same"
     other = one_view(scene, CAMERAS.names[5], device="cpu").float()
     assert (photo - other).abs().mean() > 20
     trained = beside_photo(replace(scene, held_out=()), capture, CAMERAS.names[2], device="cpu")
     changed = (trained != picture).any(dim=-1).nonzero()
-    assert changed[:, 0].min() >= MARGIN + high and changed[:, 1].max() < MARGIN + wide
+    assert changed[:, 0].min() >= GRID_MARGIN + high and changed[:, 1].max() < GRID_MARGIN + wide
 
 
 def test_cut_outs_and_masks_beside_their_renders():

@@ -14,7 +14,7 @@ from stylesplat.io import atomic
 from stylesplat.io.atomic import (
     atomic_folder,
     atomic_path,
-    changing,
+    locked_folder,
     refuse_file,
     refuse_unwritable,
     revise_folder,
@@ -176,12 +176,12 @@ def test_places_of_others(tmp_path: Path):
 
 
 def test_a_lock_lies_beside_and_goes(tmp_path: Path):
-    with changing(tmp_path / "scene"):
+    with locked_folder(tmp_path / "scene"):
         assert names(tmp_path) == [".scene.lock"]
-        with changing(tmp_path / "x" / ".." / "scene"):
+        with locked_folder(tmp_path / "x" / ".." / "scene"):
             assert names(tmp_path) == [".scene.lock"]
         assert names(tmp_path) == [".scene.lock"], "the inner one does not give it back"
-    with changing(tmp_path / "a" / "b" / "scene"):
+    with locked_folder(tmp_path / "a" / "b" / "scene"):
         assert names(tmp_path / "a" / "b") == [".scene.lock"]
         (tmp_path / "a" / "kept").touch()
     assert names(tmp_path / "a") == ["kept"]
@@ -194,11 +194,11 @@ def test_another_process_is_waited_for_and_then_an_error(
     with (
         FileLock(tmp_path / ".scene.lock"),  # another lock of the same file, as of a process
         pytest.raises(StyleSplatError, match=r"scene: another stylesplat is at work on it"),
-        changing(tmp_path / "scene"),
+        locked_folder(tmp_path / "scene"),
     ):
         pytest.fail("the block must not run")
     assert said == [f"Waiting for another stylesplat that changes {tmp_path / 'scene'}."]
-    with changing(tmp_path / "scene"):
+    with locked_folder(tmp_path / "scene"):
         pass
     assert names(tmp_path) == [] and len(said) == 1
 
@@ -211,7 +211,7 @@ def test_without_locks_it_goes_on_and_says_so(
 
     monkeypatch.setattr(FileLock, "acquire", acquire)
     for _ in range(2):
-        with changing(tmp_path / "scene"):
+        with locked_folder(tmp_path / "scene"):
             pass
     assert len(said) == 1 and said[0].startswith(f"{tmp_path} is on a file system without locks")
 
@@ -219,6 +219,6 @@ def test_without_locks_it_goes_on_and_says_so(
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no such file system")
 def test_a_folder_that_takes_no_files_is_not_taken_for_one_at_work():
     with pytest.raises(StyleSplatError, match=r"Cannot write /proc/out\.ply") as refused:
-        with changing(Path("/proc/out.ply")), atomic_path(Path("/proc/out.ply")) as draft:
+        with locked_folder(Path("/proc/out.ply")), atomic_path(Path("/proc/out.ply")) as draft:
             draft.touch()
     assert "another stylesplat" not in str(refused.value)

@@ -8,7 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.label_maps import (
-    NAMES,
+    LABEL_MAPS_NAMES,
     fitted_maps,
     match_label_maps,
     read_label_map,
@@ -97,6 +97,6 @@ def test_maps_of_no_photo(tmp_path: Path, folder: str, name: str, match: str):
     ],
 )
 def test_names_that_are_damaged(tmp_path: Path, content: str, expected: str):
-    (tmp_path / NAMES).write_text(content)
+    (tmp_path / LABEL_MAPS_NAMES).write_text(content)
     with pytest.raises(StyleSplatError, match=rf"Cannot read .*names\.json: .*{expected}"):
         read_names(tmp_path)

@@ -78,7 +78,7 @@ def test_a_splat_is_trained_where_there_is_none(
 
     monkeypatch.setattr(working, "fit", short)
     masked = mask(balls, boxes={"vase": VASE}, device="cpu")
-    assert configs == [working.QUICK]
+    assert configs == [working.WORKING_QUICK]
     assert "Training a quick splat" in "\n".join(said)
     assert agreement(masked, 1, 3)[1] > 0.7, "too short for more than the photo with the box"
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from balls import CAMERAS, PLAIN, SPLATS
 from capture_files import write_ball_capture
 from right_ids import right_pixels
-from stylesplat.cli.mask import Mask
+from stylesplat.cli.mask import MaskCommand
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.scene_folder import save
@@ -74,7 +74,7 @@ def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
 
 def run_model(capture: Path, method: Method, scene: Path | None, model: str | None = None) -> dict:
     """`stylesplat mask CAPTURE --method METHOD`."""
-    return Mask(capture, method, model=model, scene=scene, device="cpu").run().values
+    return MaskCommand(capture, method, model=model, scene=scene, device="cpu").run().values
 
 
 def found_maps(capture: Path) -> list[Tensor]:

@@ -7,7 +7,7 @@ import torch
 from balls import CAMERAS, enlarged
 from scenes import randn
 from stylesplat.imaging.similarity import mask_iou
-from stylesplat.masks.working_splat import cut_out_moving
+from stylesplat.masks.working_splat import segment_moving_object
 from stylesplat.scene.capture import Capture
 
 VIEWS = enlarged(CAMERAS, 3)
@@ -29,7 +29,7 @@ CAPTURE = Capture(VIEWS, [photo(row) for row in range(len(VIEWS))])
 
 
 def test_what_moves_before_a_still_camera_is_cut_out_without_its_shadow():
-    found = cut_out_moving(CAPTURE)
+    found = segment_moving_object(CAPTURE)
     assert found is not None
     for row, ball in enumerate(BALLS):
         alpha = found.alpha(row)
@@ -44,13 +44,13 @@ def capture_of(images: list[torch.Tensor]) -> Capture:
 
 def test_other_photos_stay_whole():
     moved = [each.roll(9 * row, dims=1) for row, each in enumerate(CAPTURE.photos)]
-    assert cut_out_moving(capture_of(moved)) is None
+    assert segment_moving_object(capture_of(moved)) is None
     for each in moved:
         each[: HEIGHT // 2] = 255
-    assert cut_out_moving(capture_of(moved)) is None, "a plain sky is no room"
-    assert cut_out_moving(capture_of([*CAPTURE.photos[:5]])) is None, "too few"
+    assert segment_moving_object(capture_of(moved)) is None, "a plain sky is no room"
+    assert segment_moving_object(capture_of([*CAPTURE.photos[:5]])) is None, "too few"
     cut_out = [torch.full((HEIGHT, WIDTH), 255, dtype=torch.uint8)] * len(VIEWS)
-    assert cut_out_moving(replace(CAPTURE, alphas=cut_out)) is None
+    assert segment_moving_object(replace(CAPTURE, alphas=cut_out)) is None
 
 
 def test_what_has_the_hue_of_its_surroundings_is_not_cut_away():
@@ -60,4 +60,4 @@ def test_what_has_the_hue_of_its_surroundings_is_not_cut_away():
     lights = (0.5 + 0.1 * randn(HEIGHT, WIDTH, 1).clamp(-2, 2) for _ in VIEWS)
     images = [torch.where(statue, light.expand_as(grey), grey) for light in lights]
     photos = [(255 * image).round().to(torch.uint8) for image in images]
-    assert cut_out_moving(capture_of(photos)) is None
+    assert segment_moving_object(capture_of(photos)) is None

@@ -9,7 +9,7 @@ import torch
 from balls import CAMERAS
 from stylesplat.masks.tracking import (
     CLIP,
-    PATIENCE,
+    TRACK_PATIENCE,
     Segmenter,
     TrackingState,
     associate_ids,
@@ -123,11 +123,11 @@ def test_an_object_missed_once_is_kept_and_one_missed_for_long_is_given_up():
     maps, state = tracked(scripted(truth, unseen(later[0], 7)), count)
     assert all((labels > 0).equal(exact > 0) for labels, exact in zip(maps, truth, strict=True))
     assert state.next_id == 3 and state.missed == {1: 0, 2: 0}
-    lost = {row: found for key in later[:PATIENCE] for row, found in unseen(key, 7).items()}
+    lost = {row: found for key in later[:TRACK_PATIENCE] for row, found in unseen(key, 7).items()}
     maps, state = tracked(scripted(truth, lost), count)
-    given_up = later[PATIENCE - 1]
+    given_up = later[TRACK_PATIENCE - 1]
     found = [bool(labels[exact == 7].any()) for labels, exact in zip(maps, truth, strict=True)]
-    again = later[PATIENCE]
+    again = later[TRACK_PATIENCE]
     assert found == [row < given_up or row >= again for row in range(count)]
     assert state.next_id == 4  # found anew, not under an id that was in use
 

@@ -19,7 +19,12 @@ from stylesplat.meshes.mesh_files import write_mesh
 from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.refine import refine
 from stylesplat.meshes.repaint import repaint
-from stylesplat.meshes.surface import Surface, find_mesh_surface, mesh_views, without_pinches
+from stylesplat.meshes.surface import (
+    Surface,
+    find_mesh_surface,
+    mesh_views,
+    split_nonmanifold_edges,
+)
 from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
@@ -89,7 +94,7 @@ def test_faces_that_touch_at_an_edge_are_moved_apart():
     vertices = np.array(points, np.float32)
     surface = Surface(vertices, np.array(faces, np.int32), np.zeros(len(points), np.float32))
     assert not trimesh.Trimesh(surface.vertices, surface.faces).is_watertight
-    surface = without_pinches(surface)
+    surface = split_nonmanifold_edges(surface)
     found = trimesh.Trimesh(surface.vertices, surface.faces)
     assert found.is_watertight and found.is_winding_consistent
     assert abs(found.volume - 1 / 3) < 0.02
@@ -228,7 +233,7 @@ def test_what_cannot_be_repainted(tmp_path: Path):
 def test_repainting_brings_the_style(
     mesh: TexturedMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("stylesplat.meshes.repaint.STEPS", 8)
+    monkeypatch.setattr("stylesplat.meshes.repaint.REPAINT_STEPS", 8)
     stripes = np.zeros((96, 96, 3), np.uint8)
     stripes[:, ::6], stripes[:, 1::6], stripes[:, 2::6] = 250, 250, 250
     Image.fromarray(stripes).save(tmp_path / "stripes.png")

@@ -6,7 +6,7 @@ import torch
 from balls import CAMERAS
 from scenes import random_splats, two_cameras
 from stylesplat.rendering.render import rasterize
-from stylesplat.scene.frames import SAME, Frame, known_frames, move_cameras, move_splats
+from stylesplat.scene.frames import FRAME_SAME, Frame, known_frames, move_cameras, move_splats
 
 
 def test_nerfstudio_frame_is_centred_upright_and_small():
@@ -60,5 +60,5 @@ def test_half_turns_are_exact_and_taken_back_by_another(signs: tuple[int, int, i
     for name in ("means", "scales", "opacities", "sh0", "shN"):
         assert torch.equal(getattr(again, name), getattr(splats, name))
     assert torch.equal(again.quats, -splats.quats)  # a whole turn
-    same = move_splats(splats, SAME)
+    same = move_splats(splats, FRAME_SAME)
     assert all(torch.equal(t, same.tensors()[name]) for name, t in splats.tensors().items())

@@ -11,7 +11,7 @@ from stylesplat.scene.content import content_of
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.virtual_cameras import has_no_photos, ring_cameras
+from stylesplat.scene.virtual_cameras import has_rendered_views, ring_cameras
 
 
 def close_ups(cameras: Cameras) -> list[int]:
@@ -59,7 +59,7 @@ def test_cameras_stand_within_the_walls_of_a_room():
 def test_up_is_the_one_that_was_asked_for(up: list[float]):
     cameras = ring_cameras(SPLATS, torch.tensor(up))
     assert len(set(cameras.names)) == len(cameras) > 20
-    assert has_no_photos(Scene(SPLATS, cameras))
+    assert has_rendered_views(Scene(SPLATS, cameras))
     renamed = replace(cameras, names=tuple(f"{row}.jpg" for row in range(len(cameras))))
-    assert not has_no_photos(Scene(SPLATS, renamed))
+    assert not has_rendered_views(Scene(SPLATS, renamed))
     torch.testing.assert_close(up_vector(cameras).float(), torch.tensor(up), atol=0.01, rtol=0)

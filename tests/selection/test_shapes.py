@@ -12,11 +12,11 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import pick
 from stylesplat.selection.shapes import (
-    alike,
-    extent,
     grow,
+    grow_by_similarity,
     in_box,
     in_sphere,
+    robust_diameter,
     shrink,
     surface_point,
 )
@@ -50,9 +50,9 @@ def test_surface_point_lies_on_what_shows():
 
 def test_a_selection_spreads_over_what_looks_alike():
     begun = RED & in_sphere(SPLATS, CENTRE + torch.tensor([0, 0, BALL_RADIUS]), 0.5 * BALL_RADIUS)
-    found = alike(SPLATS, begun, 6 * BALL_RADIUS)
+    found = grow_by_similarity(SPLATS, begun, 6 * BALL_RADIUS)
     assert (found & RED).sum() > 0.9 * RED.sum() and (found & ~RED).sum() <= 0.05 * RED.sum()
-    nearer = alike(SPLATS, begun, 0.8 * BALL_RADIUS)
+    nearer = grow_by_similarity(SPLATS, begun, 0.8 * BALL_RADIUS)
     assert begun.sum() < nearer.sum() < found.sum() and not (nearer & ~found).any()
 
 
@@ -67,7 +67,7 @@ def lattice(opacity: float = SOLID) -> Splats:
 
 ROW = lattice()
 MIDDLE = (ROW.means[:, 0] >= 5) & (ROW.means[:, 0] <= 15)
-SIZE = extent(ROW.means[MIDDLE])
+SIZE = robust_diameter(ROW.means[MIDDLE])
 
 
 def places(picked: torch.Tensor) -> list[int]:

@@ -15,8 +15,8 @@ from stylesplat.selection.shares import (
     INSIDE,
     OUTSIDE,
     OwnShares,
-    own_shares,
-    sampled_views,
+    object_shares,
+    small_views,
     survey,
 )
 
@@ -39,11 +39,11 @@ def solid_ball(*, haze: bool) -> Splats:
 
 def test_shares_are_what_renders_say():
     """The weight of a Gaussian is the change of a render with its own colour."""
-    shares = own_shares(SPLATS, BALL, VIEWS)
+    shares = object_shares(SPLATS, BALL, VIEWS)
     row = int(((shares > 0.1) & (shares < 0.9)).nonzero()[0])
     lit = replace(SPLATS, sh0=SPLATS.sh0.index_add(0, torch.tensor([row]), torch.ones(1, 1, 3)))
     inside = everywhere = 0.0
-    for camera in sampled_views(VIEWS):
+    for camera in small_views(VIEWS):
         one, other = (rasterize(splats, camera)[0][0, ..., 2] for splats in (lit, SPLATS))
         inside += float((one - other)[coverage(SPLATS, camera, BALL) > 0.5].sum())
         everywhere += float((one - other).sum())
@@ -54,7 +54,7 @@ def test_shares_are_what_renders_say():
 
 def test_haze_is_not_the_object_and_what_is_well_inside_is():
     splats = solid_ball(haze=True)
-    shares = own_shares(splats, torch.ones(len(splats), dtype=torch.bool), VIEWS)
+    shares = object_shares(splats, torch.ones(len(splats), dtype=torch.bool), VIEWS)
     radius = splats.means.norm(dim=1)
     assert shares[0] == 0
     assert (shares[(radius < 0.2) & (radius > 0)] == 1).float().mean() > 0.95
@@ -66,23 +66,23 @@ def test_haze_is_not_the_object_and_what_is_well_inside_is():
 def test_what_no_view_shows_takes_after_its_neighbours():
     splats = solid_ball(haze=False)
     faint = replace(splats, opacities=splats.opacities.index_fill(0, torch.tensor([0]), -20.0))
-    shares = own_shares(faint, torch.ones(len(splats), dtype=torch.bool), VIEWS)
+    shares = object_shares(faint, torch.ones(len(splats), dtype=torch.bool), VIEWS)
     nearest = (splats.means - splats.means[0]).norm(dim=1).argsort()[1:10]
     torch.testing.assert_close(shares[0], shares[nearest].median())
-    assert not own_shares(faint, torch.arange(len(splats)) == 0, VIEWS).any()
+    assert not object_shares(faint, torch.arange(len(splats)) == 0, VIEWS).any()
 
 
 def test_shares_in_a_large_scene_are_those_in_the_whole(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(surveying, "LARGE", 0)
     found = OwnShares(SPLATS, CAMERAS)
     for _, picked in each_object(SPLATS, [*BALLS]):
-        assert torch.equal(found.of(picked), own_shares(SPLATS, picked, CAMERAS))
+        assert torch.equal(found.of(picked), object_shares(SPLATS, picked, CAMERAS))
     nobody = torch.zeros(len(SPLATS), dtype=torch.bool)
     assert not found.of(nobody).any()
     means = SPLATS.means.clone()
     means[:50, 2] += 1e4  # of the table: neither near nor visible
     scene = replace(SPLATS, means=means)
-    seen = survey(scene, sampled_views(CAMERAS))
+    seen = survey(scene, small_views(CAMERAS))
     assert seen is not None
     for _, picked in each_object(scene, [*BALLS]):
         rows = seen.around(picked)

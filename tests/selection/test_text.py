@@ -11,7 +11,7 @@ from torch import Tensor
 from balls import CAMERAS, SPLATS
 from capture_files import NOTHING, ColorDetector
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.sequences import far_apart
+from stylesplat.scene.sequences import farthest_views
 from stylesplat.selection.text import (
     Detections,
     Detector,
@@ -93,9 +93,9 @@ def test_without_a_clear_winner_the_rivals_are_listed(scores: dict[int, float], 
 
 def test_no_view_is_taken_twice():
     same_place = CAMERAS[[0] * 5]
-    assert sorted(far_apart(same_place, 5)) == [0, 1, 2, 3, 4]
-    assert len(far_apart(same_place, 8)) == 5
-    assert len(set(far_apart(CAMERAS, 3))) == 3
+    assert sorted(farthest_views(same_place, 5)) == [0, 1, 2, 3, 4]
+    assert len(farthest_views(same_place, 8)) == 5
+    assert len(set(farthest_views(CAMERAS, 3))) == 3
 
 
 @pytest.mark.parametrize(("phrase", "id"), [("red", 3), ("green", 7), ("blue", 300)])

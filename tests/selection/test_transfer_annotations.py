@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from scenes import joined, random_splats
 from stylesplat.io.splats.splat_files import read_splats, row_order, write_splats
-from stylesplat.scene.frames import SAME, Frame, move_splats
+from stylesplat.scene.frames import FRAME_SAME, Frame, move_splats
 from stylesplat.selection.transfer import match_gaussians
 
 KNOWN = replace(random_splats(600), identities=None)  # plain, as files have them
@@ -20,7 +20,7 @@ SOME = torch.randperm(600, generator=torch.Generator().manual_seed(0))[:400]
 
 def test_rows_that_are_missing_and_in_another_order():
     frame, rows = match_gaussians(KNOWN[SOME], KNOWN)
-    assert torch.equal(rows, SOME) and frame is SAME
+    assert torch.equal(rows, SOME) and frame is FRAME_SAME
 
 
 def test_a_motion_of_everything_is_found():
@@ -35,7 +35,7 @@ def test_a_motion_of_everything_is_found():
 def test_a_part_that_was_moved_is_new():
     moved_part = move_splats(KNOWN[SOME[300:]], FRAME)
     frame, rows = match_gaussians(joined(KNOWN[SOME[:300]], moved_part), KNOWN)
-    assert frame is SAME and torch.equal(rows[:300], SOME[:300])
+    assert frame is FRAME_SAME and torch.equal(rows[:300], SOME[:300])
     assert (rows[300:] >= 0).sum() <= 2
 
 

@@ -25,7 +25,7 @@ from stylesplat.selection.choose import find_object
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.edits import pick_names
-from stylesplat.studio_app.pictures import camera_of, weightiest
+from stylesplat.studio_app.pictures import camera_of, most_visible
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
@@ -59,7 +59,7 @@ class Page:
         """Ask as the page does, and wait until it is done."""
         text = msgspec.json.encode({"do": what, **fields})
         self.actions.act(1, self.actions.decoder.decode(text))
-        assert self.session.worker.settle()
+        assert self.session.worker.wait_until_idle()
         return self.actions.state_message()
 
     def look(self, number: int = 1, **options: Any) -> None:
@@ -157,7 +157,7 @@ def painted(page: Page, *names: str, style: int = 0) -> m.StateMessage:
     picture = [*page.actions.gallery.pictures.values()][style]
     own = Style(picture.path, config=QUICK)
     page.session.ask(lambda: page.actions.queue.paint(names, own, picture.title))
-    assert page.session.worker.settle()
+    assert page.session.worker.wait_until_idle()
     return page.actions.state_message()
 
 
@@ -364,9 +364,9 @@ def test_browsers_with_a_graphics_card_get_the_gaussians(page: Page):
     header, _ = page.pictures["splats"]
     assert header["count"] == len(SPLATS) and header["bands"] == 0
     opacities = torch.linspace(-3, 3, len(SPLATS))
-    rows = weightiest(replace(SPLATS, opacities=opacities), 100)
+    rows = most_visible(replace(SPLATS, opacities=opacities), 100)
     assert rows.tolist() == [*range(len(SPLATS) - 100, len(SPLATS))]
-    assert weightiest(SPLATS, 10**9).tolist() == [*range(len(SPLATS))]
+    assert most_visible(SPLATS, 10**9).tolist() == [*range(len(SPLATS))]
 
 
 @pytest.mark.parametrize(
@@ -394,5 +394,5 @@ def test_warming_up_lets_what_is_asked_for_in(page: Page):
         done.append("warm")
 
     session.ask(warm, patient=True)
-    assert session.worker.settle() and done == ["click", "warm"] and not page.said
+    assert session.worker.wait_until_idle() and done == ["click", "warm"] and not page.said
     assert [each.title for each in page.actions.state_message().styles][2:] == [*MATERIALS]

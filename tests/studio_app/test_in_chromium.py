@@ -156,7 +156,7 @@ def test_an_object_and_a_part_of_a_picture_are_chosen_by_keyboard(opened: Studio
     tab.press_button("3")
     pick = "document.querySelector('.objects h3').innerText"
     until(lambda: tab.page.evaluate(pick) == "3", "another one")
-    tab.settle()  # it flies there
+    tab.wait_until_idle()  # it flies there
     tab.page.evaluate("studio.canvas.focus()")
     tab.key("Enter", True)
     tab.key("Enter", False)
@@ -238,10 +238,10 @@ def picks(opened: StudioServer, tab: Tab) -> None:
     for place in ((400, 90), corner):
         tab.page.mouse("move", *place, button="left", buttons=1)
     tab.page.mouse("release", *corner)
-    tab.settle()
+    tab.wait_until_idle()
     tab.page.evaluate("studio.camera.reset() || studio.moved()")
-    tab.settle()
-    assert session.worker.settle() and session.state.picked == ("3",), "a drag is no click"
+    tab.wait_until_idle()
+    assert session.worker.wait_until_idle() and session.state.picked == ("3",), "a drag is no click"
 
 
 def compares(tab: Tab, before: np.ndarray, painted: np.ndarray) -> None:

@@ -104,7 +104,7 @@ def test_a_viewer_changes_nothing_and_survives_what_it_does_not_understand(
         client.send(msgspec.json.encode(look).decode())
         header = next(h for h in map(header_of, client) if h.get("kind") == "picture")
         assert header["look"] == 3 and header["which"] == "after"
-    assert viewer.server.session.worker.settle()
+    assert viewer.server.session.worker.wait_until_idle()
     assert len(viewer.server.session.state.note) > 0
 
 

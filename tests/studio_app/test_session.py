@@ -44,7 +44,7 @@ def wanted(tmp_path_factory: pytest.TempPathFactory) -> Splats:
 def painted(session: Session, *names: str) -> PaintQueue:
     queue = PaintQueue(session, device="cpu")
     session.ask(lambda: queue.paint(names, quick_style(), "stripes"))
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     return queue
 
 
@@ -66,12 +66,12 @@ def test_several_are_queued_and_undo_takes_one_after_the_other_back(session: Ses
     painted(session, "3", "7")
     assert [*strengths_of(session.state.scene)] == ["3", "7"]
     session.step(-1)
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert [*strengths_of(session.state.scene)] == ["3"]
     session.step(-1)
     session.step(1)
     session.step(1)
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert [*strengths_of(session.state.scene)] == ["3", "7"]
 
 
@@ -88,14 +88,14 @@ def test_stop_keeps_what_there_is_and_continue_finishes_it(
 
     session.on_change.append(stop_at_two)
     session.ask(lambda: queue.paint(("3",), quick_style(), "stripes"))
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert session.state.note.endswith(" steps"), said
     early = session.state.scene
     session.do(lambda state: pick_names(state, ["7"]))
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert early.layers and "3 like stripes" in queue.stopped_note
     session.ask(queue.resume)
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert torch.equal(session.state.scene.splats.sh0, wanted.sh0)
     assert not torch.equal(session.state.scene.splats.sh0, early.splats.sh0)
     assert session.state.picked == ("7",)
@@ -113,7 +113,7 @@ def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):
 
     session.on_progress.append(stop)
     session.ask(lambda: queue.paint(("3", "7"), quick_style(), "stripes"))
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert prepared[0].startswith("finding") and len(prepared) < 3
     assert session.state is before and not session.painting and not queue.stopped_note
     assert session.preview is None and not queue.waiting
@@ -131,9 +131,9 @@ def test_stop_between_the_order_and_its_first_step_ends_nothing_else(
         queue.stop()
 
     session.ask(order_and_stop)
-    assert session.worker.settle() and not session.painting
+    assert session.worker.wait_until_idle() and not session.painting
     session.ask(lambda: done.extend(track(range(3), "another job")))
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert done == [0, 1, 2] and not said
 
 
@@ -154,7 +154,7 @@ def test_stop_during_a_job_within_the_first_step_ends_the_painting_alone(
     asked = list[bool]()
     session.on_progress.append(ask_once)
     session.ask(lambda: queue.paint(("3",), quick_style(), "stripes"))
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert done == [0, 1, 2] and not said
     assert session.state is before and not session.painting
 
@@ -185,12 +185,12 @@ def test_a_drag_of_a_slider_is_one_step_of_undo(session: Session):
             merge="slider",
             kind=f"slider {value}",
         )
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert strengths_of(session.state.scene) == {"3": 0.0}
     assert torch.equal(session.state.scene.splats.sh0, full.scene.base.sh0)
     assert session.history.undo_note == "Strength of 3: 0%" and not session.history.redo_note
     session.step(-1)
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert strengths_of(session.state.scene) == {"3": 1.0}
     assert session.history.redo_note == "Strength of 3: 0%"
 
@@ -208,27 +208,27 @@ def test_history_keeps_layers_alone_and_composes_them_again(session: Session):
     composed = ref(session.state.scene.splats)
     steps.append(session.state.scene.splats.sh0.clone())
     session.do(lambda state: adjust_layer(state, "3", 0.5))
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     session.preview = None
     gc.collect()
     assert composed() is None, "the splats of what is not displayed take no memory"
     session.step(-1)
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert torch.equal(session.state.scene.splats.sh0, steps[0])
     session.step(-2)
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert session.state.scene is first.scene and not session.unsaved
     session.step(1)
     session.do(lambda state: pick_names(state, ["3"]))
     session.step(1)
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert session.state.picked == ("3",), "what was undone is forgotten"
 
 
 def test_saved_scenes_open_again_and_autosaves_are_recovered(session: Session, said: list[str]):
     store = SceneStore(session)
     session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
-    assert session.worker.settle() and session.unsaved
+    assert session.worker.wait_until_idle() and session.unsaved
     assert store.autosave()
     kept = SceneStore(reopened(session)).recover()
     assert kept is not None and [*kept.scene.objects] == ["red"]
@@ -240,7 +240,7 @@ def test_saved_scenes_open_again_and_autosaves_are_recovered(session: Session, s
     store.save()
     assert strengths_of(open(session.folder)) == {"red": 1.0}
     session.step(-1)
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     store.save()
     assert not open(session.folder).layers, "saving after undo takes the paint back"
 
@@ -260,7 +260,7 @@ def test_autosaves_write_what_changed_since_the_last_one_alone(session: Session)
 
     def kept_after(change: Change) -> dict[str, tuple[int, int]]:
         session.do(change)
-        assert session.worker.settle() and store.autosave()
+        assert session.worker.wait_until_idle() and store.autosave()
         return versions(folder)
 
     first = kept_after(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
@@ -274,7 +274,7 @@ def test_autosaves_write_what_changed_since_the_last_one_alone(session: Session)
     session.history.add(kept)
     assert again.autosave() and versions(folder) == second, "it is kept already"
     session.step(-3)
-    assert session.worker.settle() and not session.unsaved
+    assert session.worker.wait_until_idle() and not session.unsaved
     assert not again.autosave() and not folder.exists(), "all of it was undone"
 
 
@@ -295,7 +295,7 @@ def test_save_refuses_what_others_changed_and_names_that_are_paths(session: Sess
 def test_save_goes_on_where_others_wrote_no_part_of_the_scene(session: Session):
     store, folder = SceneStore(session), session.folder
     session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
-    assert session.worker.settle()
+    assert session.worker.wait_until_idle()
     assert main(["objects", str(folder)]) == 0 and (folder / "objects.png").is_file()
     (folder / "metrics.json").write_text('{"evaluate": {}}')
     store.save()

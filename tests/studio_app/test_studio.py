@@ -31,7 +31,7 @@ def folder(tmp_path: Path) -> Path:
 def test_closing_keeps_what_is_not_saved_and_opening_goes_on_with_it(folder: Path, said: list[str]):
     opened = studio(folder, port=0, block=False)
     opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
-    assert opened.session.worker.settle()
+    assert opened.session.worker.wait_until_idle()
     opened.close()
     assert "Autosaved" in said[-1]
     assert not open(folder).objects, "the scene itself is as it was"
@@ -40,7 +40,7 @@ def test_closing_keeps_what_is_not_saved_and_opening_goes_on_with_it(folder: Pat
         assert [*again.session.state.scene.objects] == ["red"] and again.session.unsaved
         assert "Recovered" in said[-1]
         again.session.step(-1)
-        assert again.session.worker.settle()
+        assert again.session.worker.wait_until_idle()
         assert not again.session.state.scene.objects
     finally:
         again.close()
@@ -76,7 +76,7 @@ def test_nothing_is_kept_while_something_is_painted_but_as_soon_as_it_is_done(fo
         opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
         opened.session.on_change.append(look)
         opened.session.ask(lambda: queue.paint(("red",), Style(stripes(), config=QUICK), "stripes"))
-        assert opened.session.worker.settle()
+        assert opened.session.worker.wait_until_idle()
         assert kept and not any(kept)
         assert open(folder / AUTOSAVE).painted_objects == ("red",)
     finally:
@@ -93,7 +93,7 @@ def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, sai
             "an object that no file can hold",
         )
     )
-    assert opened.session.worker.settle()
+    assert opened.session.worker.wait_until_idle()
     with pytest.raises(TypeError):
         opened.close()
     assert "something may be lost: TypeError" in said[-1]
@@ -104,7 +104,7 @@ def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, sai
 def test_a_damaged_autosave_is_told_and_ends_nothing(folder: Path, said: list[str]):
     opened = studio(folder, port=0, block=False)
     opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
-    assert opened.session.worker.settle()
+    assert opened.session.worker.wait_until_idle()
     opened.close()
     (folder / AUTOSAVE / "splats.ply").write_bytes(b"ply")
     again = studio(folder, port=0, block=False)
@@ -123,7 +123,7 @@ def test_where_nothing_can_be_written_save_says_so_and_all_else_works(
     with read_only(tmp_path, tmp_path / "balls"):
         opened = studio(tmp_path / "balls", port=0, block=False)
         opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
-        assert opened.session.worker.settle()
+        assert opened.session.worker.wait_until_idle()
         assert [*opened.session.state.scene.objects] == ["red"]
         assert opened.store is not None
         with pytest.raises(StyleSplatError, match="Cannot write"):

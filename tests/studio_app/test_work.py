@@ -39,7 +39,7 @@ def test_jobs_are_done_in_order_the_patient_ones_last_and_the_last_of_a_kind(wor
     worker.ask(lambda: done.append("click"))
     worker.ask(lambda: done.append("0.5"), kind="slider")
     gate.set()
-    assert worker.settle()
+    assert worker.wait_until_idle()
     assert done == ["click", "0.5", "thumbnail"]
 
 
@@ -50,12 +50,12 @@ def test_long_work_goes_on_between_jobs_and_within_its_steps(worker: Worker):
         for number in range(3):
             if number == 1:
                 worker.ask(lambda: done.append("asked for in a step"))
-                worker.breathe()
+                worker.run_urgent_jobs()
             done.append(f"step {number}")
             yield
 
-    worker.go_on_with(steps())
-    assert worker.settle()
+    worker.set_background_task(steps())
+    assert worker.wait_until_idle()
     assert done == ["step 0", "asked for in a step", "step 1", "step 2"]
 
 
@@ -64,8 +64,8 @@ def test_failures_are_told_and_end_nothing_else(worker: Worker, failures: list[E
         raise ValueError("of a step")
         yield
 
-    worker.go_on_with(fails())
+    worker.set_background_task(fails())
     worker.ask(lambda: 1 / 0)
-    assert worker.settle()
+    assert worker.wait_until_idle()
     assert sorted(type(each).__name__ for each in failures) == ["ValueError", "ZeroDivisionError"]
-    assert worker.lengthy is None
+    assert worker.background_task is None

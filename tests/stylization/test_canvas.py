@@ -13,12 +13,12 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import colors_and_coverage, coverage
 from stylesplat.scene.layers import compose
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.canvas import Canvas, PaintState, fit_canvas, lay_canvas
+from stylesplat.stylization.canvas import Canvas, PaintState, build_surfels, fit_surfels
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.confine import LONG, align_to_strokes, confine_canvas
+from stylesplat.stylization.confine import LONG, align_to_strokes, trim_surfels
 from stylesplat.stylization.painter import layer_of
 from stylesplat.stylization.painting import Painting
-from stylesplat.stylization.views import Box, find_boxes
+from stylesplat.stylization.views import ObjectBox, find_boxes
 
 FINE = enlarged(CAMERAS, 4)
 LENGTH, ROOM = 60.0, 1500
@@ -28,26 +28,26 @@ SOLID = replace(SPLATS, opacities=torch.full_like(SPLATS.opacities, 6.0))
 
 
 @pytest.fixture(scope="module")
-def boxes() -> list[Box]:
+def boxes() -> list[ObjectBox]:
     return find_boxes(SOLID, FINE, PICKED)
 
 
-def canvas_on(splats: Splats, boxes: list[Box], **changes) -> Canvas | None:
+def canvas_on(splats: Splats, boxes: list[ObjectBox], **changes) -> Canvas | None:
     options = {"length": LENGTH, "max_discs": ROOM, "seed": 0} | changes
-    return lay_canvas(splats, PICKED, boxes, **options)
+    return build_surfels(splats, PICKED, boxes, **options)
 
 
 @pytest.fixture(scope="module")
-def fitted(boxes: list[Box]) -> Canvas:
+def fitted(boxes: list[ObjectBox]) -> Canvas:
     """Laid and fitted, so that it may show beside the object."""
     canvas = canvas_on(SOLID, boxes)
     assert canvas is not None
-    return fit_canvas(canvas, seed=0)
+    return fit_surfels(canvas, seed=0)
 
 
 @pytest.fixture(scope="module")
 def laid(fitted: Canvas) -> Canvas:
-    return confine_canvas(fitted, FINE)[0]
+    return trim_surfels(fitted, FINE)[0]
 
 
 def painted_with_stripes(canvas: Canvas) -> Splats:
@@ -83,7 +83,7 @@ def test_nothing_shows_where_nothing_of_the_object_did(fitted: Canvas):
     scales = fitted.splats.scales + math.log(1.6) * fitted.is_disc[:, None]
     swollen = fitted.changed(scales=scales)
     assert spilled(swollen) > 100 * UNSEEN, "else the check is worth nothing"
-    confined, kept = confine_canvas(swollen, FINE)
+    confined, kept = trim_surfels(swollen, FINE)
     assert spilled(confined) < UNSEEN
     assert (~kept).sum() < 0.05 * fitted.is_disc.sum()
     same_size = (confined.splats.scales == swollen.splats.scales[kept]).all(dim=1)
@@ -92,7 +92,7 @@ def test_nothing_shows_where_nothing_of_the_object_did(fitted: Canvas):
 
 def test_nor_do_discs_along_strokes_show_there(fitted: Canvas):
     along = painted_with_stripes(fitted)
-    turned, kept = confine_canvas(fitted, FINE, painted=along)
+    turned, kept = trim_surfels(fitted, FINE, painted=along)
     free = align_to_strokes(along, fitted.is_disc, fitted.spacing)
     assert spilled(replace(fitted, splats=free)) > 100 * UNSEEN
     assert spilled(turned) < UNSEEN
@@ -138,16 +138,16 @@ def test_it_fades_in_as_strongly_as_is_wanted(laid: Canvas):
     torch.testing.assert_close(beyond.sh0[count:], -2 * laid.splats.sh0[count:])
 
 
-def test_the_room_is_nearly_used_and_the_seed_decides_how(fitted: Canvas, boxes: list[Box]):
+def test_the_room_is_nearly_used_and_the_seed_decides_how(fitted: Canvas, boxes: list[ObjectBox]):
     small = canvas_on(SOLID, boxes, max_discs=300)
     again, other = canvas_on(SOLID, boxes), canvas_on(SOLID, boxes, seed=1)
     assert small is not None and again is not None and other is not None
     assert 150 < small.is_disc.sum() <= 300
     assert not same(other.splats, again.splats)
-    once, shuffled = (fit_canvas(again, seed=seed) for seed in (0, 1))
+    once, shuffled = (fit_surfels(again, seed=seed) for seed in (0, 1))
     assert same(once.splats, fitted.splats) and not same(shuffled.splats, fitted.splats)
 
 
-def test_smoke_has_no_surface(boxes: list[Box]):
+def test_smoke_has_no_surface(boxes: list[ObjectBox]):
     smoke = replace(SPLATS, opacities=torch.full_like(SPLATS.opacities, -3.0))
     assert canvas_on(smoke, boxes) is None

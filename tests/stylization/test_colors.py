@@ -17,28 +17,28 @@ from balls import (
     dense_ball,
 )
 from scenes import rand, randn, random_splats
-from stylesplat.evaluation.style import TOLERANCE, off_palette
+from stylesplat.evaluation.style import LOOK_TOLERANCE, off_palette
 from stylesplat.imaging.color import (
+    COLOR_NEAR,
+    COLOR_NOISE,
     LUMA,
-    NEAR,
-    NOISE,
     build_palette,
     color_map,
     lab_from_rgb,
     map_colors,
-    mapped,
     nearest_colors,
+    transform_rgb,
 )
 from stylesplat.rendering.reference import spherical_harmonics
 from stylesplat.scene.splats import SH_C0, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.colors import (
     SHADING,
     VARIATION,
+    add_hue_noise,
     blur_colors,
+    low_pass_colors,
     object_colors,
     project_to_palette,
-    remove_pattern,
-    vary_colors,
 )
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.views import ObjectView, find_boxes
@@ -75,7 +75,7 @@ def colors(count: int, seed: int) -> torch.Tensor:
 
 def test_mean_and_covariance_become_the_targets():
     source, target = colors(500, 0), colors(300, 1)
-    there = mapped(source, color_map(source, target))
+    there = transform_rgb(source, color_map(source, target))
     torch.testing.assert_close(there.mean(dim=0), target.mean(dim=0))
     error = there.T.cov() - target.T.cov()
     assert error.norm() < NOISE_BIAS * target.T.cov().norm()
@@ -85,22 +85,22 @@ def test_flat_colors_are_not_blown_up():
     """Their variance counts as NOISE, so no direction grows by more than this."""
     target = colors(300, 1)
     to_target = color_map(torch.full((100, 3), 0.4), target)
-    largest = torch.linalg.eigvalsh(target.T.cov()).max() / NOISE
+    largest = torch.linalg.eigvalsh(target.T.cov()).max() / COLOR_NOISE
     assert torch.linalg.matrix_norm(to_target[:, :3], 2) < 1.01 * largest.sqrt()  # roundings
-    there = mapped(torch.full((3,), 0.4), to_target)
+    there = transform_rgb(torch.full((3,), 0.4), to_target)
     # roundings of a matrix of several hundreds
     torch.testing.assert_close(there, target.mean(dim=0), atol=1e-3, rtol=0)
 
 
 def test_variation_gives_flat_objects_colors_to_stretch():
     means, flat = random_splats(300).means, torch.zeros(300, 3)
-    varied = vary_colors(flat, means, seed=3)
+    varied = add_hue_noise(flat, means, seed=3)
     added = varied * SH_C0
     # single draws of a random pattern scatter around its deviation
     assert VARIATION / 2 < added.std(dim=0).mean() < 2 * VARIATION
     assert (added @ torch.tensor(LUMA)).abs().max() < 1e-6, "the same luminance"
-    assert torch.equal(varied, vary_colors(flat, means, seed=3))
-    assert not torch.equal(varied, vary_colors(flat, means, seed=4))
+    assert torch.equal(varied, add_hue_noise(flat, means, seed=3))
+    assert not torch.equal(varied, add_hue_noise(flat, means, seed=4))
 
 
 def test_colors_are_mapped_from_wherever_they_are_seen():
@@ -113,7 +113,7 @@ def test_colors_are_mapped_from_wherever_they_are_seen():
     dirs = randn(100, 3)
     before = spherical_harmonics(3, dirs, splats.sh0, splats.shN)
     after = spherical_harmonics(3, dirs, changed.sh0, changed.shN)
-    torch.testing.assert_close(after[picked], mapped(before[picked], change))
+    torch.testing.assert_close(after[picked], transform_rgb(before[picked], change))
     assert torch.equal(changed.sh0[~picked], splats.sh0[~picked])
     assert torch.equal(changed.shN[~picked], splats.shN[~picked])
 
@@ -130,7 +130,7 @@ def test_the_way_back_ends_near_the_painting_and_no_nearer():
     grey = lab_from_rgb(GREY)
     away = (ends - grey[nearest_colors(ends, grey)]).norm(dim=1)
     # the way is straight in RGB, the distance is told in Lab
-    assert ((away > NEAR / 2) & (away < TOLERANCE)).all(), away
+    assert ((away > COLOR_NEAR / 2) & (away < LOOK_TOLERANCE)).all(), away
 
 
 def test_settling_brings_pixels_to_the_painting(views: list[ObjectView]):
@@ -145,7 +145,7 @@ def test_settling_brings_pixels_to_the_painting(views: list[ObjectView]):
 
 def test_the_pattern_goes_and_a_part_of_the_light_stays(dense_views: list[ObjectView]):
     shown = WAYS[:, 2] > -0.3  # no camera looks from below
-    half, full = (remove_pattern(PATTERNED, dense_views, LENGTH, s) for s in (0.5, 1.0))
+    half, full = (low_pass_colors(PATTERNED, dense_views, LENGTH, s) for s in (0.5, 1.0))
     calm = rgb_from_sh0(full)
     assert (calm - SHADING * LIGHT)[shown].std() < 0.3 * PATTERN
     centred = [values[shown, :1] - values[shown, :1].mean() for values in (LIGHT, calm)]

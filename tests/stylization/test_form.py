@@ -21,8 +21,8 @@ from stylesplat.stylization.form import (
     detail_bands,
     form_distance,
     form_relief,
+    measure_detail,
     measure_form,
-    survey_form,
 )
 from stylesplat.stylization.painter import paint
 from stylesplat.stylization.views import find_boxes, typical_length
@@ -57,7 +57,7 @@ FAR = MASK & (spot(*EYE, 5 * RADIUS) == 0) & (XS.square() + YS.square() < (0.4 *
 
 
 def form_of(image: Tensor) -> list[FormBand]:
-    return measure_form(image, MASK, LENGTH, survey_form([image], [MASK], LENGTH))
+    return measure_form(image, MASK, LENGTH, measure_detail([image], [MASK], LENGTH))
 
 
 def shares(form: list[FormBand]) -> list[float]:
@@ -150,7 +150,7 @@ def test_sizes_follow_the_object():
     """Twice as large in twice as many pixels, it has the same form."""
     soft = grey(PLAIN - 0.3 * (-((XS - 14).square() + (YS + 12).square()) / 50).exp())
     double, mask = (each.repeat_interleave(2, 0).repeat_interleave(2, 1) for each in (soft, MASK))
-    survey = survey_form([double], [mask], 2 * LENGTH)
+    survey = measure_detail([double], [mask], 2 * LENGTH)
     large, small = measure_form(double, mask, 2 * LENGTH, survey), form_of(soft)
     assert shares(large) == pytest.approx(shares(small), abs=0.1)
     for (one, *_), (other, *_) in zip(large, small, strict=True):
@@ -159,7 +159,7 @@ def test_sizes_follow_the_object():
 
 
 def test_a_large_view_is_pooled_and_has_the_same_form():
-    survey, length = survey_form([WITH_EYE], [MASK], LENGTH), 6 * LENGTH
+    survey, length = measure_detail([WITH_EYE], [MASK], LENGTH), 6 * LENGTH
     large = torch.nn.Upsample(scale_factor=6)
     mask = large(MASK[None, None].float())[0, 0] > 0
 

@@ -14,11 +14,11 @@ from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
 from stylesplat.rendering.render import colors_of
 from stylesplat.rendering.visibility import in_view, pixel_bounds, visible
 from stylesplat.rendering.weights import contributions, coverage
-from stylesplat.selection.shares import own_shares
+from stylesplat.selection.shares import object_shares
 from stylesplat.stylization import canvas as fitting
 from stylesplat.stylization import painter as cutting
-from stylesplat.stylization.canvas import Canvas, fit_canvas, lay_canvas
-from stylesplat.stylization.confine import confine_canvas
+from stylesplat.stylization.canvas import Canvas, build_surfels, fit_surfels
+from stylesplat.stylization.confine import trim_surfels
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.painter import crop_scene
 from stylesplat.stylization.painting import Painting, paint_setup
@@ -74,8 +74,8 @@ def test_linear_views(cuda: str):  # noqa: F811
 
 
 def test_own_shares(cuda: str):  # noqa: F811
-    found = own_shares(SPLATS.to(cuda), RED.to(cuda), CAMERAS[:4]).cpu()
-    torch.testing.assert_close(found, own_shares(SPLATS, RED, CAMERAS[:4]), atol=0.02, rtol=0)
+    found = object_shares(SPLATS.to(cuda), RED.to(cuda), CAMERAS[:4]).cpu()
+    torch.testing.assert_close(found, object_shares(SPLATS, RED, CAMERAS[:4]), atol=0.02, rtol=0)
 
 
 @pytest.mark.usefixtures("quick_painting")
@@ -85,10 +85,10 @@ def test_the_canvas(cuda: str):  # noqa: F811
     def laid(device: str) -> Canvas:
         splats, mask = SOLID.to(device), RED.to(device)
         boxes = find_boxes(splats, LARGER, mask)
-        canvas = lay_canvas(splats, mask, boxes, length=30.0, max_discs=400, seed=0)
+        canvas = build_surfels(splats, mask, boxes, length=30.0, max_discs=400, seed=0)
         assert canvas is not None
-        canvas = fit_canvas(canvas, seed=0)
-        return confine_canvas(canvas, LARGER, painted=canvas.splats)[0]
+        canvas = fit_surfels(canvas, seed=0)
+        return trim_surfels(canvas, LARGER, painted=canvas.splats)[0]
 
     with Transfers() as transfers:
         found = laid(cuda)
@@ -116,7 +116,7 @@ def test_fitting_never_waits_for_the_device(cuda: str, monkeypatch: pytest.Monke
     for steps in (1, 3):
         monkeypatch.setattr(fitting, "STEPS", steps)
         with HostTrips() as mode:
-            fit_canvas(canvas, seed=0)
+            fit_surfels(canvas, seed=0)
         trips.append(mode.found)
     assert trips[0] == trips[1] != []
 

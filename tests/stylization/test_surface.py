@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from stylesplat.stylization.surface import BESIDE, HOLE, PULLS, pull_inside
+from stylesplat.stylization.surface import HOLE, PULLS, SURFACE_BESIDE, project_into_silhouettes
 
 SIZE, SIDE = 0.1, 60  # of a pixel, and pixels of the side
 
@@ -27,11 +27,13 @@ def test_a_flat_side_beyond_the_silhouettes_is_moved_inwards():
         return points[:, 2] > -lower * SIZE
 
     moved = points.clone()
-    kept = pull_inside(moved, normals, solid, SIZE, outside)
+    kept = project_into_silhouettes(moved, normals, solid, SIZE, outside)
     x = points[:, 0] / (SIZE * SIDE)
     lower = (x > 0.45) & (x <= 0.8)
     assert kept[x <= 0.45].all() and torch.equal(moved[x <= 0.45], points[x <= 0.45])
-    far = lower & (x > 0.45 + (BESIDE + 1) / SIDE)  # nearer ones have kept points beside them
+    far = lower & (
+        x > 0.45 + (SURFACE_BESIDE + 1) / SIDE
+    )  # nearer ones have kept points beside them
     assert kept[far].all() and (moved[far, 2] + 2 * SIZE).abs().max() < 1e-5
     assert not kept[x > 0.8].any(), "so far outside is no surface"
 
@@ -43,13 +45,13 @@ def test_what_is_less_solid_fills_holes_alone():
     beside = points[:, 0] / SIZE > SIDE - HOLE  # as at a soft edge
 
     def kept(solid: Tensor) -> Tensor:
-        return pull_inside(
+        return project_into_silhouettes(
             points.clone(), normals, solid, SIZE, lambda points: torch.zeros(len(points)).bool()
         )
 
     hole = far < 2 * HOLE
     found = kept(~hole & ~beside)
     assert found[~hole & ~beside].all()
-    assert found[far < 2 * HOLE - BESIDE - 1].all()
+    assert found[far < 2 * HOLE - SURFACE_BESIDE - 1].all()
     assert not found[beside].any()
     assert not kept(torch.zeros(len(points)).bool()).any(), "smoke has no surface"

@@ -14,8 +14,13 @@ from stylesplat.training.config import (
     TrainConfig,
     means_decay,
 )
-from stylesplat.training.losses import DSSIM_WEIGHT, MAX_POINTS, NEIGHBOR_WEIGHT
-from stylesplat.training.step import NEIGHBOR_EVERY, NEIGHBOR_SAMPLES, NEIGHBORS, learning_rates
+from stylesplat.training.losses import DSSIM_WEIGHT, LOSS_MAX_POINTS, NEIGHBOR_WEIGHT
+from stylesplat.training.step import (
+    NEIGHBOR_EVERY,
+    NEIGHBOR_SAMPLES,
+    STEP_NEIGHBORS,
+    learning_rates,
+)
 
 NAN = math.nan
 WRONG = {
@@ -108,7 +113,7 @@ def test_each_setting_of_the_paper_has_its_source():
     assert asdict(PRESETS["paper"]) == {name: value for name, (value, _) in PAPER.items()}
     assert SEGMENTS["paper"] == "joint", GROUPING
     assert DSSIM_WEIGHT == 0.2, f"{GAUSSIANS}: lambda_dssim"
-    term = (NEIGHBOR_EVERY, NEIGHBORS, NEIGHBOR_SAMPLES, NEIGHBOR_WEIGHT, MAX_POINTS)
+    term = (NEIGHBOR_EVERY, STEP_NEIGHBORS, NEIGHBOR_SAMPLES, NEIGHBOR_WEIGHT, LOSS_MAX_POINTS)
     assert term == (5, 5, 1000, 2, 200_000), "Gaussian Grouping, config/: reg3d_*"
 
 

@@ -16,7 +16,7 @@ from stylesplat.training.config import TrainConfig
 from stylesplat.training.densification import MCMCStrategy
 from stylesplat.training.state import State, TrainingRun, first_state
 from stylesplat.training.step import (
-    NEIGHBORS,
+    STEP_NEIGHBORS,
     apply_gradients,
     photo_gradients,
     train_step,
@@ -95,9 +95,9 @@ def test_growth_comes_at_the_end_of_its_interval(capture: Capture, config: Train
 
 def test_fewer_gaussians_than_neighbours_still_train(capture: Capture, config: TrainConfig):
     run, state = begun(capture, config)
-    few = first_state(state.splats.detach()[torch.arange(NEIGHBORS)])
+    few = first_state(state.splats.detach()[torch.arange(STEP_NEIGHBORS)])
     after, scores = train_step(run, few)
-    assert scores.isfinite().all() and len(after.splats) == NEIGHBORS
+    assert scores.isfinite().all() and len(after.splats) == STEP_NEIGHBORS
 
 
 @pytest.mark.parametrize("cut_out", [False, True])

@@ -6,7 +6,7 @@ import torch
 from PIL import Image
 
 from capture_files import write_capture
-from stylesplat.cli.mask import Mask
+from stylesplat.cli.mask import MaskCommand
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.label_maps import read_label_map, write_label_maps
@@ -47,19 +47,19 @@ def test_a_capture_gets_its_label_maps(folder: Path, tmp_path: Path):
     mask[5:20, 9:30] = True
     save_binary(mask, tmp_path / "masks" / "cup" / "001.png")
     save_binary(mask, tmp_path / "masks" / "cup" / "003.png")
-    found = Mask(capture, source=tmp_path / "masks").run().values
+    found = MaskCommand(capture, source=tmp_path / "masks").run().values
     assert (found["photos"], found["of"], found["ids"]) == (2, 3, [1])
     assert torch.equal(read_label_map(capture / "object_mask" / "003.png") == 1, mask)
     with pytest.raises(StyleSplatError, match="--overwrite"):
-        Mask(capture, source=tmp_path / "masks").run()
+        MaskCommand(capture, source=tmp_path / "masks").run()
     (capture / "object_mask/001.png").write_bytes(b"damaged")
-    again = Mask(capture, source=tmp_path / "masks", overwrite=True).run().values
+    again = MaskCommand(capture, source=tmp_path / "masks", overwrite=True).run().values
     assert again["ids"] == found["ids"]
     load(capture)  # they are whole again
     before = (capture / "object_mask/001.png").read_bytes()
     save_binary(torch.ones(40, 9, dtype=torch.bool), tmp_path / "masks" / "cup" / "002.png")
     with pytest.raises(StyleSplatError, match="not the shape of its photo"):
-        Mask(capture, source=tmp_path / "masks", overwrite=True).run()
+        MaskCommand(capture, source=tmp_path / "masks", overwrite=True).run()
     assert (capture / "object_mask/001.png").read_bytes() == before
 
 
@@ -72,7 +72,7 @@ def test_masks_of_photos_as_they_were_taken_are_undistorted_once(tmp_path: Path)
     stripes = torch.arange(64).expand(48, 64) // 8 % 2 == 0
     save_binary(stripes, tmp_path / "masks" / "bars" / "001.png")
     in_memory = mask(load(capture), source=tmp_path / "masks")
-    Mask(capture, source=tmp_path / "masks").run()
+    MaskCommand(capture, source=tmp_path / "masks").run()
     made, read = attached(in_memory, 0), attached(load(capture), 0)
     assert made.shape == load(capture).photos[0].shape[:2]
     assert torch.equal(made, read)

@@ -31,7 +31,7 @@ from balls import PAINTED_FAST as FAST
 from capture_files import write_ball_capture
 from fake_cuda import cuda  # noqa: F401  (a fixture)
 from right_ids import right_pixels
-from stylesplat.cli.mask import Labels
+from stylesplat.cli.mask import LabelsCommand
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.sheets import before_after, beside_photo, one_view
 from stylesplat.imaging.similarity import mask_iou
@@ -114,7 +114,7 @@ def test_pictures_of_commands_are_the_same(cuda: str, styled: Scene, tmp_path: P
         assert ((found[1].float() - usual[1].float()).abs() <= 2).float().mean() > 0.98
     scene = save_scene(tmp_path / "scene")
     masks = tmp_path / "capture" / "object_mask"
-    assert Path(Labels(scene, masks=masks, device="cuda").run().values["preview"]).exists()
+    assert Path(LabelsCommand(scene, masks=masks, device="cuda").run().values["preview"]).exists()
 
 
 def test_labels_are_lifted_alike(cuda: str, tmp_path: Path):  # noqa: F811

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from stylesplat.io.kinds import Kind, Noun
+from stylesplat.io.kinds import FileKind, Noun
 
-Content = Kind | Literal["files"]
+FolderContent = FileKind | Literal["files"]
 POSITIONAL = ("capture",)  # options that have no name on the command line
 TUPLES = ("region",)  # options that take several values at once; others are repeated
 
@@ -20,7 +20,7 @@ class JobVerb:
 
     name: str
     takes: tuple[Noun, ...]
-    makes: Content | None
+    makes: FolderContent | None
     """What its result is; None if that is what it works on."""
     flags: frozenset[str]
     """Options that are true or false."""
@@ -66,7 +66,7 @@ class Job:
     """In the job file."""
     source: Path | None
     """What it works on; None if that is the result of the job `after`."""
-    content: Content
+    content: FolderContent
     after: str | None
     values: Mapping[str, OptionValue]
     needs: Needs

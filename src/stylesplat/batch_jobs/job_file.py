@@ -12,30 +12,30 @@ from typing import Annotated, Any, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from stylesplat.batch_jobs.job import Content, Job, JobVerb, Needs, OptionValue
-from stylesplat.errors import StyleSplatError, brief, some, within
+from stylesplat.batch_jobs.job import FolderContent, Job, JobVerb, Needs, OptionValue
+from stylesplat.errors import StyleSplatError, error_context, join_names, shorten
 from stylesplat.io.files import is_there, read_bytes
-from stylesplat.io.json_yaml import MAX_YAML, Place, lines_of, parse_yaml
-from stylesplat.io.kinds import NOUNS, SPLATS, kind_of, wrong_kind
+from stylesplat.io.json_yaml import MAX_YAML, KeyPath, lines_of, parse_yaml
+from stylesplat.io.kinds import NOUNS, SPLATS, kind_of, wrong_kind_error
 from stylesplat.io.style_pictures import is_material
 from stylesplat.options import convert_settings
 
 MAX_JOBS = 20_000  # of a file: lists multiply sooner than one thinks
-ADDRESS = re.compile(r"[A-Za-z][\w+.-]+:/")  # a scheme is longer than the letter of a drive
-LONGEST = 120  # characters of a name: file systems take 255 bytes, and suffixes are appended
-UNFIT = re.compile(r"[^\w.+~]+")  # characters that names of results do not have
+JOB_ADDRESS = re.compile(r"[A-Za-z][\w+.-]+:/")  # a scheme is longer than the letter of a drive
+JOB_LONGEST = 120  # characters of a name: file systems take 255 bytes, and suffixes are appended
+JOB_UNFIT = re.compile(r"[^\w.+~]+")  # characters that names of results do not have
 SET_BY_BATCH = ("json", "overwrite", "restart", "finish", "output", "file", "pick")
 SPELLINGS = {"stylise": "stylize"}
 Scenes = list[str] | dict[str, str]
 # What a file and a job may hold, and of what types; a job has a verb as well
-FILE = {"scenes": Scenes, "jobs": Annotated[list[Any], Meta(min_length=1)]}
+JOB_FILE = {"scenes": Scenes, "jobs": Annotated[list[Any], Meta(min_length=1)]}
 NEEDS = get_type_hints(Needs, include_extras=True)
-BESIDE = {"name": str | int | None, "needs": dict, "scenes": Scenes | None, "then": list}
+JOB_BESIDE = {"name": str | int | None, "needs": dict, "scenes": Scenes | None, "then": list}
 
 
 def plan_batch(path: Path, verbs: Mapping[str, JobVerb]) -> tuple[Job, ...]:
     """The jobs of a YAML file, each behind the one that it follows; errors name the line."""
-    with within(f"Cannot use the jobs in {path}"):
+    with error_context(f"Cannot use the jobs in {path}"):
         refuse_address(path)
         text = read_bytes(path, most=MAX_YAML)
         planner = _Planner(path.parent, verbs, text)
@@ -47,9 +47,9 @@ def plan_batch(path: Path, verbs: Mapping[str, JobVerb]) -> tuple[Job, ...]:
 
 def refuse_address(path: str | Path) -> None:
     """Raise a StyleSplatError for an address such as `s3://bucket/scene`."""
-    if ADDRESS.match(str(path)):
+    if JOB_ADDRESS.match(str(path)):
         raise StyleSplatError(
-            f"{brief(str(path))!r} is an address, and jobs read and write files. Mount it "
+            f"{shorten(str(path))!r} is an address, and jobs read and write files. Mount it "
             "(docs/batch.md says how), or copy it to a disk."
         )
 
@@ -61,25 +61,25 @@ class _Planner:
         self._folder, self._verbs, self._lines = folder, verbs, lines_of(text)
 
     def jobs(self, content: Any) -> Iterator[Job]:
-        file = self._checked(content, FILE, ())
+        file = self._checked(content, JOB_FILE, ())
         shared = self._scenes(file.get("scenes", []), ("scenes",))
         for number, each in enumerate(file.get("jobs", [])):
-            place: Place = ("jobs", number)
+            place: KeyPath = ("jobs", number)
             verb, jobs_over = self._entry(each, place)
             own = each.get("scenes")
             scenes = shared if own is None else self._scenes(own, (*place, "scenes"))
             if not scenes:
                 raise self._error(place, f"{verb.name} has no scenes. List `scenes:`.")
             for name, path in scenes.items():
-                with within(f"line {self._line(place)}"):
+                with error_context(f"line {self._line(place)}"):
                     if (kind := kind_of(path)) not in NOUNS:
-                        raise wrong_kind(path, verb.takes[0])
+                        raise wrong_kind_error(path, verb.takes[0])
                 yield from jobs_over(name, kind, source=path)
 
-    def _entry(self, content: Any, place: Place) -> tuple[JobVerb, Callable[..., Iterator[Job]]]:
+    def _entry(self, content: Any, place: KeyPath) -> tuple[JobVerb, Callable[..., Iterator[Job]]]:
         """The verb of a job of the file, and what makes its jobs over one scene or result."""
         known = (*self._verbs, *SPELLINGS)
-        entry = self._checked(content, BESIDE | dict.fromkeys(known, dict | None), place)
+        entry = self._checked(content, JOB_BESIDE | dict.fromkeys(known, dict | None), place)
         found = [name for name in known if name in entry]
         if len(found) != 1:
             got = " and ".join(found) or "none"
@@ -97,7 +97,11 @@ class _Planner:
         then = [self._entry(each, (*place, "then", number))[1] for number, each in listed]
 
         def jobs_over(
-            base: str, content: Content, *, source: Path | None = None, after: str | None = None
+            base: str,
+            content: FolderContent,
+            *,
+            source: Path | None = None,
+            after: str | None = None,
         ) -> Iterator[Job]:
             if content not in verb.takes:
                 takes = " and ".join(f"{each}s" for each in verb.takes)
@@ -110,24 +114,24 @@ class _Planner:
 
         return verb, jobs_over
 
-    def _checked(self, content: Any, hints: Mapping[str, Any], place: Place) -> dict[str, Any]:
+    def _checked(self, content: Any, hints: Mapping[str, Any], place: KeyPath) -> dict[str, Any]:
         """The values of a map of the file, of the types that the hints give."""
         if not isinstance(content, dict):
             raise self._error(place, "expected KEY: VALUE. docs/batch.md has examples.")
         found = {}
         for key, value in content.items():
-            with within(f"line {self._line((*place, key))}"):
+            with error_context(f"line {self._line((*place, key))}"):
                 found |= convert_settings({key: value}, hints)
         return found
 
     def _combinations(
-        self, verb: JobVerb, options: dict[str, Any], place: Place
+        self, verb: JobVerb, options: dict[str, Any], place: KeyPath
     ) -> list[tuple[list[str], dict[str, OptionValue]]]:
         """Parts of names of results, and the options."""
         axes: dict[str, list[tuple[str, OptionValue]]] = {}
         for key, listed in options.items():
             name = key.replace("_", "-")
-            with within(f"line {self._line((*place, key))}"):
+            with error_context(f"line {self._line((*place, key))}"):
                 if name in axes:
                     raise StyleSplatError(f"{key} is listed twice.")
                 values = _option_values(name, verb, listed, self._folder)
@@ -146,11 +150,11 @@ class _Planner:
             ([part for part, _ in r], dict(zip(axes, (v for _, v in r), strict=True))) for r in rows
         ]
 
-    def _scenes(self, scenes: Scenes, place: Place) -> dict[str, Path]:
+    def _scenes(self, scenes: Scenes, place: KeyPath) -> dict[str, Path]:
         """Names and paths, from a list of paths or from a map."""
         found: dict[str, Path] = {}
         for key, text in scenes.items() if isinstance(scenes, dict) else enumerate(scenes):
-            with within(f"line {self._line((*place, key))}"):
+            with error_context(f"line {self._line((*place, key))}"):
                 path = _absolute(self._folder, text)
                 own = path.stem if path.suffix.lower() in SPLATS else path.name
                 name = own if isinstance(key, int) else key
@@ -160,13 +164,13 @@ class _Planner:
             found[name] = path
         return found
 
-    def _line(self, place: Place) -> int:
+    def _line(self, place: KeyPath) -> int:
         """The line of a value, or of what holds it."""
         while place and place not in self._lines:
             place = place[:-1]
         return self._lines.get(place, 1)
 
-    def _error(self, place: Place, fact: str) -> StyleSplatError:
+    def _error(self, place: KeyPath, fact: str) -> StyleSplatError:
         return StyleSplatError(f"line {self._line(place)}: {fact}")
 
 
@@ -193,7 +197,7 @@ def _check_names(jobs: Iterable[Job]) -> None:
     for job in jobs:
         other = seen.setdefault(job.name.casefold(), job)
         if other is not job:
-            lines = some(dict.fromkeys((other.line, job.line)))
+            lines = join_names(dict.fromkeys((other.line, job.line)))
             raise StyleSplatError(
                 f"two jobs have the same result, {job.name}: line {lines}. Give one another "
                 "`name:`, or remove what is listed twice."
@@ -316,7 +320,7 @@ def _text(value: str | Path, detail: int) -> str:
 def _result_name(*parts: str) -> str:
     """A name of a folder that all file systems take."""
     whole = "-".join(part for part in parts if part)
-    name = UNFIT.sub("-", whole).strip("-.") or "job"
-    if len(name) <= LONGEST and len(name.encode()) <= 2 * LONGEST:
+    name = JOB_UNFIT.sub("-", whole).strip("-.") or "job"
+    if len(name) <= JOB_LONGEST and len(name.encode()) <= 2 * JOB_LONGEST:
         return name
-    return f"{name[: LONGEST // 2]}~{sha256(whole.encode()).hexdigest()[:12]}"
+    return f"{name[: JOB_LONGEST // 2]}~{sha256(whole.encode()).hexdigest()[:12]}"

@@ -23,7 +23,7 @@ from stylesplat.errors import printable
 from stylesplat.io.atomic import PARTIAL
 
 LOGS = "logs"  # in the batch's folder: what each job has printed
-PATIENCE = 60.0  # seconds for a process to save what it has after SIGTERM
+WORKER_PATIENCE = 60.0  # seconds for a process to save what it has after SIGTERM
 PAUSE = 0.05  # seconds between two looks at a process
 THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 FAULT = re.compile(r"stylesplat(?: \w+)?: (.+)")  # the last line of a verb that fails
@@ -159,7 +159,7 @@ def _wait(process: "subprocess.Popen[bytes]", stopping: Event) -> float | None:
         if process.returncode is None:  # the batch ends early, or Ray cancels its task
             process.terminate()
             try:
-                process.wait(PATIENCE)
+                process.wait(WORKER_PATIENCE)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()

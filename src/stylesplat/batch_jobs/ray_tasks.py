@@ -25,7 +25,7 @@ ANSWER = 5.0  # seconds in which a machine must accept a connection: Ray itself 
 STORE = 100 * 2**20  # bytes of the object store of a local cluster: results are small
 MOST_TASKS = 1000  # at a time: a thread of this process waits for each
 RETRIES = 3  # times that Ray runs a job again after its node or its worker has died
-REMEDY = (
+RAY_REMEDY = (
     "Use auto, HOST:6379 or ray://HOST:10001 for a cluster that `ray start --head` has started "
     "(with RAY_AUTH_TOKEN, if it asks for a token), or --ray local."
 )
@@ -124,4 +124,4 @@ def _connect(address: str) -> tuple[ModuleType, bool]:
 
 def _unreachable(address: str, error: Exception) -> StyleSplatError:
     fact = " ".join(str(error).split()).partition(". ")[0].rstrip(".")
-    return StyleSplatError(f"Cannot reach a Ray cluster at {address}: {fact}. {REMEDY}")
+    return StyleSplatError(f"Cannot reach a Ray cluster at {address}: {fact}. {RAY_REMEDY}")

@@ -22,21 +22,26 @@ from msgspec.structs import replace
 from stylesplat.batch_jobs.job import Job
 from stylesplat.batch_jobs.job_file import refuse_address
 from stylesplat.batch_jobs.job_process import JobRecord, RunJob, ended_job, local_processes
-from stylesplat.errors import StyleSplatError, some, within
+from stylesplat.errors import StyleSplatError, error_context, join_names
 from stylesplat.evaluation.summary import flat
 from stylesplat.figures.html_page import data_url
 from stylesplat.interrupts import wait_until
-from stylesplat.io.atomic import PARTIAL, atomic_path, changing, refuse_occupied
+from stylesplat.io.atomic import PARTIAL, atomic_path, locked_folder, refuse_occupied
 from stylesplat.io.files import is_file
 from stylesplat.io.images import jpeg_thumbnail
 from stylesplat.io.kinds import PHOTOS, SOG_META
 from stylesplat.progress import say, task
 
-PAGE = "jobs.html"
-TEMPLATE = Path(__file__).with_name(PAGE)
-PICTURES = ("before_after", "picture", "preview", "sheet")  # keys of results that name a picture
-SIDE = 420  # pixels of a picture at most: some 25 KB for each job
-MAX_NUMBERS = 14  # of a job: its record has all
+BATCH_PAGE = "jobs.html"
+BATCH_TEMPLATE = Path(__file__).with_name(BATCH_PAGE)
+BATCH_PICTURES = (
+    "before_after",
+    "picture",
+    "preview",
+    "sheet",
+)  # keys of results that name a picture
+BATCH_SIDE = 420  # pixels of a picture at most: some 25 KB for each job
+BATCH_MAX_NUMBERS = 14  # of a job: its record has all
 
 
 def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobRecord]], *, of: int) -> Path:
@@ -46,7 +51,7 @@ def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobRecord]], *, of: int
     articles = [
         _article(record, pictures[job.name] or pictures.get(str(job.after))) for job, record in jobs
     ]
-    page = Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
+    page = Template(BATCH_TEMPLATE.read_text(encoding="utf-8")).substitute(
         title=escape(path.parent.name),
         summary=f"Jobs: {of}. {', '.join(ends) or 'none has ended'}.",
         jobs="\n".join(articles),
@@ -58,7 +63,7 @@ def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobRecord]], *, of: int
 
 def job_picture(record: JobRecord, folder: Path) -> Path | None:
     """A picture of what a job has made, if there is one."""
-    named = (record.result.get(key) for key in PICTURES)
+    named = (record.result.get(key) for key in BATCH_PICTURES)
     found = [Path(each) for each in named if isinstance(each, str) and is_file(each)]
     if not found and record.verb == "render":
         found = [p for p in sorted(folder.rglob("*")) if p.suffix.lower() in PHOTOS]
@@ -70,7 +75,7 @@ def _article(record: JobRecord, picture: Path | None) -> str:
     memory = record.memory and f", {record.memory} GB"
     took = f" {record.seconds:.1f} s{memory}" if record.command else ""
     reason = f": {record.reason}" if record.reason else ""
-    rows = islice(flat(record.result), MAX_NUMBERS)
+    rows = islice(flat(record.result), BATCH_MAX_NUMBERS)
     numbers = "".join(
         f"<dt>{escape(k)}</dt><dd>{format(v, ',' if isinstance(v, int) else '.4g')}</dd>"
         for k, v in rows
@@ -78,7 +83,7 @@ def _article(record: JobRecord, picture: Path | None) -> str:
     image = ""
     with suppress(StyleSplatError):  # a picture that cannot be read
         if picture:
-            url = data_url(jpeg_thumbnail(picture, SIDE), ".jpg")
+            url = data_url(jpeg_thumbnail(picture, BATCH_SIDE), ".jpg")
             image = f'<img src="{url}" alt="{name}">'
     return (
         f'<article class="{record.status}"><a href="{place}">{image}</a>'
@@ -89,7 +94,7 @@ def _article(record: JobRecord, picture: Path | None) -> str:
 
 RECORDS = "jobs.jsonl"  # in the batch's folder: a line of JSON for each job that has ended
 SCENE_FILES = (".json", ".ply", ".safetensors")  # what makes a scene; pictures are drawn later
-HEAD = f"{'':8}{'seconds':>9}{'GB':>7}  job"
+BATCH_HEAD = f"{'':8}{'seconds':>9}{'GB':>7}  job"
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,7 @@ def run_batch(
             f"The folder {output} holds something that is no result of jobs. Choose another one."
         )
     prints = fingerprints(jobs)
-    with changing(output):
+    with locked_folder(output):
         earlier = read_records(path)
         done = {
             name: record
@@ -153,7 +158,7 @@ def run_batch(
                 for record in run_in_order(todo, {*done}, runner, slots, bar.note):
                     record = replace(record, fingerprint=prints[record.job])
                     if len(records) == len(done):
-                        say(HEAD)
+                        say(BATCH_HEAD)
                     say(_row(record))
                     with path.open("ab") as file:
                         file.write(_line(record))
@@ -161,7 +166,7 @@ def run_batch(
                     bar.advance()
         finally:
             known = [(job, records[job.name]) for job in jobs if job.name in records]
-            page = write_job_page(output / PAGE, known, of=len(jobs))
+            page = write_job_page(output / BATCH_PAGE, known, of=len(jobs))
     return BatchResult(output, tuple(record for _, record in known), len(done), page)
 
 
@@ -185,7 +190,7 @@ def run_in_order(
             ready = [each for each in waiting.values() if each.after is None or each.after in done]
             for job in ready[: slots - len(running)]:
                 running[pool.submit(run, waiting.pop(job.name))] = job.name
-            note(some(running.values(), 2))
+            note(join_names(running.values(), 2))
             if running:
                 wait_until(lambda seconds: wait(running, seconds, FIRST_COMPLETED).done)
             for future in [each for each in running if each.done()]:
@@ -200,7 +205,7 @@ def fingerprints(jobs: Sequence[Job]) -> dict[str, str]:
     digests: dict[str, str] = {}
     digest = cache(_digest_of)
     for job in jobs:
-        with within(f"Cannot use the inputs of {job.name}"):
+        with error_context(f"Cannot use the inputs of {job.name}"):
             source = digest(job.source) if job.source else digests[str(job.after)]
             options = {
                 name: [

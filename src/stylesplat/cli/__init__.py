@@ -10,17 +10,29 @@ from stylesplat.cli.command import exit_status
 from stylesplat.cli.demo import Demo, Doctor
 from stylesplat.cli.evaluate import Evaluate
 from stylesplat.cli.import_export import Export, Import
-from stylesplat.cli.mask import Labels, Mask
+from stylesplat.cli.mask import LabelsCommand, MaskCommand
 from stylesplat.cli.mcp import Mcp
 from stylesplat.cli.objects import Delete, Objects, Rename, Select
 from stylesplat.cli.render import Render, StudioCommand, ViewCommand
 from stylesplat.cli.sfm import Check, Sfm
 from stylesplat.cli.stylize import Adjust, Recolor, Sheet, Stylize
 from stylesplat.cli.train import Train
-from stylesplat.interrupts import check
+from stylesplat.interrupts import raise_if_interrupted
 from stylesplat.progress import observed, write_lines
 
-COMMANDS = (Demo, Check, Sfm, Mask, Train, Import, Labels, Objects, Select, Rename, Delete)
+COMMANDS = (
+    Demo,
+    Check,
+    Sfm,
+    MaskCommand,
+    Train,
+    Import,
+    LabelsCommand,
+    Objects,
+    Select,
+    Rename,
+    Delete,
+)
 COMMANDS += (Stylize, Recolor, Adjust, Sheet, Render, Export, Evaluate, Batch)
 COMMANDS += (ViewCommand, StudioCommand, Mcp, Doctor)
 VERBS = {each.__name__.removesuffix("Command").lower(): each for each in COMMANDS}
@@ -36,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = None
     try:
         command = read_arguments(VERBS, sys.argv[1:] if arguments is None else arguments)
-        check()
+        raise_if_interrupted()
         from stylesplat.cli.bars import Bars
         from stylesplat.io.json_yaml import strict_json
 

@@ -11,7 +11,7 @@ from stylesplat.progress import Observer, write_lines
 
 MOMENT = 0.5  # seconds of work that is not worth a bar
 EVERY = 10.0  # seconds between two lines of a task in a log
-FORMAT = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
+BAR_FORMAT = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
 OF_SECONDS = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}{postfix}]"
 
 
@@ -63,7 +63,7 @@ class Bars(Observer):
         self, what: str, total: int | float | None, unit: str, done: int | float
     ) -> Iterator[_Bar]:
         """Show work that takes longer than a moment; see `progress.Observer`."""
-        drawn = OF_SECONDS if unit == "s" else FORMAT
+        drawn = OF_SECONDS if unit == "s" else BAR_FORMAT
         options: dict[str, Any] = {"file": sys.stderr, "bar_format": drawn}
         if not self._terminal:
             without_bar = drawn.replace("{bar}| ", "")

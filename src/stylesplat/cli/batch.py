@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_origin, get_type_
 
 from tyro.conf import Positional
 
-from stylesplat.batch_jobs.job import Content, JobVerb
+from stylesplat.batch_jobs.job import FolderContent, JobVerb
 from stylesplat.cli.arguments import read_command, settings_of
-from stylesplat.cli.command import CONTINUES, NAMES, Answer, Command, Output
+from stylesplat.cli.command import COMMAND_NAMES, CONTINUES, Answer, Command, Output
 from stylesplat.cli.import_export import Export, Import
-from stylesplat.cli.mask import Mask
+from stylesplat.cli.mask import MaskCommand
 from stylesplat.cli.objects import Select
 from stylesplat.cli.render import Render
 from stylesplat.cli.stylize import Recolor, Sheet, Stylize
 from stylesplat.cli.train import Train
-from stylesplat.errors import StyleSplatError, some
+from stylesplat.errors import StyleSplatError, join_names
 from stylesplat.io.kinds import Noun
 from stylesplat.options import check_arguments
 
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 NAMED = 5  # failed jobs in the last line; the table and the page have all
 OUTPUTS = {"export": ("output", "each"), "render": ("output",), "sheet": ("output",)}
 MAKES_FILE = ("export", "sheet")  # the suffix of the file that they make says of which kind it is
-JOB_VERBS: dict[str, tuple[type, tuple[Noun, ...], Content | None]] = {
+JOB_VERBS: dict[str, tuple[type, tuple[Noun, ...], FolderContent | None]] = {
     "train": (Train, ("capture",), "scene"),
     "import": (Import, ("splat",), "scene"),
-    "mask": (Mask, ("capture", "scene"), None),
+    "mask": (MaskCommand, ("capture", "scene"), None),
     "select": (Select, ("scene",), "scene"),
     "recolor": (Recolor, ("scene",), "scene"),
     "stylize": (Stylize, ("scene",), "scene"),
@@ -76,7 +76,7 @@ class Batch(Command):
         if failed:
             others = f" ({values['skipped']} behind them skipped)" if values["skipped"] else ""
             faults = [f"{job['job']}: {job['reason'].rstrip('.')}" for job in failed[:NAMED]]
-            rest = some([job["job"] for job in failed[NAMED:]])
+            rest = join_names([job["job"] for job in failed[NAMED:]])
             raise StyleSplatError(
                 f"{len(failed)} of {len(values['jobs'])} jobs failed{others}: "
                 f"{'; '.join([*faults, rest] if rest else faults)}. Mend that; the same command "
@@ -138,7 +138,7 @@ def _options_of(kind: type, command: type) -> frozenset[str]:
     names = [f"no-{each.name}" if each.default is True else each.name for each in found]
     for settings in settings_of(command).values():
         names += [name for name, hint in get_type_hints(settings).items() if _holds(hint, kind)]
-    return frozenset(NAMES.get(name, name).replace("_", "-") for name in names)
+    return frozenset(COMMAND_NAMES.get(name, name).replace("_", "-") for name in names)
 
 
 def _holds(hint: Any, kind: type) -> bool:

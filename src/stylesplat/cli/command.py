@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 import stylesplat as ss
-from stylesplat.errors import StyleSplatError, pasted
+from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.interrupts import WHOLE, report_interruption
 from stylesplat.io.atomic import refuse_file
-from stylesplat.io.files import DISK_FULL, file_stem, inside, reason
+from stylesplat.io.files import FILE_DISK_FULL, file_stem, reason, resolve_within
 from stylesplat.progress import say, write_lines
 from stylesplat.stylization.config import Network
 
@@ -48,8 +48,8 @@ Weights = Annotated[
         "once."
     ),
 ]
-PICTURES = (".png", ".jpg", ".jpeg", ".webp")
-NAMES = {"source": "from"}  # of options that are no names in Python
+COMMAND_PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+COMMAND_NAMES = {"source": "from"}  # of options that are no names in Python
 CONTINUES = "The same command goes on where it stopped."  # after Ctrl-C
 
 
@@ -87,7 +87,7 @@ class Command:
         """Raise a StyleSplatError if an option is given that would change nothing."""
         for name in names:
             if getattr(self, name):
-                option = NAMES.get(name, name).replace("_", "-")
+                option = COMMAND_NAMES.get(name, name).replace("_", "-")
                 raise StyleSplatError(f"--{option} means nothing with {why}. Leave it out.")
 
 
@@ -99,8 +99,8 @@ class MakingCommand(Command):
 
     def refuse_picture(self, output: Path) -> None:
         """Raise a StyleSplatError if no picture can be written to a file."""
-        if output.suffix.lower() not in PICTURES:
-            names = ", ".join(PICTURES)
+        if output.suffix.lower() not in COMMAND_PICTURES:
+            names = ", ".join(COMMAND_PICTURES)
             raise StyleSplatError(f"Cannot draw into {output}: use a name in {names}.")
         refuse_file(output, overwrite=self.overwrite)
 
@@ -126,10 +126,10 @@ class EditingCommand(MakingCommand):
 
 BEFORE_AFTER = "before_after.png"  # in the folder of a painted scene
 ENDINGS = {"stylize": "-painted", "train": "-scene", "export": ".ply", "render": ".mp4"}
-PICTURE = "PICTURE.jpg"  # stands for any picture of the user's
+COMMAND_PICTURE = "PICTURE.jpg"  # stands for any picture of the user's
 PIPE_CLOSED = 141  # as shells report it, after `| head`
 # Words of torch, OpenCV and CUDA, in errors of many kinds
-NO_MEMORY = ("allocate memory", "not enough memory", "out of memory", "insufficient memory")
+COMMAND_NO_MEMORY = ("allocate memory", "not enough memory", "out of memory", "insufficient memory")
 OUT_OF_MEMORY = (
     "Out of memory. Close other programs, or work on less: smaller photos, fewer views or fewer "
     "Gaussians."
@@ -143,7 +143,7 @@ def new_scene(output: Path, *, overwrite: bool) -> "Iterator[Callable[[ss.Scene]
 
     If that fails, the scene is saved in the temporary directory, and the error says so.
     """
-    from stylesplat.io.atomic import changing, refuse_occupied
+    from stylesplat.io.atomic import locked_folder, refuse_occupied
     from stylesplat.io.kinds import SCENE
     from stylesplat.io.scene_folder import save
 
@@ -160,7 +160,7 @@ def new_scene(output: Path, *, overwrite: bool) -> "Iterator[Callable[[ss.Scene]
             fact = f"{error} The scene is in {rescued}: move it from there."
             raise StyleSplatError(fact) from error
 
-    with changing(output):
+    with locked_folder(output):
         refuse_occupied(output, marker=SCENE, overwrite=overwrite)
         yield save_or_rescue
 
@@ -173,14 +173,14 @@ def rewrite_scene(
     overwrite: bool,
 ) -> "ss.Scene":
     """Open a scene, change it, and save it to `output`, or without that in its own folder."""
-    from stylesplat.io.atomic import changing, refuse_unwritable
+    from stylesplat.io.atomic import locked_folder, refuse_unwritable
     from stylesplat.io.scene_folder import revise
 
     if output is not None:
         with new_scene(output, overwrite=overwrite) as save:
             save(after := change(ss.open(source)))
         return after
-    with changing(source):  # from reading on, so that no other process's change is lost
+    with locked_folder(source):  # from reading on, so that no other process's change is lost
         before = ss.open(source)
         refuse_unwritable(source)
         after = change(before)
@@ -207,7 +207,7 @@ def selection_file(scene: Path, name: str) -> Path:
     Raises:
         StyleSplatError: If the folder of pictures leads out of the scene.
     """
-    return inside(scene, f"selections/{file_stem(name)}.png")
+    return resolve_within(scene, f"selections/{file_stem(name)}.png")
 
 
 def draw_before_after(scene: "ss.Scene", folder: Path, *, device: str = "auto") -> Answer:
@@ -283,15 +283,15 @@ def unused(near: Path, ending: str) -> Path:
 
 def next_command(verb: str, source: Path, *options: object, ending: str = "") -> str:
     """A command whose result lies beside what it works on, by a name that is free."""
-    return pasted(verb, source, *options, "-o", unused(source, ending or ENDINGS[verb]))
+    return shell_command(verb, source, *options, "-o", unused(source, ending or ENDINGS[verb]))
 
 
 def stylize_command(scene: Path, name: str) -> str:
-    return next_command("stylize", scene, "--style", f"{name}={PICTURE}")
+    return next_command("stylize", scene, "--style", f"{name}={COMMAND_PICTURE}")
 
 
 def mask_command(capture: Path, view: str = "PHOTO") -> str:
-    return pasted("mask", capture, "--box", f"NAME={view}:x0,y0,x1,y1")
+    return shell_command("mask", capture, "--box", f"NAME={view}:x0,y0,x1,y1")
 
 
 def object_commands(
@@ -304,8 +304,11 @@ def object_commands(
     if names:
         return [stylize_command(scene, names[0])]
     if labelled:
-        return [pasted("objects", scene), pasted("select", scene, "--name", "NAME", "--id", "ID")]
-    by_place = pasted("select", scene, "--name", "NAME", "--sphere", "VIEW:x,y,RADIUS")
+        return [
+            shell_command("objects", scene),
+            shell_command("select", scene, "--name", "NAME", "--id", "ID"),
+        ]
+    by_place = shell_command("select", scene, "--name", "NAME", "--sphere", "VIEW:x,y,RADIUS")
     look = next_command("render", scene, ending="-views")
     return [look, by_place if photos else mask_command(scene, "VIEW")]
 
@@ -336,8 +339,10 @@ def user_message(error: BaseException) -> str | None:
     if isinstance(error, StyleSplatError):
         return str(error)
     text = str(error).lower()
-    full = isinstance(error, OSError) and error.errno in DISK_FULL
-    if not full and (isinstance(error, MemoryError) or any(words in text for words in NO_MEMORY)):
+    full = isinstance(error, OSError) and error.errno in FILE_DISK_FULL
+    if not full and (
+        isinstance(error, MemoryError) or any(words in text for words in COMMAND_NO_MEMORY)
+    ):
         return OUT_OF_MEMORY
     if not isinstance(error, OSError):
         return None

@@ -15,7 +15,7 @@ from stylesplat.cli.command import (
     mask_command,
 )
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import changing
+from stylesplat.io.atomic import locked_folder
 
 COLUMNS = {  # of the table: what the result calls them
     "train, steps/s": "steps_per_second",
@@ -43,7 +43,7 @@ class Demo(MakingCommand):
     def run(self) -> Answer:
         from stylesplat.demo.demo_run import run_demo
 
-        with changing(self.output):
+        with locked_folder(self.output):
             made = run_demo(self.output, overwrite=self.overwrite)
         lines = [
             f"Report: {made['report']}",

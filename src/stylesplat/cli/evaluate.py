@@ -16,12 +16,16 @@ from stylesplat.cli.command import (
     next_command,
 )
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import atomic_path, changing, refuse_file, refuse_unwritable
+from stylesplat.io.atomic import atomic_path, locked_folder, refuse_file, refuse_unwritable
 from stylesplat.io.json_yaml import write_json
 from stylesplat.progress import say
 
-PAGE = ".html"
-COMPARED = (("psnr", "PSNR", 2), ("ssim", "SSIM", 3), ("miou", "IoU", 3))  # and how many digits
+COMPARISON_PAGE = ".html"
+COMPARISON_COMPARED = (
+    ("psnr", "PSNR", 2),
+    ("ssim", "SSIM", 3),
+    ("miou", "IoU", 3),
+)  # and how many digits
 EXAMPLE = "`stylesplat evaluate A B --compare -o page.html`"
 
 
@@ -70,7 +74,7 @@ class Evaluate(MakingCommand):
             refuse_file(self.output, overwrite=self.overwrite)
         capture = self._photos(scene, self.scene, required=not scene.layers)
         metrics = ss.evaluate(scene, capture, device=self.device)
-        with changing(self.output or self.scene):
+        with locked_folder(self.output or self.scene):
             if self.output is not None:
                 write_json(metrics, self.output)
             else:
@@ -107,10 +111,10 @@ class Evaluate(MakingCommand):
         if not self.others:
             raise StyleSplatError(f"--compare needs at least two scenes, got one. Call {EXAMPLE}.")
         page = self.output
-        if page is None or page.suffix.lower() != PAGE:
+        if page is None or page.suffix.lower() != COMPARISON_PAGE:
             raise StyleSplatError(
                 f"--compare makes an HTML page, got {page or 'none'} as its place. Pass -o with a "
-                f"name in {PAGE}."
+                f"name in {COMPARISON_PAGE}."
             )
         refuse_file(page, overwrite=self.overwrite)
         given = (self.scene, *self.others)
@@ -121,7 +125,7 @@ class Evaluate(MakingCommand):
         shared_views(scenes)  # raises before photos are read
         photos = {name: self._photos(scene, folders[name]) for name, scene in scenes.items()}
         captures = {name: each for name, each in photos.items() if each is not None}
-        with changing(page):
+        with locked_folder(page):
             found = ss.compare(scenes, captures, device=self.device)
             title = "Scenes compared"
             text = comparison_page(found.scenes, found.views, title=title, notes=found.notes)
@@ -136,7 +140,7 @@ def _comparison_line(scene: dict[str, Any]) -> str:
     metrics, differences = scene["metrics"], scene["differences"]
     parts = [
         f"{label} {metrics[name]:.{digits}f} ({differences.get(name, 0):+.{digits}f})"
-        for name, label, digits in COMPARED
+        for name, label, digits in COMPARISON_COMPARED
         if name in metrics
     ]
     changed = 100 * scene["from_first"]["changed_share"]

@@ -19,7 +19,7 @@ from stylesplat.cli.command import (
     describe_scene,
     new_scene,
     next_command,
-    pasted,
+    shell_command,
 )
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_file
@@ -92,7 +92,7 @@ class Import(MakingCommand):
 
             labels = ("--labels", self.labels) if self.labels else ()
             other = "-y" if declared_up(self.splat) == "z" else "z"
-            again = pasted("import", self.splat, *labels, "-o", self.output, "--up", other)
+            again = shell_command("import", self.splat, *labels, "-o", self.output, "--up", other)
             yield f"If it lies on its side: {again} --overwrite"
 
 
@@ -130,7 +130,7 @@ class Export(MakingCommand):
     .glb or .gltf holds SPZ, as Cesium wants it."""
 
     def run(self) -> Answer:
-        from stylesplat.errors import counted
+        from stylesplat.errors import count_noun
         from stylesplat.io.gaussian_lists import LISTS
         from stylesplat.verbs.export import export_each
 
@@ -164,7 +164,7 @@ class Export(MakingCommand):
         )
         lists = file.suffix.lower() == LISTS
         noun = "face" if self.mesh else "object" if lists else "Gaussian"
-        lines = [f"{file}: {counted(count, noun)}, {file.stat().st_size / 1e6:.1f} MB."]
+        lines = [f"{file}: {count_noun(count, noun)}, {file.stat().st_size / 1e6:.1f} MB."]
         if self.sidecar:
             lines.append(f"Objects: {file}.objects.npz, for `import --labels`.")
         values = {"file": file, f"{noun.lower()}s": count}

@@ -24,7 +24,7 @@ from stylesplat.cli.command import (
 from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.interrupts import WHOLE
-from stylesplat.io.atomic import changing, partial_of, refuse_occupied
+from stylesplat.io.atomic import locked_folder, progress_path, refuse_occupied
 from stylesplat.io.files import is_file
 from stylesplat.options import BOX, LINE
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished, view_of_photo
@@ -45,7 +45,7 @@ MEND = (
 
 
 @dataclass(frozen=True)
-class Mask(MakingCommand):
+class MaskCommand(MakingCommand):
     """Give photos their label maps, which say what object each pixel shows.
 
     Example: stylesplat mask garden --box vase=IMG_0007.jpg:500,300,800,700
@@ -96,13 +96,13 @@ class Mask(MakingCommand):
 
     def run(self) -> Answer:
         from stylesplat.io.kinds import SCENE
-        from stylesplat.scene.virtual_cameras import has_no_photos
+        from stylesplat.scene.virtual_cameras import has_rendered_views
         from stylesplat.verbs.mask import mask_source
 
         scene = ss.open(self.scene) if self.scene else None
         given = self._drawn() | {"source": self.source, "model": self.model, "scene": scene}
         mask_source(self.method, **given)  # before photos are read
-        if is_file(self.capture / SCENE) and has_no_photos(ss.open(self.capture)):
+        if is_file(self.capture / SCENE) and has_rendered_views(ss.open(self.capture)):
             return self._mask_scene()
         return self._mask_photos(scene)
 
@@ -135,12 +135,12 @@ class Mask(MakingCommand):
 
     def _masked(self, photos: Any, place: Path, drawn: dict[str, Drawn], **options: Any) -> Any:
         """Photos or a scene with masks; models keep what they have found beside the result."""
-        progress = partial_of(place) if self._keeps_progress else None
+        progress = progress_path(place) if self._keeps_progress else None
         options |= {"method": self.method, "model": self.model, "device": self.device}
         return ss.mask(photos, source=self.source, progress=progress, **drawn, **options)
 
     def _mask_photos(self, scene: "ss.Scene | None") -> Answer:
-        from stylesplat.figures.sheets import lower_rims, mask_preview
+        from stylesplat.figures.sheets import draw_contact_contours, mask_preview
         from stylesplat.io.captures.capture_folder import OBJECT_MASK, read_sfm
         from stylesplat.io.images import write_image
         from stylesplat.io.label_maps import refuse_label_maps, write_label_maps
@@ -154,7 +154,7 @@ class Mask(MakingCommand):
         preview, rims = output / PREVIEW, output / RIMS
         refuse_occupied(output, marker="", overwrite=True)  # label maps are refused below
         capture = ss.load(folder, masks=None if self._corrects else False)
-        with changing(output):
+        with locked_folder(output):
             record, names = read_sfm(folder), capture.cameras.names
             drawn = self._drawn(record)
             own = [record.origins.get(name, name) for name in names] if record else names
@@ -172,8 +172,8 @@ class Mask(MakingCommand):
                 written = ss.load(folder)
                 write_image(mask_preview(written, called), preview)
                 if called:
-                    write_image(lower_rims(written, called), rims)
-            shutil.rmtree(partial_of(output), ignore_errors=True)
+                    write_image(draw_contact_contours(written, called), rims)
+            shutil.rmtree(progress_path(output), ignore_errors=True)
         objects = ", ".join(called.get(id, f"id {id}") for id in ids) or "no objects"
         photos = f"{len(found)} of {len(masked)} photos"
         lines = [f"{output}: label maps of {photos}, which show {objects}."]
@@ -199,14 +199,14 @@ class Mask(MakingCommand):
                 )
             return self._masked(before, place / "masks", self._drawn())
 
-        with changing(place):
+        with locked_folder(place):
             after = rewrite_scene(self.capture, self.output, mask, overwrite=self.overwrite)
-            shutil.rmtree(partial_of(place / "masks"), ignore_errors=True)
+            shutil.rmtree(progress_path(place / "masks"), ignore_errors=True)
             return _describe_objects(after, place, self.device)
 
 
 @dataclass(frozen=True)
-class Labels(EditingCommand):
+class LabelsCommand(EditingCommand):
     """Give a scene the labels of corrected label maps, in seconds: they are lifted, not trained.
 
     Example: stylesplat labels garden-scene --masks garden/object_mask
@@ -218,7 +218,7 @@ class Labels(EditingCommand):
     device: Device = "auto"
 
     def run(self) -> Answer:
-        with changing(self.folder):
+        with locked_folder(self.folder):
             after = self.rewrite(lambda scene: ss.labels(scene, self.masks, device=self.device))
             return _describe_objects(after, self.folder, self.device)
 

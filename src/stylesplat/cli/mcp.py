@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from stylesplat.cli.arguments import read_command
-from stylesplat.cli.command import PICTURES, Answer, Command
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.cli.command import COMMAND_PICTURES, Answer, Command
+from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.interrupts import wait_until
 
 if TYPE_CHECKING:
     from mcp.server.mcpserver import MCPServer
 
-LEFT_OUT = ("demo", "batch", "view", "studio", "mcp")  # they serve, or run files of commands
-LONGER_SIDE = 1024  # pixels of a picture in an answer
-MOST_PICTURES = 4  # in one answer
+MCP_LEFT_OUT = ("demo", "batch", "view", "studio", "mcp")  # they serve, or run files of commands
+MCP_LONGER_SIDE = 1024  # pixels of a picture in an answer
+MCP_MOST_PICTURES = 4  # in one answer
 SEPARATORS = re.compile(r"[=,:]")  # between a name and a path in the value of an option
 
 
@@ -63,7 +63,7 @@ def mcp_server(root: Path, verbs: Mapping[str, type]) -> "MCPServer":
         raise StyleSplatError(f"There is no folder {root}. Name the one that holds your scenes.")
     server = MCPServer("stylesplat", log_level="ERROR")
     for verb, command in verbs.items():
-        if verb not in LEFT_OUT:
+        if verb not in MCP_LEFT_OUT:
             about = f"{getdoc(command)}\n\nArguments are words of the command line after "
             about += f"`stylesplat {verb}`; ['--help'] explains them all."
             tool = _tool(verb, command, root.resolve())
@@ -89,8 +89,8 @@ def _tool(verb: str, kind: type, root: Path) -> Callable[..., Any]:
         answer = done.stdout.decode(errors="replace").strip()
         if done.returncode:
             raise ToolError(done.stderr.decode(errors="replace").strip()[-2000:])
-        pictures = [*_pictures(answer, root)][:MOST_PICTURES]
-        contents = (jpeg_thumbnail(each, LONGER_SIDE) for each in pictures)
+        pictures = [*_pictures(answer, root)][:MCP_MOST_PICTURES]
+        contents = (jpeg_thumbnail(each, MCP_LONGER_SIDE) for each in pictures)
         return [answer, *(Image(data=content, format="jpeg") for content in contents)]
 
     return tool
@@ -109,7 +109,9 @@ def check_confined(kind: type, words: list[str], root: Path) -> None:
     for value in _values(vars(command)):
         for part in _possible_paths(value):
             if part.startswith("~") or not (root / part).resolve().is_relative_to(root):
-                raise StyleSplatError(f"{brief(value)!r} leads out of {root}. Use paths within it.")
+                raise StyleSplatError(
+                    f"{shorten(value)!r} leads out of {root}. Use paths within it."
+                )
 
 
 def _values(value: Any) -> Iterator[str]:
@@ -144,4 +146,4 @@ def _pictures(answer: str, root: Path) -> Iterator[Path]:
         if path is None or not path.resolve().is_relative_to(root):
             continue
         inside = sorted(path.rglob("*")) if name == "output" and path.is_dir() else [path]
-        yield from (e for e in inside if e.suffix.lower() in PICTURES and e.is_file())
+        yield from (e for e in inside if e.suffix.lower() in COMMAND_PICTURES and e.is_file())

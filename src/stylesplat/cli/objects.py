@@ -21,7 +21,7 @@ from stylesplat.cli.command import (
     selection_file,
     stylize_command,
 )
-from stylesplat.io.atomic import changing, refuse_file
+from stylesplat.io.atomic import locked_folder, refuse_file
 from stylesplat.progress import say
 
 SHEET = "objects.png"
@@ -54,7 +54,7 @@ class Objects(MakingCommand):
                 refuse_file(self.scene / SHEET, overwrite=True)
             found, sheet = ss.objects(scene), self.output or self.scene / SHEET
             names = {each["id"]: ", ".join(each["names"]) for each in found if each["names"]}
-            with changing(self.output or self.scene):
+            with locked_folder(self.output or self.scene):
                 write_image(object_sheet(scene.splats, scene.cameras, names=names), sheet)
         places = extents(scene)
         lines = [*_object_lines(found, places)]
@@ -66,7 +66,7 @@ class Objects(MakingCommand):
 
 
 def _object_lines(objects: list[dict[str, Any]], places: dict[str, Any]) -> Iterator[str]:
-    from stylesplat.errors import counted
+    from stylesplat.errors import count_noun
 
     named, ids = dict(places["named"]), dict[str, int]()
     for each in objects:
@@ -77,10 +77,10 @@ def _object_lines(objects: list[dict[str, Any]], places: dict[str, Any]) -> Iter
         ids |= dict.fromkeys(each["names"], each["id"])
         called = ", ".join([f"id {each['id']}", *same])
         sure = f", {each['confidence']:.0%} sure" if "confidence" in each else ""
-        yield f"{called}: {counted(count, 'Gaussian')}, {own:,} its own{sure}{_box(each)}"
+        yield f"{called}: {count_noun(count, 'Gaussian')}, {own:,} its own{sure}{_box(each)}"
     for name, place in named.items():  # unions, parts, and what a style has changed
         called = f"{name} (id {ids[name]})" if name in ids else name
-        yield f"{called}: {counted(place['gaussians'], 'Gaussian')}{_box(place)}"
+        yield f"{called}: {count_noun(place['gaussians'], 'Gaussian')}{_box(place)}"
     yield f"all content{_box(places['content'])}"
 
 
@@ -206,7 +206,7 @@ class Select(EditingCommand):
                 say(f"{self.name} shows in none of the views, so there is no picture of it.")
                 return None
             target = selection_file(self.folder, self.name)
-            with changing(self.folder):
+            with locked_folder(self.folder):
                 write_image(picture, target)
             return target
         return None

@@ -51,7 +51,7 @@ class Render(MakingCommand):
     device: Device = "auto"
 
     def run(self) -> Answer:
-        from stylesplat.errors import counted
+        from stylesplat.errors import count_noun
         from stylesplat.io.renders import is_video, refuse_taken, write_views
 
         refuse_taken(self.output, overwrite=self.overwrite)
@@ -68,7 +68,7 @@ class Render(MakingCommand):
         del scene  # the colours before a style, for example, need not stay in memory
         write_views(views.names, views.pictures, self.output, overwrite=self.overwrite, fps=fps)
         values = {"output": self.output, "views": len(views)}
-        return Answer(values, [f"{self.output}: {counted(len(views), 'view')}."])
+        return Answer(values, [f"{self.output}: {count_noun(len(views), 'view')}."])
 
     def _cameras(self, scene: "ss.Scene") -> "tuple[ss.Cameras, float | None]":
         """The cameras to render from, and the frames a second that were asked for."""

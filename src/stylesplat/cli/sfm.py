@@ -18,14 +18,14 @@ from stylesplat.cli.command import (
     mask_command,
     next_command,
 )
-from stylesplat.errors import StyleSplatError, some
-from stylesplat.io.atomic import changing, partial_of
+from stylesplat.errors import StyleSplatError, join_names
+from stylesplat.io.atomic import locked_folder, progress_path
 from stylesplat.options import BOX
 from stylesplat.progress import say
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.earlier_capture import capture_place, find_earlier_capture
 
-Drawn = Iterable[tuple[str, Sequence[float] | None]]
+DrawnBoxes = Iterable[tuple[str, Sequence[float] | None]]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Sfm(MakingCommand):
 
     def run(self) -> Answer:
         from stylesplat.io.captures.capture_folder import SFM_FILE, read_sfm
-        from stylesplat.verbs.sfm import PICTURE
+        from stylesplat.verbs.sfm import SFM_PICTURE
 
         ss.sfm(
             self.source,
@@ -74,7 +74,7 @@ class Sfm(MakingCommand):
             "unregistered": record.unregistered,
         }
         posed = f"{record.registered} of {record.given} photos with their cameras"
-        picture = f"{self.output / PICTURE}, the cameras and points from above and the side"
+        picture = f"{self.output / SFM_PICTURE}, the cameras and points from above and the side"
         lines = (f"{self.output}: {posed}.", f"Picture: {picture}.")
         return Answer(values, lines, [mask_command(self.output)])
 
@@ -95,18 +95,18 @@ class Check(MakingCommand):
         from stylesplat.figures.capture_picture import capture_picture
         from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
         from stylesplat.io.images import write_image
-        from stylesplat.io.kinds import is_posed, kind_of, wrong_kind
-        from stylesplat.structure_from_motion.image_measures import SIDE
+        from stylesplat.io.kinds import is_posed, kind_of, wrong_kind_error
+        from stylesplat.structure_from_motion.image_measures import MEASURE_SIDE
 
         if self.output is not None:
             self.refuse_picture(self.output)
         folder = self.capture
         if kind_of(folder) == "nothing":
-            raise wrong_kind(folder, "capture")
+            raise wrong_kind_error(folder, "capture")
         if not is_posed(folder):
             folder = find_earlier_capture(folder, beside=folder) or folder
         files = open_capture(folder)
-        capture = files.at(files.cameras.shrink_to(SIDE))
+        capture = files.at(files.cameras.shrink_to(MEASURE_SIDE))
         report = ss.check(capture)
         values = report.summary()
         width = max(map(len, values["findings"]))
@@ -115,7 +115,7 @@ class Check(MakingCommand):
             for what, found in values["findings"].items()
         ]
         if self.output is not None:
-            with changing(self.output):
+            with locked_folder(self.output):
                 write_image(capture_picture(capture, report), self.output)
             values["picture"] = self.output
             lines.append(f"Picture: {self.output}, the cameras and points from above and the side.")
@@ -124,7 +124,7 @@ class Check(MakingCommand):
         return Answer(values, lines, [following])
 
 
-def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path:
+def find_photos_capture(given: Path, *, beside: Path, drawn: DrawnBoxes = ()) -> Path:
     """The capture that was given, or that of the photos or the video that were.
 
     An earlier capture of the same photos is used if it lies beside them or beside `beside`;
@@ -135,14 +135,14 @@ def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path
         is_posed,
         kind_of,
         refuse_other_than_photos,
-        wrong_kind,
+        wrong_kind_error,
     )
 
     if is_posed(given):
         return given
     refuse_other_than_photos(given)
     if kind_of(given) == "part of a capture":
-        raise wrong_kind(given, "capture")
+        raise wrong_kind_error(given, "capture")
     from stylesplat.structure_from_motion.prepare import check_source
     from stylesplat.verbs.sfm import sfm
 
@@ -164,7 +164,8 @@ def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path
     _check_drawn(given, drawn)
     if foreign := find_foreign_poses(given):
         say(
-            f"{some(foreign, whole=True)} may hold poses, in a form or a place that is not read: "
+            f"{join_names(foreign, whole=True)} may hold poses, in a form or a place that is not "
+            "read: "
             "poses are found anew. To use those, export them as COLMAP's text into sparse/0."
         )
     say(f"{given} has no camera poses: finding them first, to be kept in {output}.")
@@ -172,14 +173,14 @@ def find_photos_capture(given: Path, *, beside: Path, drawn: Drawn = ()) -> Path
     return output
 
 
-def _check_drawn(given: Path, drawn: Drawn) -> None:
+def _check_drawn(given: Path, drawn: DrawnBoxes) -> None:
     """Check names and boxes, except in a video, whose frames have no names yet."""
     from stylesplat.io.images import image_sizes
     from stylesplat.options import check_box
     from stylesplat.scene.cameras import find_name
     from stylesplat.structure_from_motion.photos import find_sources
 
-    photos = find_sources(given, skip=partial_of(given)).photos if given.is_dir() else ()
+    photos = find_sources(given, skip=progress_path(given)).photos if given.is_dir() else ()
     for view, box in drawn if photos else ():
         name = photos[find_name(view, photos)]
         if box is not None:

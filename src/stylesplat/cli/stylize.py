@@ -24,7 +24,7 @@ from stylesplat.cli.command import (
     next_command,
 )
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import changing
+from stylesplat.io.atomic import locked_folder
 from stylesplat.progress import say
 from stylesplat.runtime import tidy_heap
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
@@ -149,7 +149,7 @@ class Recolor(EditingCommand):
         def change(scene: "ss.Scene") -> "ss.Scene":
             return ss.recolor(scene, self.object, strength=self.strength, **self.settings)
 
-        with changing(self.folder):
+        with locked_folder(self.folder):
             picture = draw_before_after(self.rewrite(change), self.folder)
         options = ("--object", f"{self.object[0]}/recolor", "--undo")
         undo = next_command("adjust", self.folder, *options, ending="-before")
@@ -187,7 +187,7 @@ class Adjust(EditingCommand):
             )
         options = {"form": self.form, "objects": self.object, "undo": self.undo}
         picture = Answer({"before_after": None})
-        with changing(self.folder):
+        with locked_folder(self.folder):
             after = self.rewrite(lambda scene: ss.adjust(scene, self.intensity, **options))
             if after.layers and self.picture:
                 picture = draw_before_after(after, self.folder)
@@ -263,13 +263,13 @@ class Sheet(MakingCommand):
         return Answer({**drawn, "commands": commands}, lines)
 
     def _draw(self, variations: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
-        from stylesplat.io.atomic import changing
+        from stylesplat.io.atomic import locked_folder
         from stylesplat.io.images import write_image
         from stylesplat.io.scene_folder import open
         from stylesplat.verbs.sheet import sheet
 
         preset = {} if self.preset == "default" else {"preset": self.preset}
-        with changing(self.output):
+        with locked_folder(self.output):
             self.refuse_picture(self.output)
             made = sheet(
                 open(self.scene),

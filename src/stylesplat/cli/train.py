@@ -22,11 +22,11 @@ from stylesplat.cli.command import (
     Output,
     describe_scene,
     new_scene,
-    pasted,
+    shell_command,
 )
 from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.interrupts import WHOLE
-from stylesplat.io.atomic import partial_of
+from stylesplat.io.atomic import progress_path
 from stylesplat.io.files import is_there
 from stylesplat.progress import Observer, observed, say
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished
@@ -38,14 +38,16 @@ from stylesplat.training.config import (
     refuse_two_lengths,
 )
 
-LARGE = 1600  # pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
-BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
+TRAIN_LARGE = (
+    1600  # pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
+)
+TRAIN_BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
 GOOD, FAIR = 27.0, 22.0  # dB of photos held out: sharp as photos are; soft, with objects in place
 ENOUGH = TrainConfig.steps  # shorter runs gain most by more steps
 # dB by which photos trained on may be closer than those held out. The fox, of 50 photos, has a gap
 # of 2; of 13 photos one of 7.6, where five times the steps gain 0.8 dB, and the other photos 4
 GAP = 4.0
-FEW = 40  # photos, from which on poses are a likelier fault than their number
+TRAIN_FEW = 40  # photos, from which on poses are a likelier fault than their number
 FINISHES = "`--finish` makes the scene of what there is."
 
 Worth = Literal["good", "fair", "poor"]
@@ -94,7 +96,7 @@ class Train(MakingCommand):
 
     @property
     def _checkpoint(self) -> Path:
-        return partial_of(self.output) / f"checkpoint_{self._segment}.pt"
+        return progress_path(self.output) / f"checkpoint_{self._segment}.pt"
 
     def run(self) -> Answer:
         import torch.distributed as dist
@@ -145,7 +147,7 @@ class Train(MakingCommand):
         close = "" if psnr is None else f", {psnr:.1f} dB from photos held out"
         yield f"{self.output}: {metrics['gaussians']:,} Gaussians after {steps:,} steps{close}."
         if psnr is not None:
-            check = pasted("check", self.capture)
+            check = shell_command("check", self.capture)
             worth, advice = judge(metrics, config, photos, check=check)
             yield f"That is {worth}: {advice}" if advice else f"That is {worth}."
 
@@ -153,8 +155,8 @@ class Train(MakingCommand):
         folder = find_photos_capture(self.capture, beside=self.output)
         capture = ss.load(folder, downscale=self.downscale, masks=self.masks)
         longest = int(capture.cameras.sizes.max())
-        if longest > LARGE:
-            factor = math.ceil(longest / LARGE)
+        if longest > TRAIN_LARGE:
+            factor = math.ceil(longest / TRAIN_LARGE)
             say(
                 f"The photos are {longest} pixels long. `--downscale {factor}` trains "
                 f"up to {factor**2} times as fast, and shows as much at usual sizes."
@@ -173,7 +175,7 @@ class Train(MakingCommand):
 def _mention_load() -> None:
     """Say that other programs took the time of a run that was limited by time."""
     load, cores = getattr(os, "getloadavg", lambda: (0.0,))()[0], os.cpu_count() or 1
-    if load > BUSY * cores:
+    if load > TRAIN_BUSY * cores:
         say(
             f"The machine was busy (load {load:.0f} on {cores} cores), so the run took fewer steps "
             "than in so many quiet seconds. Give more --max-seconds, or --steps."
@@ -197,7 +199,7 @@ def judge(
     worth = "fair" if psnr >= FAIR else "poor"
     if trained - psnr >= GAP:
         fact = f"the photos trained on are matched to {trained:.1f} dB, so training is not at fault"
-        if photos < FEW:
+        if photos < TRAIN_FEW:
             return worth, f"{fact}. Take photos from between these {photos}."
         remedy = "" if config.refine_poses else "`--refine-poses` mends inexact poses; "
         return worth, f"{fact}. {remedy}`{check}` says what is wrong with the photos."

@@ -40,9 +40,9 @@ from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 from stylesplat.verbs.train import train
 
-TEMPLATE = Path(__file__).with_name("report.html")
+DEMO_TEMPLATE = Path(__file__).with_name("report.html")
 REPORT = "report.html"
-SHEET = "objects.png"  # in the scene's folder
+DEMO_SHEET = "objects.png"  # in the scene's folder
 VIEW = "016"  # the held-out view in the report
 CUT = 56  # percent of its width, where a line between vase and teapot hardly cuts either
 
@@ -62,7 +62,7 @@ def write_report(
     """
     sections = _sections(output, capture, paintings, style_lines(styled.metrics, paintings))
     numbers = _numbers(scene.metrics, styled.metrics, paintings, seconds)
-    page = Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
+    page = Template(DEMO_TEMPLATE.read_text(encoding="utf-8")).substitute(
         style=page_style(),
         before=file_url(output / "before" / f"{VIEW}.png"),
         after=file_url(output / "after" / f"{VIEW}.png"),
@@ -107,7 +107,7 @@ def _sections(
         Section(
             "3. Objects to choose from",
             "stylesplat objects draws this sheet; stylesplat select gives an object a name.",
-            (Figure(output / "scene" / SHEET, SHEET),),
+            (Figure(output / "scene" / DEMO_SHEET, DEMO_SHEET),),
         ),
         Section(
             "4. Two styles",
@@ -218,7 +218,7 @@ def _train(capture: Path, output: Path, config: TrainConfig, *, overwrite: bool)
         scene = select(scene, name, id=id)
     save(scene, output, overwrite=True)
     sheet = object_sheet(scene.splats, scene.cameras, names=OBJECT_NAMES)
-    write_image(sheet, output / SHEET)
+    write_image(sheet, output / DEMO_SHEET)
     shutil.rmtree(checkpoint.parent, ignore_errors=True)
     return open(output)  # with the paths that other commands find in the folder
 

@@ -31,7 +31,9 @@ from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 from stylesplat.verbs.train import train
 
-LIBRARIES = "stylesplat torch torchvision numba numpy scipy pycolmap gsplat transformers".split()
+DOCTOR_LIBRARIES = (
+    "stylesplat torch torchvision numba numpy scipy pycolmap gsplat transformers".split()
+)
 LEAST_AGREEMENT = 40.0  # dB of a device's picture and the reference's: float32 gives over 60
 LEAST_FIT = 12.0  # dB of held-out photos after 50 steps; a grey picture has less
 COMPILE = 'python -c "from gsplat.cuda._backend import _C"'
@@ -117,8 +119,8 @@ def gsplat_state() -> tuple[str, str | None]:
 
 
 def _versions() -> dict[str, str | None]:
-    found = dict[str, str | None].fromkeys(LIBRARIES)
-    for name in LIBRARIES:
+    found = dict[str, str | None].fromkeys(DOCTOR_LIBRARIES)
+    for name in DOCTOR_LIBRARIES:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
     return found | {"torch": torch.__version__, "cuda": torch.version.cuda}  # of torch's build

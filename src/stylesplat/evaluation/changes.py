@@ -24,14 +24,14 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, Mask, resize_labels
 from stylesplat.scene.projection import depths_of, project, unproject
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.sequences import evenly, far_apart
+from stylesplat.scene.sequences import evenly_spaced, farthest_views
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.choose import whole_ids
-from stylesplat.stylization.views import Box, find_boxes
+from stylesplat.stylization.views import ObjectBox, find_boxes
 
 RANGES = {"short": 1, "long": 7}  # steps between the views of a pair, as papers measure it
-MAX_PAIRS = 4  # per range
-LONGER_SIDE = 320  # pixels; of the renders that are compared
+CHANGE_MAX_PAIRS = 4  # per range
+CHANGE_LONGER_SIDE = 320  # pixels; of the renders that are compared
 OCCLUDED = 0.02  # relative difference of depth: a larger one means another surface
 
 
@@ -53,7 +53,7 @@ def view_consistency(
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
     *,
-    boxes: Sequence[Box] | None = None,
+    boxes: Sequence[ObjectBox] | None = None,
 ) -> dict[str, float]:
     """Compare the colours of the same surface points of an object between views.
 
@@ -81,9 +81,14 @@ def view_consistency(
 
 
 def view_pairs(count: int, gap: int) -> list[tuple[int, int]]:
-    """Up to `MAX_PAIRS` pairs of `count` views, `gap` apart or else as far as there are views."""
+    """Up to `CHANGE_MAX_PAIRS` pairs of `count` views, `gap` apart or else as far as there are
+    views."""
     gap = min(gap, count - 1)
-    return evenly([(i, i + gap) for i in range(count - gap)], MAX_PAIRS) if gap > 0 else []
+    return (
+        evenly_spaced([(i, i + gap) for i in range(count - gap)], CHANGE_MAX_PAIRS)
+        if gap > 0
+        else []
+    )
 
 
 def warped_difference(a: ObjectRender, b: ObjectRender) -> Float[Tensor, "P 6"]:
@@ -104,7 +109,7 @@ def warped_difference(a: ObjectRender, b: ObjectRender) -> Float[Tensor, "P 6"]:
 def _render_object(
     base: Splats, styled: Splats, camera: Cameras, picked: Bool[Tensor, " N"]
 ) -> ObjectRender:
-    small = camera.at_most(LONGER_SIDE).to(base.device)
+    small = camera.at_most(CHANGE_LONGER_SIDE).to(base.device)
     share = picked.to(base.means)
     features = torch.stack([share, share * depths_of(base.means, small)], dim=1)
     before, _ = render(base, small, features=features)
@@ -127,9 +132,11 @@ MEASURED_VIEWS = 4
 STAIN_VIEWS = 16  # with label maps that contain a painted object
 ERROR = 0.01  # of a view's longer side: error of an object's border in a label map
 LEAST_ERROR = 3  # pixels
-SOFT = 2  # pixels by which a stain is thicker than that error, as the edges of splats are soft
+CHANGE_SOFT = (
+    2  # pixels by which a stain is thicker than that error, as the edges of splats are soft
+)
 LEAST_AREA = 48  # pixels: smaller areas are specks
-MOST = 0.5  # share of the label maps in which a place has to lie beside the objects
+CHANGE_MOST = 0.5  # share of the label maps in which a place has to lie beside the objects
 
 
 @torch.no_grad()
@@ -149,7 +156,7 @@ def measure_changes(
         `outside_max_difference` over pixels that none of them touches.
     """
     outside = []
-    for row in evenly(range(len(cameras)), MEASURED_VIEWS):
+    for row in evenly_spaced(range(len(cameras)), MEASURED_VIEWS):
         camera = cameras[row]
         before, covered = colors_and_coverage(base, camera, picked)
         difference = render(styled, camera)[0].clamp(0, 1) - before.clamp(0, 1)
@@ -198,7 +205,7 @@ def largest_stain(
         camera = cameras[row]
         pair = (render(each, camera)[0].clamp(0, 1) for each in (base, styled))
         changed = torch.sub(*pair).abs().amax(dim=-1) > CHANGED
-        elsewhere = composite(base, camera, left_out)[..., 0] > MOST
+        elsewhere = composite(base, camera, left_out)[..., 0] > CHANGE_MOST
         stains[camera.names[0]] = largest_area(mask & (changed & elsewhere).cpu())
     view = max(stains, key=lambda name: stains[name])
     found: dict[str, int | str] = {"stain_pixels": stains[view]}
@@ -217,7 +224,7 @@ def _beside(
     Where a label map lacks an object, its rendered mask is used.
     """
     photos = {name: row for row, name in enumerate(capture.cameras.names)}
-    for row in far_apart(cameras, len(cameras)):
+    for row in farthest_views(cameras, len(cameras)):
         photo = photos.get(cameras.names[row])
         labels = None if photo is None else capture.labels(photo)
         if labels is None:
@@ -234,7 +241,7 @@ def _beside(
 
 def largest_area(stained: Mask) -> int:
     """Pixels of the largest connected area that is neither a thin rim nor a speck, or 0."""
-    side = _error(stained) + SOFT
+    side = _error(stained) + CHANGE_SOFT
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     opened = cv2.morphologyEx(stained.numpy().astype(np.uint8), cv2.MORPH_OPEN, disc)
     _, _, stats, _ = cv2.connectedComponentsWithStats(opened)

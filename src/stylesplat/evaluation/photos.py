@@ -16,7 +16,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, Labels
 from stylesplat.scene.outliers import scene_extent
 from stylesplat.scene.projection import crop
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import render_labels
 from stylesplat.training.adam import Moments, adam_step
@@ -30,7 +30,7 @@ from stylesplat.training.per_photo import (
 )
 
 IMPORT_VIEWS = 8  # views of an imported scene that are compared
-STEPS = 40  # of fitting a camera
+PHOTO_STEPS = 40  # of fitting a camera
 FIRST_RATE, LAST_RATE = 2e-3, 1e-4  # radians, and shares of the cameras' distance, a step
 
 
@@ -58,7 +58,7 @@ def fits_of(names: Collection[str], cameras: Cameras) -> Fits:
 
 def measured_rows(capture: Capture) -> list[int]:
     """Rows of the views of an imported scene that are compared; none of them is held out."""
-    return evenly(range(len(capture)), IMPORT_VIEWS)
+    return evenly_spaced(range(len(capture)), IMPORT_VIEWS)
 
 
 @torch.no_grad()
@@ -196,7 +196,7 @@ def _fit_camera(
     shift = photo.new_zeros(1, 6).requires_grad_()
     params = {"pose_shifts": shift}
     moments = Moments.zeros(params)
-    for step in range(STEPS):
+    for step in range(PHOTO_STEPS):
         shift.grad = None
         with torch.enable_grad():
             images, alphas, _ = rasterize(splats, shift_cameras(part, shift, fits.unit))
@@ -205,6 +205,6 @@ def _fit_camera(
                 change = fit_color_map(image.detach(), alpha.detach(), target, valid)
                 image = apply_color_map(image, alpha, change)
             photometric_loss(image, blown_out_target(image, target), valid)[0].backward()
-        rate = FIRST_RATE * (LAST_RATE / FIRST_RATE) ** (step / (STEPS - 1))
+        rate = FIRST_RATE * (LAST_RATE / FIRST_RATE) ** (step / (PHOTO_STEPS - 1))
         adam_step(params, moments, {"pose_shifts": rate}, step + 1)
     return shift_cameras(camera, shift.detach(), fits.unit)

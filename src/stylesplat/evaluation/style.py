@@ -16,7 +16,7 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
@@ -24,7 +24,7 @@ from stylesplat.stylization.optimize import target_features
 from stylesplat.stylization.painting import Painting, PaintSetup
 from stylesplat.stylization.style import all_colors, fit_style, style_features
 from stylesplat.stylization.views import (
-    Box,
+    ObjectBox,
     PaintView,
     find_boxes,
     object_views,
@@ -33,13 +33,15 @@ from stylesplat.stylization.views import (
 )
 
 MAX_FEATURES = 8192  # of an object in a view that are measured: block 1 has one per pixel
-PLACES = 2048  # features of all pictures that are compared with the others
-AT_ONCE = 256  # of them, as block 1 has a feature per pixel
+LOOK_PLACES = 2048  # features of all pictures that are compared with the others
+LOOK_AT_ONCE = 256  # of them, as block 1 has a feature per pixel
 NOWHERE = -2.0  # below any cosine
-LENGTH = 192.0  # pixels; the size of objects at which features are compared, whatever `scale` is
-VIEWS = 4  # of the object, and of the scene
-TOLERANCE = 10.0  # of Lab, from which a colour is another one, rather than another shade
-SAME = 1.0  # of Lab, the size of the cubes whose colours count as one
+LOOK_LENGTH = (
+    192.0  # pixels; the size of objects at which features are compared, whatever `scale` is
+)
+LOOK_VIEWS = 4  # of the object, and of the scene
+LOOK_TOLERANCE = 10.0  # of Lab, from which a colour is another one, rather than another shade
+LOOK_SAME = 1.0  # of Lab, the size of the cubes whose colours count as one
 SURELY_NEAR = 5.0  # of Lab: no colours in a cube of this size are farther apart than 8.7
 
 
@@ -49,7 +51,7 @@ def measure_painted(
     styled: Splats,
     *,
     held_out: Cameras | None = None,
-    surveys: Mapping[str, Sequence[Box]] | None = None,
+    surveys: Mapping[str, Sequence[ObjectBox]] | None = None,
 ) -> dict[str, Any]:
     """Measure how painting some objects changed them and the rest of the scene.
 
@@ -88,7 +90,7 @@ def measure_style(
     painting: Painting,
     styled: Splats,
     *,
-    boxes: Sequence[Box] | None = None,
+    boxes: Sequence[ObjectBox] | None = None,
 ) -> dict[str, float]:
     """Measure how close an object is to its style by NNFM, in float32, in the views of `setup`.
 
@@ -103,16 +105,16 @@ def measure_style(
     """
     block, network = painting.config.block, setup.network
     boxes = boxes or require_boxes(setup, painting)
-    zoom = LENGTH / typical_length(boxes)
-    views = object_views(setup, painting, evenly(boxes, VIEWS), zoom)
-    style_feats = target_features(network, painting.config, painting.images, LENGTH)
+    zoom = LOOK_LENGTH / typical_length(boxes)
+    views = object_views(setup, painting, evenly_spaced(boxes, LOOK_VIEWS), zoom)
+    style_feats = target_features(network, painting.config, painting.images, LOOK_LENGTH)
     images = renders(styled, views)
     before, after = (
         object_nnfm(each, views, style_feats, network, block)
         for each in (renders(setup.splats, views), images)
     )
     numbers = {"nnfm_before": before, "nnfm_after": after}
-    own = own_nnfm(painting.images, network, block, length=painting.config.scale * LENGTH)
+    own = own_nnfm(painting.images, network, block, length=painting.config.scale * LOOK_LENGTH)
     if own is not None:
         numbers["nnfm_of_style"] = own
         if before > own:
@@ -130,14 +132,14 @@ def measure_look(
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
     *,
-    boxes: Sequence[Box] | None = None,
+    boxes: Sequence[ObjectBox] | None = None,
 ) -> dict[str, float]:
     """Measure how much of an object's content is left, and how consistent its views are.
 
     Returns:
         `content_ssim`, if a view shows the object, and the result of `view_consistency`.
     """
-    few = cameras[evenly(range(len(cameras)), VIEWS)]
+    few = cameras[evenly_spaced(range(len(cameras)), LOOK_VIEWS)]
     similarity = content_ssim(base, styled, few, picked)
     numbers = {} if similarity is None else {"content_ssim": similarity}
     return numbers | view_consistency(base, styled, cameras, picked, boxes=boxes)
@@ -174,13 +176,13 @@ def off_palette(colors: Float[Tensor, "P 3"], style: Float[Tensor, "Q 3"]) -> fl
     about 1 count as one.
     """
     lab = lab_from_rgb(thinned(colors))
-    palette = lab_from_rgb(distinct(style, SAME))
+    palette = lab_from_rgb(distinct(style, LOOK_SAME))
     far = ~torch.isin(cells(lab, SURELY_NEAR), cells(palette, SURELY_NEAR))
     if not far.any():
         return 0.0
     others = lab[far]
     distances = (others - palette[nearest_colors(others, palette)]).norm(dim=1)
-    return int((distances > TOLERANCE).sum()) / len(lab)
+    return int((distances > LOOK_TOLERANCE).sum()) / len(lab)
 
 
 def renders(splats: Splats, views: Sequence[PaintView]) -> list[Float[Tensor, "_ _ 3"]]:
@@ -229,7 +231,7 @@ def own_nnfm(
         places.append(F.pad(grid, (1, 0), value=number * 1e6))  # pictures are far apart
     found, at = torch.cat(features), torch.cat(places)
     closest = []
-    for some in torch.arange(0, len(found), 1 + len(found) // PLACES).split(AT_ONCE):
+    for some in torch.arange(0, len(found), 1 + len(found) // LOOK_PLACES).split(LOOK_AT_ONCE):
         gaps = (at[some, None] - at[None]).abs().amax(dim=-1)
         apart = gaps * cells.stride >= cells.size
         closest.append((found[some] @ found.T).where(apart, NOWHERE).amax(dim=1))

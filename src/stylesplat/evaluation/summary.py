@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeGuard
 
-VISIBLE = 0.5 / 255  # of 1: what is less is the same in a picture of 8 bits
+SUMMARY_VISIBLE = 0.5 / 255  # of 1: what is less is the same in a picture of 8 bits
 MUCH = 0.1  # of an object in colours that are not the painting's: more than specks and blends
-WHOLE = "as close to the painting as the painting's parts are to each other"
+SUMMARY_WHOLE = "as close to the painting as the painting's parts are to each other"
 
 
 def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
@@ -18,7 +18,7 @@ def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
         )
         way = "painted"  # it was as close before, or the style is too small to tell
         if own is not None and metrics["nnfm_after"][name] <= own:
-            way = WHOLE
+            way = SUMMARY_WHOLE
         elif share is not None:
             way = f"{min(99, round(100 * share))} % of the way to the painting"
         if foreign is not None and foreign > MUCH:
@@ -51,7 +51,7 @@ def describe_changes(metrics: Mapping[str, Any], *, count: int = 1) -> str:
         beside = "beside the object" if count == 1 else "beside the objects"
         stain = f"a stain of {metrics['stain_pixels']:,} pixels {beside}"
         return f"{stain} in view {metrics['stain_view']}"
-    if largest >= VISIBLE:
+    if largest >= SUMMARY_VISIBLE:
         levels = max(1, round(255 * largest))
         return f"no other Gaussian changed, pixels beside by {levels} of 255 levels at most"
     return "nothing else changed" if "stain_pixels" in metrics else "no other Gaussian changed"

@@ -12,27 +12,27 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.grid import CELL
+from stylesplat.figures.grid import GRID_CELL
 from stylesplat.imaging.color import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.render import render
 from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.weights import colors_and_coverage, coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import solid
+from stylesplat.scene.content import opaque_rows
 from stylesplat.scene.projection import crop, share_in_images
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE
 from stylesplat.stylization.views import SURVEY_SIZE
 
-VIEWS = 3  # of an object
+BEST_VIEWS = 3  # of an object
 OVERSCAN = 0.5  # of the view on each side, to show what the border of the photo cuts off
 PART_SHARE = 0.2  # of the pixels of the largest part: smaller parts are strays
-PADDING = 0.06  # of an object's length, on each side of a picture of it alone
-SURROUNDINGS = 0.15  # of an object, on each side of a close-up
+BEST_PADDING = 0.06  # of an object's length, on each side of a picture of it alone
+BEST_SURROUNDINGS = 0.15  # of an object, on each side of a close-up
 SEARCHED_VIEWS = 12  # that are rendered to find them
-MOST = 0.5  # of the largest share of an object in an image: views with less are not rendered
+BEST_MOST = 0.5  # of the largest share of an object in an image: views with less are not rendered
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +49,18 @@ def find_views(
     cameras: Cameras,
     picked: Bool[Tensor, " N"],
     *,
-    count: int = VIEWS,
+    count: int = BEST_VIEWS,
 ) -> list[ObjectMask]:
     """The views that show most of an object from sides that differ, the best one first.
 
     There are fewer than `count` if it is visible in fewer.
     """
-    surface = splats.means[solid(splats, picked)]
+    surface = splats.means[opaque_rows(splats, picked)]
     shares = share_in_images(surface, cameras)
-    likely = (shares > 0) & (shares >= MOST * shares.max())  # though something may hide it there
-    rows = evenly(likely.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)
+    likely = (shares > 0) & (
+        shares >= BEST_MOST * shares.max()
+    )  # though something may hide it there
+    rows = evenly_spaced(likely.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)
 
     def mask(row: int) -> Tensor:
         return coverage(splats, survey_view(cameras[row]), picked) > MIN_COVERAGE
@@ -85,7 +87,10 @@ def most_detailed(splats: Splats, cameras: Cameras, found: Sequence[ObjectMask])
 
 
 def best_rows(
-    cameras: Cameras, surface: Float[Tensor, "M 3"], scores: Mapping[int, float], count: int = VIEWS
+    cameras: Cameras,
+    surface: Float[Tensor, "M 3"],
+    scores: Mapping[int, float],
+    count: int = BEST_VIEWS,
 ) -> list[int]:
     """The cameras that see an object best and from sides that differ, the best one first."""
     rows = [row for row, score in scores.items() if score > 0]
@@ -114,7 +119,7 @@ def survey_view(camera: Cameras) -> Cameras:
 
 @torch.no_grad()
 def close_up(
-    splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, side: int = CELL
+    splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, side: int = GRID_CELL
 ) -> Cameras:
     """A square view of an object and a margin, made from the camera that shows most of it."""
     found = find_views(splats, cameras, picked, count=1)
@@ -122,7 +127,7 @@ def close_up(
         where = cameras.names[0] if len(cameras) == 1 else f"any of {len(cameras)} views"
         raise StyleSplatError(f"The object does not show in {where}. Choose a view of it.")
     best = cameras[found[0].row]
-    return aim_at(splats, picked, best, side, padding=SURROUNDINGS)
+    return aim_at(splats, picked, best, side, padding=BEST_SURROUNDINGS)
 
 
 def aim_at(
@@ -131,7 +136,7 @@ def aim_at(
     camera: Cameras,
     side: int,
     *,
-    padding: float = PADDING,
+    padding: float = BEST_PADDING,
 ) -> Cameras:
     """The same camera, shifted and zoomed to the square around an object, for a picture of it."""
     width, height = camera.size

@@ -14,9 +14,9 @@ from stylesplat.figures.grid import INK, Row, add_legend, draw_grid
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import move_cameras
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
-from stylesplat.structure_from_motion.world_frame import STRIDE
+from stylesplat.structure_from_motion.world_frame import WORLD_STRIDE
 
-PANEL = 720  # pixels along a side of a panel
+CAPTURE_PANEL = 720  # pixels along a side of a panel
 OVERSAMPLING = 2  # panels are drawn larger by this, for smooth lines
 GROUND = (238, 239, 240)
 # The axes of the two panels to the right and upwards, in the working frame (y is down)
@@ -25,14 +25,14 @@ FIRST, LAST = (96, 44, 168), (0, 158, 190)  # cameras by their order
 BLURRED, WEAK = (214, 40, 40), (240, 145, 20)
 COVERED, UNCOVERED = (20, 140, 70), (205, 85, 60)
 DASH = math.radians(3)  # length of a dash along a gap, and of the space between two
-MAX_POINTS = 60_000
+CAPTURE_MAX_POINTS = 60_000
 POINTS_SHOWN = (0.04, 0.96)  # quantiles of the points that fit in; others may lie outside
 FRUSTUM, CROSS = 0.07, 0.014  # of a panel's width: length of a camera, of half the middle's cross
-RIM = 1.08  # radius of the arc around the cameras, relative to their distance
-PADDING = 1.16  # of the panels, relative to what has to fit in
+CAPTURE_RIM = 1.08  # radius of the arc around the cameras, relative to their distance
+CAPTURE_PADDING = 1.16  # of the panels, relative to what has to fit in
 
-Color = tuple[int, ...]
-Line = Float[Tensor, "_ 3"]
+Rgb8 = tuple[int, ...]
+Polyline = Float[Tensor, "_ 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class _Panel:
         flat = (points.double() - self.centre) @ self.axes.T * self.scale
         return flat * torch.tensor([1.0, -1.0]).double() + self.image.width / 2
 
-    def draw_line(self, points: Line, color: Color, width: int = 1) -> None:
+    def draw_line(self, points: Polyline, color: Rgb8, width: int = 1) -> None:
         places = [(x, y) for x, y in self.pixels(points).tolist()]
         ImageDraw.Draw(self.image).line(places, color, width * OVERSAMPLING, "curve")
 
@@ -70,11 +70,11 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
     points = torch.zeros(0, 3) if capture.points is None else capture.points
     colors = capture.point_colors
     colors = torch.full(points.shape, 90).byte() if colors is None else colors
-    some = slice(None, None, max(1, len(points) // MAX_POINTS))
+    some = slice(None, None, max(1, len(points) // CAPTURE_MAX_POINTS))
     placed = report.frame.place(points[some].double())
     covered, gaps = _arcs(report)
     centre, units = _extent(capture, report, placed, covered + gaps)
-    side = PANEL * OVERSAMPLING
+    side = CAPTURE_PANEL * OVERSAMPLING
     images = []
     for axes in (ABOVE, SIDE):
         image = Image.new("RGB", (side, side), GROUND)
@@ -111,21 +111,21 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
     return add_legend(draw_grid([Row([*zip(images, captions, strict=True)])]), key)
 
 
-def _arcs(report: CaptureReport) -> tuple[list[Line], list[Line]]:
+def _arcs(report: CaptureReport) -> tuple[list[Polyline], list[Polyline]]:
     """Lines on a circle around the cameras: over the covered sides, and over the gaps."""
     sides = report.coverage.sides.deg2rad().tolist()
-    radius = RIM * report.coverage.far
+    radius = CAPTURE_RIM * report.coverage.far
     covered, gaps = list[Tensor](), list[Tensor]()
     for one, two in zip(sides, [*sides[1:], sides[0] + 2 * math.pi] if sides else [], strict=True):
         if two > one:
             turns = torch.linspace(one, two, 2 + round((two - one) / DASH), dtype=torch.float64)
             arc = torch.stack([turns.sin() * radius, 0 * turns, -turns.cos() * radius], dim=1)
-            (covered if two - one <= STRIDE else gaps).append(arc)
+            (covered if two - one <= WORLD_STRIDE else gaps).append(arc)
     return covered, gaps
 
 
 def _extent(
-    capture: Capture, report: CaptureReport, points: Float[Tensor, "M 3"], arcs: list[Line]
+    capture: Capture, report: CaptureReport, points: Float[Tensor, "M 3"], arcs: list[Polyline]
 ) -> tuple[Float[Tensor, "3"], float]:
     """The middle of the panels, and their width: all cameras and most points fit in."""
     cameras = report.frame.place(capture.cameras.positions.double())
@@ -136,12 +136,12 @@ def _extent(
         near, far = points.quantile(torch.tensor(POINTS_SHOWN).double(), dim=0)
         low = torch.minimum(low, near.clamp(min=-reach))
         high = torch.maximum(high, far.clamp(max=reach))
-    return (low + high) / 2, PADDING * float((high - low).max().clamp(min=1e-6))
+    return (low + high) / 2, CAPTURE_PADDING * float((high - low).max().clamp(min=1e-6))
 
 
 def _camera_lines(
     capture: Capture, report: CaptureReport, length: float
-) -> Iterator[tuple[Color, list[Line]]]:
+) -> Iterator[tuple[Rgb8, list[Polyline]]]:
     """The colour of each camera, and a pyramid of this length; its lines begin at the camera."""
     cameras = move_cameras(capture.cameras, report.frame)
     for row, name in enumerate(cameras.names):

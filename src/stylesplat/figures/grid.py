@@ -10,9 +10,9 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-CELL = 256  # pixels along a square cell of a sheet
-HEAD = CELL // 2  # pixels of width for the label and the small pictures of a row
-MARGIN = 16  # pixels around every picture
+GRID_CELL = 256  # pixels along a square cell of a sheet
+GRID_HEAD = GRID_CELL // 2  # pixels of width for the label and the small pictures of a row
+GRID_MARGIN = 16  # pixels around every picture
 TITLE_SIZE, NOTE_SIZE = 22, 15  # pixels of text
 CAPTION = TITLE_SIZE + 12  # pixels of height below a picture, for a line of `TITLE_SIZE`
 LABEL = NOTE_SIZE + 9  # pixels of height above the small pictures
@@ -44,18 +44,18 @@ def draw_grid(rows: Sequence[Row]) -> UInt8[Tensor, "H W 3"]:
     widths = [
         max((image.width for image in images if image), default=0) for images in zip_longest(*cells)
     ]
-    head = HEAD + MARGIN if any(row.label or row.pictures for row in rows) else 0
-    width, height = (sum(sides) + MARGIN * (1 + len(sides)) for sides in (widths, heights))
+    head = GRID_HEAD + GRID_MARGIN if any(row.label or row.pictures for row in rows) else 0
+    width, height = (sum(sides) + GRID_MARGIN * (1 + len(sides)) for sides in (widths, heights))
     sheet = Image.new("RGB", (head + width, height), PAPER)
-    top = MARGIN
+    top = GRID_MARGIN
     for row, images, high in zip(rows, cells, heights, strict=True):
         _draw_head(sheet, row, top, high)
-        left = head + MARGIN
+        left = head + GRID_MARGIN
         for image, wide in zip(images, widths, strict=False):
             if image:
                 sheet.paste(image, (left, top))
-            left += wide + MARGIN
-        top += high + MARGIN
+            left += wide + GRID_MARGIN
+        top += high + GRID_MARGIN
     return torch.from_numpy(np.array(sheet))
 
 
@@ -68,15 +68,15 @@ def add_legend(
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw names beside patches of their colours below a grid, in as many lines as needed."""
     font, line = ImageFont.load_default(TITLE_SIZE), TITLE_SIZE + 10
-    right = sheet.shape[1] - MARGIN
-    places, x, y = [], MARGIN, sheet.shape[0]
+    right = sheet.shape[1] - GRID_MARGIN
+    places, x, y = [], GRID_MARGIN, sheet.shape[0]
     for name, color in names:
         wide = round(font.getlength(name)) + 2 * line
-        if x > MARGIN and x + wide > right:
-            x, y = MARGIN, y + line
+        if x > GRID_MARGIN and x + wide > right:
+            x, y = GRID_MARGIN, y + line
         places.append((name, tuple(color), x, y))
         x += wide
-    page = Image.new("RGB", (sheet.shape[1], y + line + MARGIN), PAPER)
+    page = Image.new("RGB", (sheet.shape[1], y + line + GRID_MARGIN), PAPER)
     page.paste(Image.fromarray(sheet.numpy()))
     draw = ImageDraw.Draw(page)
     for name, color, x, y in places:
@@ -114,11 +114,11 @@ def _write_line(
 
 
 def _draw_head(sheet: Image.Image, row: Row, top: int, height: int) -> None:
-    _write_line(sheet, (MARGIN, top), row.label, NOTE_SIZE, HEAD, INK)
+    _write_line(sheet, (GRID_MARGIN, top), row.label, NOTE_SIZE, GRID_HEAD, INK)
     top += LABEL if row.label else 0
     room = (height - LABEL) // max(1, len(row.pictures))  # pixels of height for each
     for picture in row.pictures:
         small = Image.fromarray(picture.cpu().numpy())
-        small.thumbnail((HEAD, room - 4))
-        sheet.paste(small, (MARGIN, top))
+        small.thumbnail((GRID_HEAD, room - 4))
+        sheet.paste(small, (GRID_MARGIN, top))
         top += small.height + 4

@@ -17,7 +17,7 @@ from stylesplat.scene.scene import Scene
 
 STYLE = Path(__file__).with_name("page_style.css")
 MIME = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
-TEMPLATE = Path(__file__).with_name("comparison_page.html")
+HTML_TEMPLATE = Path(__file__).with_name("comparison_page.html")
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def comparison_page(
         rows.append(f'<div class="wide"><div class="row">{"".join(pictures)}</div></div>')
     gaps = dict.fromkeys(name for column in columns for name in column.from_first)
     gap_rows = [[gap, *(_cell(c.from_first.get(gap), None) for c in columns)] for gap in gaps]
-    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
+    return Template(HTML_TEMPLATE.read_text(encoding="utf-8")).substitute(
         style=page_style(),
         title=escape(title),
         first=escape(columns[0].name),

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.images import ColorPicture, ViewPicture
 from stylesplat.rendering.render import render
 from stylesplat.rendering.view_pool import map_views
@@ -22,10 +22,10 @@ Background = tuple[float, float, float] | None
 
 BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 TRANSPARENT = "transparent"
-NAMED: dict[str, Background] = {TRANSPARENT: None, "black": BLACK, "white": WHITE}
+PICTURE_NAMED: dict[str, Background] = {TRANSPARENT: None, "black": BLACK, "white": WHITE}
 HEX = re.compile("#?([0-9a-f]{6})")
 # By default black is behind colours and white behind these; ids and distances have no background
-BEHIND: dict[str, Background] = {
+PICTURE_BEHIND: dict[str, Background] = {
     "color": BLACK,
     "identities": WHITE,
     "depth": WHITE,
@@ -33,7 +33,7 @@ BEHIND: dict[str, Background] = {
 }
 PERCENTILES = (0.02, 0.98)  # are the ends of the range of colours; values beyond are clamped
 MAX_SAMPLE = 100_000  # Gaussians that ranges are measured on; torch.quantile sorts them all
-TINY = 1e-6  # keeps 0 / 0 at 0: identities that are all the same
+PICTURE_TINY = 1e-6  # keeps 0 / 0 at 0: identities that are all the same
 HUE_STEP, VALUE_STEP = 0.6180339887, 0.7548776662  # irrational, so that ids near by differ
 
 
@@ -44,12 +44,13 @@ def parse_background(text: str) -> Background:
         >>> parse_background("#ff0033")
         (1.0, 0.0, 0.2)
     """
-    if text.lower() in NAMED:
-        return NAMED[text.lower()]
+    if text.lower() in PICTURE_NAMED:
+        return PICTURE_NAMED[text.lower()]
     match = HEX.fullmatch(text.lower())
     if not match:
         raise StyleSplatError(
-            f"There is no background {brief(text)!r}. Use {', '.join(NAMED)}, or a colour as "
+            f"There is no background {shorten(text)!r}. Use {', '.join(PICTURE_NAMED)}, or a "
+            "colour as "
             "#rrggbb."
         )
     red, green, blue = (byte / 255 for byte in bytes.fromhex(match[1]))
@@ -86,9 +87,9 @@ def render_pictures(
     For `what` and `background` see `verbs.render.render`; `object` draws the picked Gaussians
     alone. Sizes of cameras may differ.
     """
-    behind = BEHIND.get(what)
+    behind = PICTURE_BEHIND.get(what)
     if background is not None:
-        if what not in BEHIND:
+        if what not in PICTURE_BEHIND:
             raise StyleSplatError(f"{what} has no background. Leave --background out.")
         behind = parse_background(background)
     draw = _renderer(splats.detach(), cameras, what, picked, behind)
@@ -148,7 +149,7 @@ def identity_colors(splats: Splats) -> Float[Tensor, "N 3"]:
     _, axes = torch.linalg.eigh(centred.T @ centred)  # ascending
     components = centred @ axes[:, -3:].flip(-1)
     low, high = _robust_range(components)
-    return ((components - low) / (high - low).clamp(min=TINY)).clamp(0, 1)
+    return ((components - low) / (high - low).clamp(min=PICTURE_TINY)).clamp(0, 1)
 
 
 def _depth_map(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:

@@ -21,7 +21,7 @@ from stylesplat.figures.best_views import (
 )
 from stylesplat.figures.grid import (
     CARD,
-    CELL,
+    GRID_CELL,
     Row,
     add_legend,
     draw_grid,
@@ -38,19 +38,19 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, at_most, ids_of
 from stylesplat.scene.projection import crop
 from stylesplat.scene.scene import Scene, require_painted
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE, each_object, object_ids, render_labels
-from stylesplat.selection.shares import own_shares, survey
+from stylesplat.selection.shares import object_shares, survey
 
 MAX_COLUMNS = 4  # of a sheet with few objects; a sheet of many is about square
-SURVEY_VIEWS = 24  # views searched for the best ones of each object
+SHEET_SURVEY_VIEWS = 24  # views searched for the best ones of each object
 
-PANEL = 480  # pixels along the longer side of a view of a selection
+SHEET_PANEL = 480  # pixels along the longer side of a view of a selection
 DIM = 0.55  # of the brightness of what is not selected
-LEFT_OUT = (0.1, 0.35, 1.0)  # the colour of what is selected but takes no paint
+SHEET_LEFT_OUT = (0.1, 0.35, 1.0)  # the colour of what is selected but takes no paint
 OUTLINE, THICKNESS = (255, 200, 0), 2
-SPECK = 5  # pixels: narrower parts have no outline, which would cover them
+SHEET_SPECK = 5  # pixels: narrower parts have no outline, which would cover them
 ROOM = 3.0  # length of a panel in lengths of the object, unless the view is shorter
 MIN_ROOM = 1 / 6  # of the view, which a panel shows at least, so that the place is recognised
 
@@ -61,7 +61,7 @@ TINT = 0.55  # how much of an object's colour covers the photo
 RIM, RIM_VIEWS = 512, 3  # pixels a side of an object's lower end, and how many views show it
 BELOW = 0.15  # of that, below the object
 
-LONGEST = 2048  # pixels of a side: photos of phones have more than a screen shows
+SHEET_LONGEST = 2048  # pixels of a side: photos of phones have more than a screen shows
 
 
 @torch.no_grad()
@@ -82,7 +82,7 @@ def object_sheet(
             "These splats have no objects: the label maps hold only background. "
             "Train with label maps that name some."
         )
-    searched = evenly(range(len(cameras)), SURVEY_VIEWS)
+    searched = evenly_spaced(range(len(cameras)), SHEET_SURVEY_VIEWS)
     views = [survey_view(cameras[row]) for row in searched]
     scores: dict[int, dict[int, float]] = {id: {} for id in ids}  # by object and row
     labelled = map_views(lambda view: render_labels(splats, view), views, splats.device)
@@ -120,7 +120,7 @@ def selection_picture(
     found = find_views(splats, cameras, picked)
     if not found:
         return None
-    features = torch.stack([picked.to(splats.means), own_shares(splats, picked, cameras)], dim=1)
+    features = torch.stack([picked.to(splats.means), object_shares(splats, picked, cameras)], dim=1)
     views = [_crop_around(cameras[each.row], each.mask) for each in found]
     return draw_grid([Row([(_panel(splats, view, features), view.names[0]) for view in views])])
 
@@ -130,7 +130,7 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
     maps, small = capture.label_maps or [], at_most(capture, PHOTO_SIDE)
     rows = [row for row in range(len(capture)) if maps[row] is not None]
     cells, ids = [], set[int]()
-    for row in evenly(rows, PHOTOS):
+    for row in evenly_spaced(rows, PHOTOS):
         labels, photo = small.labels(row), small.photos[row].float()
         assert labels is not None
         ids |= ids_of(labels) - {BACKGROUND}
@@ -144,7 +144,7 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
     return add_legend(draw_grid(wrap_cells(cells, PHOTO_COLUMNS)), key)
 
 
-def lower_rims(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H W 3"]:
+def draw_contact_contours(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H W 3"]:
     """Draw the outlines of objects where they stand, in the three views that differ most.
 
     A row for each object, as wide as the object is; `names` holds the objects by id.
@@ -199,7 +199,7 @@ def before_after(
     found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
     if not found:
         return None
-    camera = scene.cameras[most_detailed(base, scene.cameras, found).row].at_most(LONGEST)
+    camera = scene.cameras[most_detailed(base, scene.cameras, found).row].at_most(SHEET_LONGEST)
     pair = [_render(each.to(base.device), camera) for each in (base, scene.splats)]
     return camera.names[0], draw_grid([Row([*zip(pair, ("before", "after"), strict=True)])])
 
@@ -221,7 +221,7 @@ def beside_photo(
     valid = capture.valid(capture.cameras.index(name))
     counted = slice(None) if valid is None else valid
     decibels = float(psnr(image[counted] / 255, photo[counted] / 255))
-    pair = _photo_and_render(scene, splats, at_most(whole, LONGEST), name)
+    pair = _photo_and_render(scene, splats, at_most(whole, SHEET_LONGEST), name)
     held_out = "held-out " if name in scene.held_out else ""
     captions = f"{held_out}photo {name}", f"render, PSNR {decibels:.1f} dB"
     return draw_grid([Row([*zip(pair, captions, strict=True)])])
@@ -229,17 +229,17 @@ def beside_photo(
 
 @torch.no_grad()
 def one_view(scene: Scene, name: str, *, device: str = "auto") -> UInt8[Tensor, "H W 3"]:
-    camera = scene.cameras[scene.cameras.index(name)].at_most(LONGEST)
+    camera = scene.cameras[scene.cameras.index(name)].at_most(SHEET_LONGEST)
     return _render(scene.splats.to(pick_device(device)), camera)
 
 
 def _portrait(
     splats: Splats, picked: Bool[Tensor, " N"], camera: Cameras | None
 ) -> UInt8[Tensor, "H W 3"]:
-    card = torch.tensor(CARD, dtype=torch.uint8).expand(CELL, CELL, 3)
+    card = torch.tensor(CARD, dtype=torch.uint8).expand(GRID_CELL, GRID_CELL, 3)
     if camera is None:
         return card
-    image, share = colors_and_coverage(splats, aim_at(splats, picked, camera, CELL), picked)
+    image, share = colors_and_coverage(splats, aim_at(splats, picked, camera, GRID_CELL), picked)
     return to_uint8(share * image + (1 - share) * card.to(image) / 255).cpu()
 
 
@@ -252,7 +252,7 @@ def _crop_around(camera: Cameras, mask: Bool[Tensor, "h w"]) -> Cameras:
     share = (ROOM * ((high - low) / size).max()).clamp(MIN_ROOM, 1)
     part = share * size
     corner = torch.minimum(((low + high - part) / 2).clamp(min=0), size - part)
-    zoom = PANEL / float(part.max())
+    zoom = SHEET_PANEL / float(part.max())
     return crop(camera, corner.tolist(), (part * zoom).round().int().tolist(), zoom=zoom)
 
 
@@ -263,10 +263,12 @@ def _panel(
     rendered, _ = render(splats, camera, features=features)
     image, covered, own = rendered.split([3, 1, 1], dim=-1)
     grey = DIM * image.mean(dim=-1, keepdim=True)
-    left_out = (covered - own) * image.new_tensor(LEFT_OUT)
+    left_out = (covered - own) * image.new_tensor(SHEET_LEFT_OUT)
     panel = to_uint8(own * image + left_out + (1 - covered) * grey).cpu().numpy()
     mask = (covered[..., 0].cpu() > MIN_COVERAGE).numpy().astype(np.uint8)
-    edges, _ = cv2.findContours(cv2.medianBlur(mask, SPECK), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    edges, _ = cv2.findContours(
+        cv2.medianBlur(mask, SHEET_SPECK), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
+    )
     return torch.from_numpy(cv2.drawContours(panel, edges, -1, OUTLINE, THICKNESS, cv2.LINE_AA))
 
 

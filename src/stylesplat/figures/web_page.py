@@ -22,7 +22,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.atomic import atomic_path, refuse_file
-from stylesplat.io.splats.packing import LARGEST, kmeans, morton_order, smallest_three
+from stylesplat.io.splats.packing import PACKED_LARGEST, kmeans, morton_order, smallest_three
 from stylesplat.io.splats.splat_files import say_left_out
 from stylesplat.io.splats.splat_ply import needed_degree, of_degree
 from stylesplat.progress import track
@@ -35,15 +35,15 @@ from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.scene.virtual_cameras import first_view
 
 ENTRIES = 256  # as many as a byte can name; the first is all zeros
-SAMPLE = 20_000  # rows that a palette is made from
-ROUNDS = 6  # of k-means; more change little
+WEB_SAMPLE = 20_000  # rows that a palette is made from
+WEB_ROUNDS = 6  # of k-means; more change little
 MIDDLE, STEPS = 128, 127  # the byte of 0, and how many there are on each side
 
 Bytes = UInt8[Tensor, "E D"]
-SMALLEST = -12.0  # logarithm of a standard deviation; smaller ones are drawn as this
-COLORS = (-1.0, 2.0)  # mean colours beyond are drawn as these
-TINY = 1e-12  # length, of splats that are all in one place
-LEVELS = 2  # palettes: the entry of the second is added to that of the first
+WEB_SMALLEST = -12.0  # logarithm of a standard deviation; smaller ones are drawn as this
+WEB_COLORS = (-1.0, 2.0)  # mean colours beyond are drawn as these
+WEB_TINY = 1e-12  # length, of splats that are all in one place
+WEB_LEVELS = 2  # palettes: the entry of the second is added to that of the first
 Column = UInt8[Tensor, "..."]
 
 
@@ -54,8 +54,8 @@ def palette_of(values: Float[Tensor, "M D"]) -> tuple[Bytes, float, Int[Tensor, 
     filled = values.ne(0).any(dim=1).numpy()
     entries = np.zeros((ENTRIES, values.shape[1]), np.float32)
     if filled.any():
-        sample = np.random.default_rng(0).permutation(values.numpy()[filled])[:SAMPLE]
-        centres, _ = kmeans(sample, ENTRIES - 1, rounds=ROUNDS)
+        sample = np.random.default_rng(0).permutation(values.numpy()[filled])[:WEB_SAMPLE]
+        centres, _ = kmeans(sample, ENTRIES - 1, rounds=WEB_ROUNDS)
         entries[1 : 1 + len(centres)] = centres
     strongest = float(np.abs(entries).max()) or 1.0
     palette = torch.from_numpy(entries / strongest * STEPS + MIDDLE).round().byte()
@@ -110,14 +110,14 @@ def pack(splats: Splats, base: Splats, *, sh_degree: int, level: int = 9) -> Pac
 def _shapes(splats: Splats, about: dict[str, Any]) -> Iterator[Column]:
     means = splats.means.double()
     middle = means.median(dim=0).values
-    reach = (means - middle).abs().median().clamp(min=TINY)
+    reach = (means - middle).abs().median().clamp(min=WEB_TINY)
     places = torch.asinh((means - middle) / reach)  # finest in the middle, all the way out
     low, high = places.amin(dim=0), places.amax(dim=0)
     about |= {"middle": middle.tolist(), "reach": float(reach)}
     about["means"] = torch.stack([low, high], dim=1).tolist()
-    steps = ((places - low) / (high - low).clamp(min=TINY) * 65535).round().int()
+    steps = ((places - low) / (high - low).clamp(min=WEB_TINY) * 65535).round().int()
     yield torch.stack([steps >> 8, steps & 255]).byte().permute(2, 0, 1)  # [3, 2, N]
-    scales = splats.scales.clamp(min=SMALLEST)
+    scales = splats.scales.clamp(min=WEB_SMALLEST)
     yield _rounded(scales.T, *_range(about, "scales", scales))
     yield from _turns(splats.quats)
     yield _rounded(torch.sigmoid(splats.opacities), 0.0, 1.0)
@@ -127,13 +127,13 @@ def _turns(quats: Float[Tensor, "N 4"]) -> Iterator[Column]:
     """Which part of a rotation is largest, and the others; it follows from them."""
     largest, others = smallest_three(quats)
     yield largest.byte()
-    yield _rounded(others.T, -LARGEST, LARGEST)
+    yield _rounded(others.T, -PACKED_LARGEST, PACKED_LARGEST)
 
 
 def _looks(
     splats: Splats, before: Splats, painted: Bool[Tensor, " N"], about: dict[str, Any]
 ) -> Iterator[Column]:
-    after, earlier = (rgb_from_sh0(each.sh0[:, 0]).clamp(*COLORS) for each in (splats, before))
+    after, earlier = (rgb_from_sh0(each.sh0[:, 0]).clamp(*WEB_COLORS) for each in (splats, before))
     bounds = _range(about, "colors", torch.cat([after, earlier]))
     yield _rounded(after.T, *bounds)
     yield painted.byte()
@@ -143,13 +143,13 @@ def _looks(
 
 def _bands(splats: Splats, before: Splats, about: dict[str, Any]) -> Iterator[Column]:
     """Two palettes, and what entries Gaussians have in them, after and before."""
-    about["strongest"] = [1.0] * LEVELS
+    about["strongest"] = [1.0] * WEB_LEVELS
     bands = about["bands"]
     if not bands:
         return
     rest = torch.cat([splats.shN, before.shN]).flatten(1)
     indices = []
-    for level in track(range(LEVELS), "packing colours", unit="palette"):
+    for level in track(range(WEB_LEVELS), "packing colours", unit="palette"):
         palette, strongest, index = palette_of(rest)
         about["strongest"][level] = strongest
         rest = rest - palette_values(palette, strongest)[index]
@@ -166,12 +166,12 @@ def _range(about: dict[str, Any], name: str, values: Tensor) -> tuple[float, flo
 
 def _rounded(values: Tensor, low: float, high: float) -> Column:
     """As bytes, of which 0 is the lowest value and 255 the highest."""
-    return ((values - low) / max(high - low, TINY) * 255).round().clamp(0, 255).byte()
+    return ((values - low) / max(high - low, WEB_TINY) * 255).round().clamp(0, 255).byte()
 
 
-PARTS = Path(__file__).with_name("viewer_page")
-SUFFIX = ".html"
-MAX_DEGREE = 3
+WEB_PARTS = Path(__file__).with_name("viewer_page")
+WEB_SUFFIX = ".html"
+WEB_MAX_DEGREE = 3
 MODULAR = re.compile(r"^(import .*\n|export )", re.MULTILINE)  # needless in one script
 CODE = ("unpack.js", "sort.js", "draw.js", "camera.js", "hands.js", "main.js")
 
@@ -180,8 +180,8 @@ def write_page(
     what: Scene | Splats, path: Path, *, overwrite: bool = False, sh_degree: int | None = None
 ) -> None:
     """Write the page of `page_of`, called like its file."""
-    degree = MAX_DEGREE if sh_degree is None else sh_degree
-    check_choice(degree, "degree of colour", range(MAX_DEGREE + 1))
+    degree = WEB_MAX_DEGREE if sh_degree is None else sh_degree
+    check_choice(degree, "degree of colour", range(WEB_MAX_DEGREE + 1))
     refuse_file(path, overwrite=overwrite)
     page = page_of(what, title=path.stem, sh_degree=degree)
     with atomic_path(path) as temporary:
@@ -189,7 +189,7 @@ def write_page(
     say_left_out(what.splats if isinstance(what, Scene) else what, path)
 
 
-def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) -> str:
+def page_of(what: Scene | Splats, *, title: str, sh_degree: int = WEB_MAX_DEGREE) -> str:
     """A page that shows splats, from the first photo or from where all is in sight.
 
     Of a scene that is painted, a handle lies between before and after; buttons bring each object
@@ -248,4 +248,4 @@ def _filled(values: dict[str, str]) -> str:
 
 
 def _part(name: str) -> str:
-    return (PARTS / name).read_text(encoding="utf-8")
+    return (WEB_PARTS / name).read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import is_in_image, project
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats, map_bands
 
 TO_XYZ = ((0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.0721750))
@@ -19,8 +19,8 @@ TO_XYZ += ((0.0193339, 0.1191920, 0.9503041),)  # sRGB, IEC 61966-2-1
 LUMA = (0.2126, 0.7152, 0.0722)  # Rec. 709: how bright red, green and blue are
 D65 = (0.95047, 1.0, 1.08883)
 LOWEST, RANGE = -128.0, 256.0  # L, a and b of all sRGB colours lie well within
-PIXELS = 2**14  # of a picture that stand for all
-DISTANCES_AT_ONCE = 2**22  # bounds the colours x colours matrix
+COLOR_PIXELS = 2**14  # of a picture that stand for all
+COLOR_DISTANCES_AT_ONCE = 2**22  # bounds the colours x colours matrix
 
 
 def linear_rgb(colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
@@ -45,7 +45,7 @@ def luma_weights(device: torch.device, dtype: torch.dtype) -> Float[Tensor, " 3"
 
 def thinned(colors: Float[Tensor, "P 3"]) -> Float[Tensor, "_ 3"]:
     """Evenly chosen ones of very many colours."""
-    return colors[evenly(range(len(colors)), PIXELS)]
+    return colors[evenly_spaced(range(len(colors)), COLOR_PIXELS)]
 
 
 def cells(lab: Float[Tensor, "P 3"], size: float) -> Int[Tensor, " P"]:
@@ -67,13 +67,13 @@ def nearest_colors(lab: Float[Tensor, "P 3"], palette: Float[Tensor, "Q 3"]) -> 
     """The row of the nearest colour of a palette for each colour, both in Lab (CIE 1976)."""
     columns = torch.cat([-2 * palette.T, palette.square().sum(dim=1)[None]])
     rows = F.pad(lab, (0, 1), value=1.0)
-    chunks = rows.split(max(1, DISTANCES_AT_ONCE // len(palette)))
+    chunks = rows.split(max(1, COLOR_DISTANCES_AT_ONCE // len(palette)))
     return torch.cat([(chunk @ columns).argmin(dim=1) for chunk in chunks])
 
 
 SHADE = 5.0  # of Lab: colours in one cube of this size are one
-NEAR = 6.0  # of Lab: a colour this near to the palette may stay
-LEVELS = 24  # of red, green and blue in the table of nearest colours
+COLOR_NEAR = 6.0  # of Lab: a colour this near to the palette may stay
+COLOR_LEVELS = 24  # of red, green and blue in the table of nearest colours
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,15 +81,15 @@ class Palette:
     """The colours of a style, and the nearest of them to any colour."""
 
     table: Float[Tensor, "_ 3"]
-    """The nearest colour in 0..1, by red, green and blue in `LEVELS` levels, blue fastest."""
+    """The nearest colour in 0..1, by red, green and blue in `COLOR_LEVELS` levels, blue fastest."""
     shares: Float[Tensor, " _"]
-    """The share of the way there that ends at distance `NEAR`; 0 for nearer colours."""
+    """The share of the way there that ends at distance `COLOR_NEAR`; 0 for nearer colours."""
 
     def offset(self, colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
         """From colours in 0..1 to where the palette is near; without gradients."""
         colors = colors.detach()
-        red, green, blue = (colors.clamp(0, 1) * (LEVELS - 1)).round().long().unbind(-1)
-        rows = ((red * LEVELS + green) * LEVELS + blue).flatten()
+        red, green, blue = (colors.clamp(0, 1) * (COLOR_LEVELS - 1)).round().long().unbind(-1)
+        rows = ((red * COLOR_LEVELS + green) * COLOR_LEVELS + blue).flatten()
         nearest = self.table.index_select(0, rows).view(colors.shape)
         return (nearest - colors) * self.shares.index_select(0, rows).view(*colors.shape[:-1], 1)
 
@@ -106,14 +106,14 @@ class Palette:
 def build_palette(style: Float[Tensor, "Q 3"]) -> Palette:
     """Prepare the colours of a style, in 0..1."""
     palette = distinct(thinned(style), SHADE)  # rarer colours are no aim
-    axis = torch.linspace(0, 1, LEVELS).to(style)
+    axis = torch.linspace(0, 1, COLOR_LEVELS).to(style)
     every, shades = lab_from_rgb(torch.cartesian_prod(axis, axis, axis)), lab_from_rgb(palette)
     nearest = nearest_colors(every, shades)
     away = (every - shades[nearest]).norm(dim=1)
-    return Palette(palette[nearest], (1 - NEAR / away).clamp(min=0))
+    return Palette(palette[nearest], (1 - COLOR_NEAR / away).clamp(min=0))
 
 
-NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
+COLOR_NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted
 
 
 def color_map(source: Float[Tensor, "P 3"], target: Float[Tensor, "Q 3"]) -> Float[Tensor, "3 4"]:
@@ -122,7 +122,7 @@ def color_map(source: Float[Tensor, "P 3"], target: Float[Tensor, "Q 3"]) -> Flo
     Of all such maps it moves the colours least (Pitie & Kokaram 2007, "The linear
     Monge-Kantorovitch linear colour mapping"). The fourth column is the offset.
     """
-    noise = NOISE * torch.eye(3).to(source)
+    noise = COLOR_NOISE * torch.eye(3).to(source)
     root = _matrix_sqrt(source.T.cov(correction=0) + noise)
     inverse = torch.linalg.inv(root)
     wanted = target.T.cov(correction=0) + noise
@@ -131,7 +131,9 @@ def color_map(source: Float[Tensor, "P 3"], target: Float[Tensor, "Q 3"]) -> Flo
     return torch.cat([matrix, offset[:, None]], dim=1)
 
 
-def mapped(colors: Float[Tensor, "*P 3"], color_map: Float[Tensor, "3 4"]) -> Float[Tensor, "*P 3"]:
+def transform_rgb(
+    colors: Float[Tensor, "*P 3"], color_map: Float[Tensor, "3 4"]
+) -> Float[Tensor, "*P 3"]:
     """Colours after an affine map."""
     return colors @ color_map[:, :3].T + color_map[:, 3]
 
@@ -148,10 +150,10 @@ def _matrix_sqrt(matrix: Tensor) -> Tensor:
     return vectors @ (values.clamp(min=0).sqrt()[:, None] * vectors.T)
 
 
-POINTS = 2000  # whose colours are compared
-ROUNDS = 8  # of taking photos' and points' medians in turn
+COLOR_POINTS = 2000  # whose colours are compared
+COLOR_ROUNDS = 8  # of taking photos' and points' medians in turn
 DARK, BRIGHT = 0.05, 0.98  # colours beyond say nothing about a gain
-FEWEST = 30  # points by which a photo's gain is estimated
+COLOR_FEWEST = 30  # points by which a photo's gain is estimated
 
 
 def photo_gains(
@@ -162,13 +164,13 @@ def photo_gains(
     Medians ignore points that are hidden in a photo, or shine. A photo that shows too few points
     has NaN. Each photo comes with a camera of its size.
     """
-    some = points[evenly(range(len(points)), POINTS)].cpu()
+    some = points[evenly_spaced(range(len(points)), COLOR_POINTS)].cpu()
     logs = torch.stack([_log_colors(some, photo, camera) for photo, camera in photos])  # [C, P, 3]
-    known = (~logs.isnan()).all(dim=-1).sum(dim=1) >= FEWEST  # [C]
+    known = (~logs.isnan()).all(dim=-1).sum(dim=1) >= COLOR_FEWEST  # [C]
     gains = torch.where(known[:, None], torch.zeros(len(logs), 3), torch.nan)
     if not known.any():
         return gains
-    for _ in range(ROUNDS):
+    for _ in range(COLOR_ROUNDS):
         typical = (logs - gains[:, None]).nanmedian(dim=0).values  # [P, 3]
         gains = torch.where(known[:, None], (logs - typical).nanmedian(dim=1).values, torch.nan)
         gains = gains - gains.nanmean(dim=0)

@@ -1,6 +1,7 @@
 """Write files and folders whole or not at all: beside their place, then renamed into it.
 
-One process at a time changes a place: `changing` holds a lock on it. A killed process leaves at
+One process at a time changes a place: `locked_folder` holds a lock on it. A killed process
+leaves at
 most a hidden draft, which nobody reads.
 """
 
@@ -26,13 +27,15 @@ if TYPE_CHECKING:
 
 REPLACING = "`--overwrite` (in Python overwrite=True)"  # how a user allows a replacement
 PARTIAL = ".partial"  # suffix of the folder that keeps the work of an interrupted run
-DRAFT = ".stylesplat."  # begins the name of a draft inside the folder that it will replace
+ATOMIC_DRAFT = ".stylesplat."  # begins the name of a draft inside the folder that it will replace
 MAX_NAME_BYTES = 255  # of one part of a path, on all common file systems
-PATIENCE = 10.0  # seconds to wait for another process: `select` takes as long, `train` longer
+ATOMIC_PATIENCE = (
+    10.0  # seconds to wait for another process: `select` takes as long, `train` longer
+)
 ANYBODY = 0o666  # mode of a lock file: another user may lock the same place later
 
 
-def partial_of(path: Path) -> Path:
+def progress_path(path: Path) -> Path:
     """The folder beside a result that keeps the work of an interrupted run."""
     path = real_path(path)
     return path.with_name(path.name + PARTIAL)
@@ -71,7 +74,7 @@ def atomic_folder(
     block ends) are deleted; everything else there stays.
     """
     path = Path(path).resolve()
-    with changing(path):
+    with locked_folder(path):
         refuse_occupied(path, marker=marker, overwrite=overwrite)
         with _draft_of(path) as draft:
             draft.mkdir(parents=True)
@@ -90,15 +93,15 @@ def revise_folder(path: Path | str) -> Iterator[Path]:
     into one. The earlier version is deleted, so no link remains.
     """
     path = Path(path).resolve()
-    with changing(path), _draft_of(path) as draft:
-        ignore = shutil.ignore_patterns(DRAFT + "*")
+    with locked_folder(path), _draft_of(path) as draft:
+        ignore = shutil.ignore_patterns(ATOMIC_DRAFT + "*")
         shutil.copytree(path, draft, symlinks=True, ignore=ignore, copy_function=_link)
         yield draft
         _replace_folder(draft, path)
 
 
 @contextmanager
-def changing(path: Path | str) -> Iterator[None]:
+def locked_folder(path: Path | str) -> Iterator[None]:
     """Let no other process change a file or folder during the block; calls may be nested.
 
     The kernel holds the lock, so it ends with its process. The lock file lies beside the path, or
@@ -142,7 +145,7 @@ def _acquire(path: Path) -> "FileLock | None":
         except Timeout:
             _refuse_without_lock(path, file)
             say(f"Waiting for another stylesplat that changes {path}.")
-            lock.acquire(timeout=PATIENCE)
+            lock.acquire(timeout=ATOMIC_PATIENCE)
     except Timeout as error:
         raise StyleSplatError(
             f"Cannot change {path}: another stylesplat is at work on it. "
@@ -220,7 +223,7 @@ def _draft_name(path: Path) -> Path:
 
 
 def _has_entries(path: Path) -> bool:
-    return any(not entry.name.startswith(DRAFT) for entry in path.iterdir())
+    return any(not entry.name.startswith(ATOMIC_DRAFT) for entry in path.iterdir())
 
 
 @contextmanager
@@ -235,7 +238,7 @@ def _draft_of(path: Path) -> Iterator[Path]:
         and os.access(path.parent, os.W_OK | os.X_OK)
         and not Path.cwd().is_relative_to(path)
     )
-    draft = _draft_name(path) if swaps else path / f"{DRAFT}{secrets.token_hex(6)}"
+    draft = _draft_name(path) if swaps else path / f"{ATOMIC_DRAFT}{secrets.token_hex(6)}"
     try:
         yield draft
     except OSError as error:
@@ -288,7 +291,7 @@ def _files_in(folder: Path) -> list[Path]:
     """All files and links in a folder and below, relative to it, in order; drafts aside."""
     found = (p for p in folder.rglob("*") if p.is_symlink() or not p.is_dir())
     names = sorted(p.relative_to(folder) for p in found)
-    return [name for name in names if not name.parts[0].startswith(DRAFT)]
+    return [name for name in names if not name.parts[0].startswith(ATOMIC_DRAFT)]
 
 
 def _link(source: str | Path, target: str | Path) -> None:

@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.json_yaml import (
     MAX_JSON,
     PhotoName,
-    fitting,
+    convert_checked,
     read_json,
     read_json_as,
     write_json,
@@ -31,7 +31,7 @@ from stylesplat.scene.cameras import (
 from stylesplat.scene.virtual_cameras import MOST_FRAMES, frame_count, path_of, smooth_path
 from stylesplat.scene.world_offset import ORIGIN, Offset, from_world
 
-MAX_PIXELS = 2**28  # of a view: larger renders do not fit into memory
+PATH_MAX_PIXELS = 2**28  # of a view: larger renders do not fit into memory
 TRAIN_AGAIN = "Train again."
 
 _Side = Annotated[int, Meta(ge=1, le=0xFFFF)]
@@ -68,7 +68,7 @@ def write_cameras(cameras: Cameras, path: Path) -> None:
         for row, name in enumerate(cameras.names)
     ]
     content = {"dtype": str(dtype).removeprefix("torch."), "cameras": rows}
-    fitting(content, _File, f"Cannot write {path}", "Change the cameras.")
+    convert_checked(content, _File, f"Cannot write {path}", "Change the cameras.")
     _refuse_faulty(cameras, f"Cannot write {path}", "Change the cameras.")
     write_json(content, path)
 
@@ -91,8 +91,8 @@ def _refuse_faulty(cameras: Cameras, what: str, remedy: str) -> None:
     rigid = are_rigid(cameras.viewmats, 2 * ROTATION_TOLERANCE)  # twice: they were rounded since
     if len(set(cameras.names)) < len(cameras):
         fault = "two cameras have the same name"
-    elif int(cameras.sizes.prod(dim=1).max()) > MAX_PIXELS:
-        fault = f"a camera has more than {MAX_PIXELS} pixels"
+    elif int(cameras.sizes.prod(dim=1).max()) > PATH_MAX_PIXELS:
+        fault = f"a camera has more than {PATH_MAX_PIXELS} pixels"
     elif not rigid.all():
         fault = f"the pose of {cameras.names[int(rigid.int().argmin())]} is no rotation and shift"
     if fault:
@@ -102,7 +102,7 @@ def _refuse_faulty(cameras: Cameras, what: str, remedy: str) -> None:
 FPS, SECONDS = 30.0, 6.0  # unless a file says otherwise
 READ_MANUAL = "The manual's section on `render` says what a path is."
 
-Side = Annotated[float, Meta(ge=2, le=16384)]  # some programs write 1080.0
+FrameSide = Annotated[float, Meta(ge=2, le=16384)]  # some programs write 1080.0
 Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Degrees = Annotated[float, Meta(gt=0.1, lt=179)]
 Rate = Annotated[float, Meta(gt=0, le=1000)]
@@ -121,8 +121,8 @@ class _Nerfstudio(msgspec.Struct):
     """What nerfstudio's viewer writes, and `ns-render camera-path` reads."""
 
     camera_path: Annotated[list[_Pose], Meta(min_length=1, max_length=MOST_FRAMES)]
-    render_width: Side
-    render_height: Side
+    render_width: FrameSide
+    render_height: FrameSide
     camera_type: Literal["perspective"] = "perspective"
     fps: Rate = FPS
 
@@ -179,9 +179,9 @@ def read_camera_path(
                 f"{path} holds every frame, so its duration is fixed. Choose the frames a second "
                 "with --fps."
             )
-        found: _Nerfstudio = fitting(content, _Nerfstudio, what, READ_MANUAL)
+        found: _Nerfstudio = convert_checked(content, _Nerfstudio, what, READ_MANUAL)
         return CameraPath(_nerfstudio(found, world_offset, what), float(fps or found.fps))
-    keys: _Keys = fitting(content, _Keys, what, READ_MANUAL)
+    keys: _Keys = convert_checked(content, _Keys, what, READ_MANUAL)
     count = frame_count(seconds or keys.seconds, fps or keys.fps)
     _, size = median_lens(views)
     poses = _key_frames(keys, views, world_offset, what)

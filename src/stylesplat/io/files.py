@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, shorten
 
-DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+FILE_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 ANOTHER_PLACE = "Choose a place that this user may write to."
 WRITE_REMEDIES = {
     errno.ENAMETOOLONG: "Choose a shorter name.",
@@ -26,7 +26,7 @@ READ_REMEDIES = {
     errno.EACCES: "Let its owner allow it to this user.",
 }
 MAX_STEM = 48  # characters of a file name that are taken from a text
-PLAIN = re.compile(f"[a-z0-9_-]{{1,{MAX_STEM}}}")
+FILE_PLAIN = re.compile(f"[a-z0-9_-]{{1,{MAX_STEM}}}")
 
 
 def read_bytes(path: Path | str, *, most: int | None = None, first: int = -1) -> bytes:
@@ -80,7 +80,7 @@ def require_regular(path: Path | str) -> None:
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:
-        raise cannot_read(brief(str(path)), error) from error
+        raise cannot_read(shorten(str(path)), error) from error
     except ValueError as error:  # a NUL, or half a surrogate pair
         raise StyleSplatError(
             f"Cannot read {str(path)!r}: this cannot be the name of a file. Check the name."
@@ -91,7 +91,7 @@ def require_regular(path: Path | str) -> None:
         raise StyleSplatError(f"Cannot read {path}: it is no plain file. Check the name.")
 
 
-def inside(folder: Path, name: str) -> Path:
+def resolve_within(folder: Path, name: str) -> Path:
     """The path of a name within a folder, for names that come from a file.
 
     Raises a StyleSplatError if the path leaves the folder, also through a link.
@@ -100,7 +100,7 @@ def inside(folder: Path, name: str) -> Path:
     here, there = folder.resolve(), path.parent.resolve()
     if path.name in ("", "..") or not there.is_relative_to(here):
         raise StyleSplatError(
-            f"{brief(name)!r} leads out of the folder {folder}. Rename it, or remove the link."
+            f"{shorten(name)!r} leads out of the folder {folder}. Rename it, or remove the link."
         )
     return path
 
@@ -112,7 +112,7 @@ def file_stem(name: str) -> str:
         >>> file_stem("vase_2"), file_stem("Vase/Lid")
         ('vase_2', 'vase-lid~ef30192c6487ab44')
     """
-    if PLAIN.fullmatch(name):
+    if FILE_PLAIN.fullmatch(name):
         return name
     readable = re.sub("[^a-z0-9_-]+", "-", name.lower()).strip("-")[:MAX_STEM]
     return f"{readable}~{hashlib.sha256(name.encode()).hexdigest()[:16]}"
@@ -153,7 +153,7 @@ def reason(error: Exception) -> str:
 
 
 def cannot_write(path: Path, error: OSError) -> StyleSplatError:
-    if error.errno in DISK_FULL:
+    if error.errno in FILE_DISK_FULL:
         return StyleSplatError(f"Cannot write {path}: disk full. Free some space and try again.")
     remedy = WRITE_REMEDIES.get(error.errno or 0, "Choose another place.")
     return StyleSplatError(f"Cannot write {path}: {error.strerror or error}. {remedy}")

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Int, Shaped
 from torch import Tensor
 
-from stylesplat.errors import brief, some
+from stylesplat.errors import join_names, shorten
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes, reading
 from stylesplat.io.ply import read_ply_table
@@ -32,9 +32,9 @@ STATE = "state"  # SuperSplat's column in a .ply, whose first bit means selected
 ROW_NAMES = (STATE, "rows", "mask")
 READABLE = (".npy", ".npz", ".ply")
 MAX_FILE = 2**30  # bytes: a hundred million labels
-MAX_HEADER = 2**16  # bytes of the header of an array
+LIST_MAX_HEADER = 2**16  # bytes of the header of an array
 MAX_ITEM = 16  # bytes of a number
-REMEDY = "The manual's section on `import` says what can be read."
+LIST_REMEDY = "The manual's section on `import` says what can be read."
 Array = Shaped[np.ndarray, "..."]
 
 
@@ -58,7 +58,7 @@ def read_objects(path: Path | str, count: int) -> ListedObjects:
     is called `labels`, `label`, `object_id` or `id`.
     """
     path = Path(path)
-    with reading(path, REMEDY):
+    with reading(path, LIST_REMEDY):
         found = _read(path, count, LABEL_NAMES)
         if isinstance(found, ListedObjects):
             return found
@@ -75,13 +75,15 @@ def read_rows(path: Path | str, count: int, name: str) -> Bool[Tensor, " N"]:
     or a mask in .npy or .npz; or a .ply with SuperSplat's column `state`.
     """
     path = Path(path)
-    with reading(path, REMEDY):
+    with reading(path, LIST_REMEDY):
         found = _read(path, count, ROW_NAMES)
         if isinstance(found, ListedObjects):
             objects = [*found.objects]
             key = name if name in objects or len(objects) != 1 else objects[0]
             if key not in objects:
-                raise ValueError(f"it has no object {brief(name)!r}, but {some(objects) or 'none'}")
+                raise ValueError(
+                    f"it has no object {shorten(name)!r}, but {join_names(objects) or 'none'}"
+                )
             found = found.objects[key].rows.numpy()
         elif path.suffix.lower() == ".ply":
             found = (found.astype(np.int64) & 1).astype(bool)
@@ -121,7 +123,9 @@ def _choice(found: Sequence[str], names: Sequence[str]) -> str:
     for name in names:
         if name in found:
             return name
-    raise ValueError(f"it holds {some([*found])}, but nothing called {' or '.join(names[:3])}")
+    raise ValueError(
+        f"it holds {join_names([*found])}, but nothing called {' or '.join(names[:3])}"
+    )
 
 
 def _read_npz(archive: Any, count: int, names: Sequence[str]) -> ListedObjects | Array:
@@ -129,8 +133,10 @@ def _read_npz(archive: Any, count: int, names: Sequence[str]) -> ListedObjects |
         if key not in archive.files:
             return None
         size = archive.zip.getinfo(f"{key}.npy").file_size
-        if size > MAX_HEADER + MAX_ITEM * max(count, 1):
-            raise ValueError(f"{brief(key)!r} has {size:,} bytes, too many for {count:,} Gaussians")
+        if size > LIST_MAX_HEADER + MAX_ITEM * max(count, 1):
+            raise ValueError(
+                f"{shorten(key)!r} has {size:,} bytes, too many for {count:,} Gaussians"
+            )
         return archive[key]
 
     gaussians = array(COUNT)
@@ -154,18 +160,18 @@ def _listed(name: str, arrays: Sequence[Array | None], count: int) -> ListedObje
     """An object of rows, shares and ids; a ValueError if it is not one of `count` Gaussians."""
     fault = None if is_id(name) else name_fault(name)
     if fault:
-        raise ValueError(f"no object is called {brief(name)!r}, for {fault}")
-    rows = _integers(arrays[0], count - 1, f"rows of {brief(name)!r}")
+        raise ValueError(f"no object is called {shorten(name)!r}, for {fault}")
+    rows = _integers(arrays[0], count - 1, f"rows of {shorten(name)!r}")
     if not len(rows):
-        raise ValueError(f"{brief(name)!r} has no rows")
+        raise ValueError(f"{shorten(name)!r} has no rows")
     shares = None
     if arrays[1] is not None:
         shares = torch.from_numpy(np.asarray(arrays[1], np.float32))
         if shares.shape != rows.shape or not ((shares >= 0) & (shares <= 1)).all():
             fault = "are not one from 0 to 1 for each row"
-            raise ValueError(f"the shares of {brief(name)!r} {fault}")
+            raise ValueError(f"the shares of {shorten(name)!r} {fault}")
     ids = [] if arrays[2] is None else arrays[2]
-    ids = _integers(ids, MAX_ID, f"label ids of {brief(name)!r}")
+    ids = _integers(ids, MAX_ID, f"label ids of {shorten(name)!r}")
     return ListedObject(rows, shares, tuple(ids.tolist()))
 
 

@@ -22,9 +22,9 @@ from stylesplat.progress import Task, say, task
 
 DTYPES = {"F32": torch.float32, "F16": torch.float16, "BF16": torch.bfloat16}
 LENGTH_BYTES = 8  # the file begins with the header's length, little-endian
-MAX_HEADER = 2**24  # a longer header is no header
+HUB_MAX_HEADER = 2**24  # a longer header is no header
 TIMEOUT = 30  # seconds
-CHUNK = 2**18  # bytes between two updates of the progress bar
+HUB_CHUNK = 2**18  # bytes between two updates of the progress bar
 
 
 def fetch_tensors(url: str, names: Iterable[str], *, title: str) -> dict[str, Tensor]:
@@ -44,7 +44,7 @@ def fetch_tensors(url: str, names: Iterable[str], *, title: str) -> dict[str, Te
 
 def _read_header(url: str) -> tuple[int, dict]:
     length = int.from_bytes(_read_range(url, 0, LENGTH_BYTES), "little")
-    if length > MAX_HEADER:
+    if length > HUB_MAX_HEADER:
         raise ValueError("it is no safetensors file")
     start = LENGTH_BYTES + length
     return start, json.loads(_read_range(url, LENGTH_BYTES, start))
@@ -63,7 +63,7 @@ def _read_range(url: str, begin: int, end: int, bar: Task | None = None) -> byte
     with urlopen(request, timeout=TIMEOUT) as response:
         if response.status != 206:
             raise ValueError("the server sends whole files only")
-        while chunk := response.read(CHUNK):
+        while chunk := response.read(HUB_CHUNK):
             content += chunk
             if bar is not None:
                 bar.advance(len(chunk))

@@ -20,15 +20,15 @@ from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import reason, require_regular
 
 # What Pillow decodes itself or by libraries that every browser has, and that cameras write
-FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "TGA")
+IMAGE_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "TGA")
 # Decoding takes up to 12 bytes a pixel, so 1.5 GiB; the 108 megapixels of phones and 100 of medium
 # format cameras pass
-MAX_PIXELS = 2**27
-MAX_BYTES = 2**30  # of a file: some decoders read all of it, and no fitting picture has more
+IMAGE_MAX_PIXELS = 2**27
+IMAGE_MAX_BYTES = 2**30  # of a file: some decoders read all of it, and no fitting picture has more
 JPEG_START = b"\xff\xd8\xff"
 HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx")  # in the box `ftyp`
 FTYP_BYTES = 64  # at the start of a file, which hold its brands
-NO_MEMORY = -4  # cv2.Error.StsNoMem
+IMAGE_NO_MEMORY = -4  # cv2.Error.StsNoMem
 ROWS_PIXELS = 2**22  # of a band of rows, so that working copies take little memory
 UPRIGHT = 1  # EXIF orientation of a photo that is stored as it is shown
 # What turns stored pixels upright, by EXIF orientation
@@ -63,7 +63,7 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     require_regular(path)
     # Pillow warns of damaged EXIF data and the like, which the user cannot act on
     with decoding(path), warnings.catch_warnings(action="ignore"), path.open("rb") as file:
-        if path.stat().st_size > MAX_BYTES:
+        if path.stat().st_size > IMAGE_MAX_BYTES:
             raise ValueError("it has more than 1 GiB")
         yield _open(file, path)
 
@@ -80,7 +80,7 @@ def decoding(path: Path) -> Iterator[None]:
             f"There is no image {path}. Check the name and the folder."
         ) from error
     except Exception as error:
-        if isinstance(error, MemoryError) or getattr(error, "code", None) == NO_MEMORY:
+        if isinstance(error, MemoryError) or getattr(error, "code", None) == IMAGE_NO_MEMORY:
             raise StyleSplatError(
                 f"There is not enough memory to read the image {path}. Scale the photos down."
             ) from error
@@ -96,7 +96,7 @@ def read_image(path: Path | str) -> UInt8[Tensor, "H W 3"]:
     the upper 8.
     """
     with decoding(Path(path)):
-        pixels = composite(decode(Path(path), upright=True), WHITE)
+        pixels = flatten_alpha(decode(Path(path), upright=True), WHITE)
         return torch.from_numpy(np.ascontiguousarray(pixels[..., :3]))
 
 
@@ -145,7 +145,7 @@ def pixels_of(image: Image.Image) -> UInt8[np.ndarray, "H W D"]:
     return np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))
 
 
-def composite(pixels: UInt8[np.ndarray, "H W D"], grey: int) -> UInt8[np.ndarray, "H W D"]:
+def flatten_alpha(pixels: UInt8[np.ndarray, "H W D"], grey: int) -> UInt8[np.ndarray, "H W D"]:
     """Put transparent pixels over a grey level, in place; alpha stays."""
     if pixels.shape[2] == 3:
         return pixels
@@ -201,12 +201,12 @@ def _open(file: BinaryIO, path: Path) -> Image.Image:
         elif start[4:8] == b"ftyp" and any(brand in brands for brand in HEIC_BRANDS):
             image = _open_heic(file, path)
         else:
-            image = Image.open(file, formats=FORMATS)
+            image = Image.open(file, formats=IMAGE_FORMATS)
     except UnidentifiedImageError as error:
-        raise ValueError(f"it is no picture, or none of {', '.join(FORMATS)}") from error
+        raise ValueError(f"it is no picture, or none of {', '.join(IMAGE_FORMATS)}") from error
     except Image.DecompressionBombError as error:
         raise _too_large(path) from error
-    if image.width * image.height > MAX_PIXELS:
+    if image.width * image.height > IMAGE_MAX_PIXELS:
         raise _too_large(path)
     return image
 
@@ -224,6 +224,7 @@ def _open_heic(file: BinaryIO, path: Path) -> Image.Image:
 
 def _too_large(path: Path) -> StyleSplatError:
     return StyleSplatError(
-        f"The picture {path} has more than {MAX_PIXELS // 10**6} megapixels. Scale it to half its "
+        f"The picture {path} has more than {IMAGE_MAX_PIXELS // 10**6} megapixels. Scale it to "
+        "half its "
         "width and height."
     )

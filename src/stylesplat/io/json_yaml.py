@@ -20,19 +20,19 @@ T = TypeVar("T")
 
 FilePath = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00\ud800-\udc7f\udd00-\udfff]*\Z")]
 """A path that a system can take; Python reads names that are not UTF-8 as \\udc80 to \\udcff."""
-MAX_NAME = 1024  # bytes of a photo's name, sub-folders included; systems take 4096 or less
+JSON_MAX_NAME = 1024  # bytes of a photo's name, sub-folders included; systems take 4096 or less
 PhotoName = Annotated[
-    str, Meta(min_length=1, max_length=MAX_NAME, pattern=r"\A[^\x00-\x1f\x7f\ud800-\udfff]*\Z")
+    str, Meta(min_length=1, max_length=JSON_MAX_NAME, pattern=r"\A[^\x00-\x1f\x7f\ud800-\udfff]*\Z")
 ]
 """A name in one line, sub-folders included."""
 
 RESTORE = "Mend it, or copy it again."
-MAX_DEPTH = 100  # levels of lists and objects: ours have 6, and writing recurses
+JSON_MAX_DEPTH = 100  # levels of lists and objects: ours have 6, and writing recurses
 MAX_JSON = 2**26  # bytes of a file of a scene: 100,000 cameras
-MAX_BYTES = 2**30  # COCO's annotations of 118,000 photos have half of it
+JSON_MAX_BYTES = 2**30  # COCO's annotations of 118,000 photos have half of it
 
 
-def read_json(path: Path | str, *, most: int = MAX_BYTES) -> dict[str, Any]:
+def read_json(path: Path | str, *, most: int = JSON_MAX_BYTES) -> dict[str, Any]:
     """Read a JSON file of `most` bytes at most that holds an object."""
     return json_object(read_bytes(path, most=most), path)
 
@@ -48,12 +48,12 @@ def json_object(content: bytes, path: Path | str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise StyleSplatError(f"Cannot read {path}: expected a JSON object. {RESTORE}")
     level = [found]
-    for _ in range(MAX_DEPTH):
+    for _ in range(JSON_MAX_DEPTH):
         inner = (item for x in level for item in (x.values() if isinstance(x, dict) else x))
         level = [item for item in inner if isinstance(item, dict | list)]
     if level:
         raise StyleSplatError(
-            f"Cannot read {path}: it is nested more than {MAX_DEPTH} deep. {RESTORE}"
+            f"Cannot read {path}: it is nested more than {JSON_MAX_DEPTH} deep. {RESTORE}"
         )
     return found
 
@@ -61,11 +61,13 @@ def json_object(content: bytes, path: Path | str) -> dict[str, Any]:
 def read_json_as(
     path: Path | str, kind: type[T], remedy: str, *, most: int = MAX_JSON, strict: bool = True
 ) -> T:
-    """Read a JSON file as a type of msgspec; see `fitting`."""
-    return fitting(read_json(path, most=most), kind, f"Cannot read {path}", remedy, strict=strict)
+    """Read a JSON file as a type of msgspec; see `convert_checked`."""
+    return convert_checked(
+        read_json(path, most=most), kind, f"Cannot read {path}", remedy, strict=strict
+    )
 
 
-def fitting(value: Any, kind: Any, what: str, remedy: str, *, strict: bool = True) -> Any:
+def convert_checked(value: Any, kind: Any, what: str, remedy: str, *, strict: bool = True) -> Any:
     """Convert plain values to a type of msgspec; unless `strict`, "3" and 3.0 are integers too.
 
     The StyleSplatError for a value that does not fit begins with `what` and ends with `remedy`.
@@ -114,7 +116,7 @@ TAGS = NULL, BOOL, INT, FLOAT, *_ = tuple(
 MERGE = "tag:yaml.org,2002:merge"
 # Scalars without quotes that are no text, by their first character. JSON's 1e-05 is a number,
 # unlike in YAML 1.1; dates, hours:minutes, 007 and whole numbers too long for Python are texts
-PLAIN = (
+JSON_PLAIN = (
     (NULL, "", ""),
     (NULL, "~|null", "~nN"),
     (BOOL, "(yes|no|true|false|on|off)", "yYnNtTfFoO"),
@@ -123,7 +125,7 @@ PLAIN = (
     (FLOAT, r"[-+]?\.([0-9]+(e[-+]?[0-9]+)?|inf|nan)", "-+."),
     (MERGE, "<<", "<"),
 )
-Place = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 """The keys and numbers that lead to a value."""
 
 
@@ -132,12 +134,12 @@ def parse_yaml(text: str | bytes) -> Any:
     return _parse(text)[0]
 
 
-def lines_of(text: str | bytes) -> dict[Place, int]:
+def lines_of(text: str | bytes) -> dict[KeyPath, int]:
     """The line, from 1, of each key and list item; what an alias repeats has its first line."""
     return _parse(text)[1]
 
 
-def _parse(text: str | bytes) -> tuple[Any, dict[Place, int]]:
+def _parse(text: str | bytes) -> tuple[Any, dict[KeyPath, int]]:
     if len(text) > MAX_YAML:
         raise StyleSplatError(
             f"it is longer than recipes are: {MAX_YAML} bytes at most. Check the name."
@@ -162,9 +164,9 @@ class _Loader(yaml.SafeLoader):
 
     def __init__(self, text: str | bytes) -> None:
         super().__init__(text)
-        self.lines, self.count = dict[Place, int](), 0
+        self.lines, self.count = dict[KeyPath, int](), 0
 
-    def plain(self, node: yaml.Node, place: Place) -> Any:
+    def plain(self, node: yaml.Node, place: KeyPath) -> Any:
         """The value of a node, and the lines of what is in it."""
         self.count += 1
         if self.count > MAX_VALUES or len(place) > YAML_DEPTH:
@@ -183,7 +185,7 @@ class _Loader(yaml.SafeLoader):
             return self._map(node, place)
         return self.construct_object(node)
 
-    def _map(self, node: yaml.MappingNode, place: Place) -> dict[str, Any]:
+    def _map(self, node: yaml.MappingNode, place: KeyPath) -> dict[str, Any]:
         own, merged = dict[str, Any](), dict[str, Any]()
         for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
@@ -210,5 +212,5 @@ def _refused(problem: str, node: yaml.Node) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
-for _tag, _pattern, _first in PLAIN:
+for _tag, _pattern, _first in JSON_PLAIN:
     _Loader.add_implicit_resolver(_tag, re.compile(rf"(?i:{_pattern})\Z"), list(_first) or [""])

@@ -6,7 +6,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from stylesplat.errors import StyleSplatError, pasted, some
+from stylesplat.errors import StyleSplatError, join_names, shell_command
 from stylesplat.io.files import is_file, is_folder, is_there
 from stylesplat.io.json_yaml import read_json
 
@@ -60,7 +60,7 @@ FOREIGN_POSES = (
 )
 FOREIGN_DEPTH = 2  # folders below that are searched for them
 
-Kind = Literal[
+FileKind = Literal[
     "nothing",
     "scene",
     "part of a scene",
@@ -76,7 +76,7 @@ Kind = Literal[
 ]
 
 
-def kind_of(path: Path) -> Kind:
+def kind_of(path: Path) -> FileKind:
     """What lies at a path, from names alone: no file is opened."""
     if not is_there(path):
         return "nothing"
@@ -178,7 +178,7 @@ NOUNS: dict[Noun, tuple[str, str]] = {  # what it is called, and the remedy wher
 }
 
 
-def wrong_kind(path: Path, wanted: Noun) -> StyleSplatError:
+def wrong_kind_error(path: Path, wanted: Noun) -> StyleSplatError:
     """The error for a path that should be a scene, capture or file of splats and is none."""
     kind = kind_of(path)
     if kind == "part of a scene" and wanted != "scene":
@@ -192,12 +192,12 @@ def wrong_kind(path: Path, wanted: Noun) -> StyleSplatError:
         case "scene", "part of a scene":
             fault, remedy = f"{path} is a part of the scene {path.parent}", "Give the whole folder"
         case "splat", "scene":
-            remedy = f"It has its splats: `{pasted('objects', path)}` lists its objects"
+            remedy = f"It has its splats: `{shell_command('objects', path)}` lists its objects"
         case "capture", "scene":
             remedy = _capture_of_scene(path)
         case "capture", "photos" | "video":
-            way = pasted("sfm", path, "-o", "CAPTURE")
-            foreign = some(find_foreign_poses(path), whole=True)
+            way = shell_command("sfm", path, "-o", "CAPTURE")
+            foreign = join_names(find_foreign_poses(path), whole=True)
             fault += ", as no camera poses are known"
             fault += f" (those in {foreign} are not read)" * bool(foreign)
             remedy = f"Find the cameras first: `{way}`; or give the capture that was made of it"
@@ -211,7 +211,7 @@ def wrong_kind(path: Path, wanted: Noun) -> StyleSplatError:
         case _, "splat" | "capture" | "part of a capture" | "photos" | "video":
             remedy = _way_to_scene(path, kind)
         case _ if inner:
-            fault = f"{path} is not a {noun}, but holds some: {some(inner, whole=True)}"
+            fault = f"{path} is not a {noun}, but holds some: {join_names(inner, whole=True)}"
             remedy = "Give one of them"
         case _:
             fault += colon + why
@@ -220,7 +220,7 @@ def wrong_kind(path: Path, wanted: Noun) -> StyleSplatError:
 
 def refuse_other_than_photos(path: Path) -> None:
     if kind_of(path) in ("nothing", "empty folder", "scene", "part of a scene", "splat"):
-        raise wrong_kind(path, "capture")
+        raise wrong_kind_error(path, "capture")
 
 
 def _capture_of_scene(scene: Path) -> str:
@@ -229,15 +229,15 @@ def _capture_of_scene(scene: Path) -> str:
     if capture is not None:
         return f"It was made from {capture}, which has the photos: give that"
     ways = (
-        pasted("select", scene, "--name", "NAME", "--box3d", "x0,y0,z0,x1,y1,z1"),
-        pasted("mask", scene, "--box", "NAME=VIEW:x0,y0,x1,y1"),
+        shell_command("select", scene, "--name", "NAME", "--box3d", "x0,y0,z0,x1,y1,z1"),
+        shell_command("mask", scene, "--box", "NAME=VIEW:x0,y0,x1,y1"),
     )
     return (
         f"Its photos are unknown: name objects by `{ways[0]}`, or in its own views by `{ways[1]}`"
     )
 
 
-def _kind_of_folder(path: Path) -> Kind:
+def _kind_of_folder(path: Path) -> FileKind:
     if _is_scene(path):
         return "scene"
     if is_posed(path):
@@ -271,14 +271,14 @@ def _entries(path: Path, fits: Callable[[Path], bool]) -> list[Path]:
         return []
 
 
-def _article(kind: Kind) -> str:
+def _article(kind: FileKind) -> str:
     if kind in ("photos", "part of a capture"):
         return "a folder of photos"
     return "an empty folder" if kind == "empty folder" else f"a {kind}"
 
 
-def _way_to_scene(path: Path, kind: Kind) -> str:
+def _way_to_scene(path: Path, kind: FileKind) -> str:
     source = path.parent if kind == "part of a capture" else path
     name = source.resolve().stem if source.is_file() else source.resolve().name
     verb = "import" if kind == "splat" else "train"
-    return f"A scene is made of it by `{pasted(verb, source, '-o', f'{name}-scene')}`"
+    return f"A scene is made of it by `{shell_command(verb, source, '-o', f'{name}-scene')}`"

@@ -17,9 +17,9 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import REPLACING, atomic_folder, atomic_path, refuse_occupied
 from stylesplat.io.captures.photos import Photo, same_shape
-from stylesplat.io.files import inside, is_file, require_regular
+from stylesplat.io.files import is_file, require_regular, resolve_within
 from stylesplat.io.images import image_sizes
-from stylesplat.io.json_yaml import fitting, read_json, write_json
+from stylesplat.io.json_yaml import convert_checked, read_json, write_json
 from stylesplat.io.kinds import PHOTOS, kind_of
 from stylesplat.io.mask_pictures import (
     IDS_NOTE,
@@ -44,9 +44,9 @@ from stylesplat.scene.capture import (
 )
 from stylesplat.scene.sequences import Lazy
 
-NAMES = "names.json"  # beside the label maps: the objects' names by id
+LABEL_MAPS_NAMES = "names.json"  # beside the label maps: the objects' names by id
 
-SAMPLED = 3  # masks of an object that tell whether they are binary
+LABEL_SAMPLED = 3  # masks of an object that tell whether they are binary
 
 LabelId = Annotated[str, msgspec.Meta(pattern=r"^[0-9]{1,8}\Z")]
 
@@ -141,7 +141,7 @@ def _by_object(folder: Path, names: Sequence[str]) -> FoundMasks | None:
     reasons = dict[str, None]()
     for each, files in masks.items():
         reading, why = find_reading([*files.values()])
-        sample = [*files.values()][:SAMPLED]
+        sample = [*files.values()][:LABEL_SAMPLED]
         if reading is None or (
             reading == "ids" and any(len(ids_of(read_label_map(path))) > 2 for path in sample)
         ):
@@ -208,19 +208,19 @@ def sizes_differ(what: str, *sizes: Sequence[int]) -> StyleSplatError:
 
 def read_names(folder: Path) -> dict[int, str]:
     """The objects' names by id in a folder of label maps; empty if it has no `names.json`."""
-    path = folder / NAMES
+    path = folder / LABEL_MAPS_NAMES
     require_regular(path)
     if not path.exists():
         return {}
     expected = f"Cannot read {path}: expected names by label id"
-    names = fitting(read_json(path), dict[LabelId, str], expected, "Mend or delete it.")
+    names = convert_checked(read_json(path), dict[LabelId, str], expected, "Mend or delete it.")
     return {int(id): name for id, name in names.items()}
 
 
 def write_names(names: Mapping[int, str], folder: Path) -> None:
     """Write `names.json` into a folder of label maps, unless there are no names."""
     if names:
-        write_json({str(id): name for id, name in names.items()}, folder / NAMES)
+        write_json({str(id): name for id, name in names.items()}, folder / LABEL_MAPS_NAMES)
 
 
 def match_label_maps(folder: Path, names: Sequence[str]) -> FoundMasks:
@@ -315,9 +315,9 @@ def write_label_maps(
                 written[name] = ids_of(whole) - {BACKGROUND}
         ids = sorted(set[int]().union(*written.values()) & capture.object_names.keys())
         write_names({id: capture.object_names[id] for id in ids}, draft)
-        stale += [] if ids else [NAMES]
+        stale += [] if ids else [LABEL_MAPS_NAMES]
     return written
 
 
 def _map_path(folder: Path, name: str) -> Path:
-    return inside(folder, name).with_suffix(".png")
+    return resolve_within(folder, name).with_suffix(".png")

@@ -12,26 +12,28 @@ import torch
 from msgspec import Meta
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, within
-from stylesplat.io.json_yaml import FilePath, fitting, read_json_as, write_json
+from stylesplat.errors import StyleSplatError, error_context
+from stylesplat.io.json_yaml import FilePath, convert_checked, read_json_as, write_json
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import GAUSSIANS, Declared, read_tensors, write_tensors
 from stylesplat.options import MAX_INTENSITY
-from stylesplat.scene.layers import Kind, Layer, Source, recoloring
+from stylesplat.scene.layers import Layer, LayerKind, Source, recoloring
 from stylesplat.scene.objects import check_name_or_id
 from stylesplat.scene.splats import Splats
 
 STACK = "layers.json"
 LAYERS = "layers"  # the folder of their tensors
 RECIPE = "recipe.json"
-FILE = r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"  # in the folder: no slashes, no dots
+LAYER_FILE = (
+    r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"  # in the folder: no slashes, no dots
+)
 MAX_NAME_PART = 40  # characters of an object's name in a file's
 LEAST_RELIEF = -2.0  # of two bands of detail
 UNIT = {"low": 0.0, "high": 1.0}
 SURFELS = ("means", "quats", "scales", "opacities", "sh0", "shN")  # `canvas_*` in the file
 # What `layers.json` has of a layer as it is
-PLAIN = ("object", "kind", "strength", "form", "visible", "settings", "features", "precision")
-AGAIN = "Style the scene again."
+LAYER_PLAIN = ("object", "kind", "strength", "form", "visible", "settings", "features", "precision")
+LAYER_AGAIN = "Style the scene again."
 Word = Annotated[str, Meta(max_length=128, pattern=r"\A[\x20-\x7e]*\Z")]
 Intensity = Annotated[float, Meta(ge=0, le=MAX_INTENSITY)]
 
@@ -42,9 +44,9 @@ class _Source(msgspec.Struct):
 
 
 class _Layer(msgspec.Struct):
-    file: Annotated[str, Meta(pattern=FILE)]
+    file: Annotated[str, Meta(pattern=LAYER_FILE)]
     object: str
-    kind: Kind = "paint"
+    kind: LayerKind = "paint"
     strength: Intensity = 1.0
     form: Intensity = 0.0
     visible: bool = True
@@ -94,14 +96,16 @@ def write_layers(layers: Sequence[Layer], folder: Path, before: Sequence[Layer] 
 
 def read_layers(folder: Path, count: int) -> tuple[Layer, ...]:
     """Read the stack of a scene whose base has `count` Gaussians."""
-    stack = read_json_as(folder / STACK, _Stack, AGAIN)
-    with within(f"Cannot read {folder / STACK}"):
+    stack = read_json_as(folder / STACK, _Stack, LAYER_AGAIN)
+    with error_context(f"Cannot read {folder / STACK}"):
         for entry in stack.layers:
             check_name_or_id(entry.object)
-            fitting(entry.settings.get("form", 0.0), Intensity, "form is wrong", AGAIN)
+            convert_checked(
+                entry.settings.get("form", 0.0), Intensity, "form is wrong", LAYER_AGAIN
+            )
         names = [(entry.object, entry.kind) for entry in stack.layers]
         if len({*names}) < len(names):
-            raise StyleSplatError(f"an object has two layers of a kind. {AGAIN}")
+            raise StyleSplatError(f"an object has two layers of a kind. {LAYER_AGAIN}")
     return tuple(_read(folder / LAYERS / entry.file, entry, count) for entry in stack.layers)
 
 
@@ -157,7 +161,7 @@ def _identity(layer: Layer) -> tuple[int, ...]:
 def _entry(number: int, layer: Layer) -> dict[str, Any]:
     return {
         "file": file_name(number, layer),
-        **{name: getattr(layer, name) for name in PLAIN},
+        **{name: getattr(layer, name) for name in LAYER_PLAIN},
         "styles": [vars(source) for source in layer.styles],
         "weights": layer.weights and vars(layer.weights),
     }
@@ -186,7 +190,7 @@ def _tensors(layer: Layer) -> dict[str, Tensor]:
     }
 
 
-def _declared(count: int, kind: Kind) -> dict[str, Declared]:
+def _declared(count: int, kind: LayerKind) -> dict[str, Declared]:
     index = Declared(("R",), torch.int64, low=0, high=count - 1)
     row = Declared(("R",))
     covered = {"rows": replace(index, unique=True), "shares": replace(row, **UNIT)}
@@ -219,11 +223,11 @@ def _read(path: Path, entry: _Layer, count: int) -> Layer:
     for name in ("shN", "canvas_shN"):
         if tensors[name].shape[1] not in (0, FULL_BANDS):
             raise StyleSplatError(
-                f"Cannot read {path}: {name} has a wrong number of bands. {AGAIN}"
+                f"Cannot read {path}: {name} has a wrong number of bands. {LAYER_AGAIN}"
             )
         tensors[name] = pad_bands(tensors[name])
     own = ("rows", "shares", "sh0", "shN", "opacity_factors", "parents")
-    columns: dict[str, Any] = {name: getattr(entry, name) for name in PLAIN}
+    columns: dict[str, Any] = {name: getattr(entry, name) for name in LAYER_PLAIN}
     columns |= {name: tensors[name] for name in own}
     surfels: dict[str, Any] = {name: tensors[f"canvas_{name}"] for name in SURFELS}
     return Layer(

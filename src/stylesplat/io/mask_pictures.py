@@ -21,7 +21,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.images import open_image
 from stylesplat.progress import say
 from stylesplat.scene.capture import OwnLabels
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 
 
 def match_masks(keys: Iterable[str], names: Sequence[str]) -> dict[str, str]:
@@ -150,13 +150,17 @@ IDS_NOTE = ("Comment", "StyleSplat label ids")  # in PNGs of ours, of which an i
 ID_MODES = ("1", "L", "P", "I", "I;16", "RGB", "RGBA")  # of Pillow
 GREY_MODES = ("1", "L", "LA", "I", "I;16", "I;16B")
 LOSSY = ("JPEG", "MPO", "WEBP", "AVIF")  # formats, which may change ids
-SAMPLED = 12  # pictures of a folder that tell what their pixels mean
-HALF = 128  # of 255: opacity or light from which a pixel is the object's
+MASK_SAMPLED = 12  # pictures of a folder that tell what their pixels mean
+MASK_HALF = 128  # of 255: opacity or light from which a pixel is the object's
 # Greys from which a pixel is black or white for sure: JPEG and sharpening blur around edges
 DARK, BRIGHT = 24, 231
-CLEAR = 0.5  # share of such pixels in masks, and of edges between black and white in what is left
-NOISE = 0.01  # share of greys that JPEG makes beside edges at most
-FLAT = 0.3  # share of flat pixels in regions of ids; soft edges of the fox have .02, its ids .97
+MASK_CLEAR = (
+    0.5  # share of such pixels in masks, and of edges between black and white in what is left
+)
+MASK_NOISE = 0.01  # share of greys that JPEG makes beside edges at most
+MASK_FLAT = (
+    0.3  # share of flat pixels in regions of ids; soft edges of the fox have .02, its ids .97
+)
 MANY_COLORS = 64  # different ones in a picture: maps of ids have fewer where they are not flat
 
 Reading = Literal["ids", "levels", "alpha"]
@@ -184,7 +188,7 @@ def read_mask(path: Path, reading: Reading) -> OwnLabels:
     """Read a picture as ids, or as those of one object: 1 where it is, else 0."""
     pixels = _decode(path)
     if reading == "ids":
-        shown = pixels.ids if pixels.alpha is None else pixels.ids * (pixels.alpha >= HALF)
+        shown = pixels.ids if pixels.alpha is None else pixels.ids * (pixels.alpha >= MASK_HALF)
         return torch.from_numpy(shown)
     levels = pixels.alpha if reading == "alpha" else pixels.levels
     if levels is None:
@@ -193,7 +197,7 @@ def read_mask(path: Path, reading: Reading) -> OwnLabels:
             f"Cannot read the mask {path}: it has no {what}, as others in its folder have. Make "
             "all of them in one way."
         )
-    return torch.from_numpy((levels >= HALF).astype(np.int32))
+    return torch.from_numpy((levels >= MASK_HALF).astype(np.int32))
 
 
 def find_reading(paths: Sequence[Path]) -> tuple[Reading | None, str]:
@@ -201,7 +205,7 @@ def find_reading(paths: Sequence[Path]) -> tuple[Reading | None, str]:
 
     None if they are neither ids nor masks.
     """
-    sample = evenly(paths, SAMPLED)
+    sample = evenly_spaced(paths, MASK_SAMPLED)
     if all(map(_is_own, sample)):
         return "ids", ""
     pictures = [(path, _Look.of(_decode(path))) for path in sample]
@@ -246,10 +250,12 @@ class _Look:
 
     @classmethod
     def of(cls, pixels: _Pixels) -> "_Look":
-        opaque = np.ones_like(pixels.ids, bool) if pixels.alpha is None else pixels.alpha >= HALF
+        opaque = (
+            np.ones_like(pixels.ids, bool) if pixels.alpha is None else pixels.alpha >= MASK_HALF
+        )
         own = opaque & (pixels.ids != 0)
         colors = len(np.unique(pixels.ids[own]))
-        is_flat = (own & _is_flat(pixels.ids)).sum() >= FLAT * own.sum()
+        is_flat = (own & _is_flat(pixels.ids)).sum() >= MASK_FLAT * own.sum()
         numbers = {
             "size": own.size,
             "lossy": pixels.lossy,
@@ -300,9 +306,9 @@ def _is_mask(looks: Sequence[_Look]) -> bool:
         sum(getattr(look, name) for look in looks)
         for name in ("size", "clear", "between", "flat", "edge")
     )
-    stray = NOISE * size if any(look.lossy for look in looks) else 0
-    is_edge = edge >= CLEAR * between or between <= stray
-    return clear >= CLEAR * size and flat <= FLAT * between and is_edge
+    stray = MASK_NOISE * size if any(look.lossy for look in looks) else 0
+    is_edge = edge >= MASK_CLEAR * between or between <= stray
+    return clear >= MASK_CLEAR * size and flat <= MASK_FLAT * between and is_edge
 
 
 def _is_flat(ids: Integer[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:

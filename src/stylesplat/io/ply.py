@@ -24,11 +24,11 @@ BYTE_ORDERS: dict[str, Literal["<", ">", "="]] = {
     "binary_big_endian": ">",
     "ascii": "=",
 }
-MAX_HEADER = 1 << 20  # bytes; real headers have about two thousand, but comments hold anything
+PLY_MAX_HEADER = 1 << 20  # bytes; real headers have about two thousand, but comments hold anything
 BOM = b"\xef\xbb\xbf"  # editors of Windows put it before UTF-8
-MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)", re.IGNORECASE)
+PLY_MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?ply[ \t]*(\r\n|\n|\r)", re.IGNORECASE)
 LINE_END = re.compile(r"\r\n|\r|\n")  # and nothing else: a comment in Latin-1 may hold NEL
-REMEDY = "Copy or export it again, as a PLY of vertices."
+PLY_REMEDY = "Copy or export it again, as a PLY of vertices."
 VERTEX = "vertex"
 Table = Shaped[np.ndarray, " N"]
 
@@ -65,8 +65,8 @@ def read_ply(
     path: Path | str, names: Collection[str] = (VERTEX,)
 ) -> tuple[PlyHeader, dict[str, Table]]:
     """The header of a PLY file, and its tables of these names; see `read_ply_table`."""
-    with open_binary(path) as file, reading(path, REMEDY):
-        header = parse_header(file.read(MAX_HEADER))
+    with open_binary(path) as file, reading(path, PLY_REMEDY):
+        header = parse_header(file.read(PLY_MAX_HEADER))
         known = [element.name for element in header.elements]
         vertices = next((e for e in header.elements if e.name == VERTEX), None)
         if vertices is None or not vertices.columns:
@@ -79,8 +79,8 @@ def read_ply(
 
 def read_header(path: Path | str) -> PlyHeader:
     """What stands before the rows of a PLY file."""
-    with open_binary(path) as file, reading(path, REMEDY):
-        return parse_header(file.read(MAX_HEADER))
+    with open_binary(path) as file, reading(path, PLY_REMEDY):
+        return parse_header(file.read(PLY_MAX_HEADER))
 
 
 def write_ply_rows(
@@ -155,11 +155,11 @@ def _check_size(element: PlyElement, needed: int, size: int, unit: str) -> None:
 
 def parse_header(content: bytes) -> PlyHeader:
     """Read a header with line ends of any system, a byte order mark, blanks and odd comments."""
-    magic = MAGIC.match(content)
+    magic = PLY_MAGIC.match(content)
     # Where lines end in CR alone, the first byte of a row may be the LF of another system
     mac = magic is not None and magic[1] == b"\r"
     last = rb"[\r\n][ \t]*end_header[ \t]*" + (rb"\r" if mac else rb"\r?\n")
-    end = re.search(last, content[:MAX_HEADER])
+    end = re.search(last, content[:PLY_MAX_HEADER])
     if magic is None or end is None:
         raise ValueError("its header has no end_header" if magic else "it is not a PLY file")
     encoding, elements, comments = "", list[PlyElement](), list[str]()

@@ -13,8 +13,14 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import atomic_folder, atomic_path, changing, refuse_file, refuse_occupied
-from stylesplat.io.files import inside
+from stylesplat.io.atomic import (
+    atomic_folder,
+    atomic_path,
+    locked_folder,
+    refuse_file,
+    refuse_occupied,
+)
+from stylesplat.io.files import resolve_within
 from stylesplat.io.images import ViewPicture, write_image, write_numbers
 from stylesplat.io.kinds import PHOTOS, SPLATS, VIDEOS
 from stylesplat.io.label_maps import write_label_map
@@ -97,7 +103,7 @@ def _video_frame(frame: UInt8[Tensor, "H W C"], codec: _Codec) -> av.VideoFrame:
 
 
 TIFF, PNG, WEBP = (".tif", ".tiff"), ".png", ".webp"
-COLORS = (PNG, ".jpg", ".jpeg", WEBP)  # one picture; several make WebP an animation
+VIDEO_COLORS = (PNG, ".jpg", ".jpeg", WEBP)  # one picture; several make WebP an animation
 WITH_ALPHA = (PNG, WEBP)
 # Suffixes of files, which nobody wants as the name of a folder
 FOREIGN = (
@@ -130,7 +136,8 @@ def refuse_taken(output: Path, *, overwrite: bool) -> None:
     if suffix in FOREIGN and not _is_file(output) and not output.is_dir():
         raise StyleSplatError(
             f"Cannot render into {output}: {suffix} is not among the formats. Use "
-            f"{', '.join(CODECS)} for a video, {', '.join((*COLORS, *TIFF))} for one picture, or "
+            f"{', '.join(CODECS)} for a video, {', '.join((*VIDEO_COLORS, *TIFF))} for one "
+            "picture, or "
             "the name of a folder."
         )
     if not _is_file(output):
@@ -155,7 +162,7 @@ def write_views(
     moving = is_video(output, len(names))
     if fps is not None and not moving:
         raise StyleSplatError(f"{output} has no frames a second. Leave --fps out, or name a video.")
-    if not moving and output.suffix.lower() in (*COLORS, *TIFF) and len(names) != 1:
+    if not moving and output.suffix.lower() in (*VIDEO_COLORS, *TIFF) and len(names) != 1:
         raise StyleSplatError(
             f"{output} is one picture, and there are {len(names)} views. Choose one with "
             "--view NAME, or name a folder."
@@ -166,7 +173,7 @@ def write_views(
         _refuse_unfit(first, output)
         rest = chain([first], rest)
     if _is_file(output):
-        with changing(output):
+        with locked_folder(output):
             if moving:
                 write_video(rest, output, fps=fps or 30)
             else:
@@ -176,7 +183,7 @@ def write_views(
     with atomic_folder(output, overwrite=overwrite, marker="") as folder:
         suffix = TIFF[0] if first is not None and first.is_floating_point() else PNG
         for name, picture in zip(png_names(names, suffix), rest, strict=True):
-            _write_picture(picture, inside(folder, name))
+            _write_picture(picture, resolve_within(folder, name))
 
 
 def is_video(output: Path, count: int) -> bool:
@@ -186,7 +193,7 @@ def is_video(output: Path, count: int) -> bool:
 
 
 def _is_file(output: Path) -> bool:
-    return output.suffix.lower() in (*CODECS, *COLORS, *TIFF)
+    return output.suffix.lower() in (*CODECS, *VIDEO_COLORS, *TIFF)
 
 
 def _refuse_unfit(picture: ViewPicture, output: Path) -> None:

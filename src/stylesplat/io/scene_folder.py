@@ -11,18 +11,25 @@ import msgspec
 import torch
 from msgspec import Meta
 
-from stylesplat.errors import StyleSplatError, brief, pasted
+from stylesplat.errors import StyleSplatError, shell_command, shorten
 from stylesplat.io.atomic import atomic_folder, revise_folder
 from stylesplat.io.cameras import read_cameras, write_cameras
-from stylesplat.io.json_yaml import MAX_JSON, FilePath, PhotoName, fitting, read_json, write_json
-from stylesplat.io.kinds import CAMERAS, SCENE, find_capture, wrong_kind
+from stylesplat.io.json_yaml import (
+    MAX_JSON,
+    FilePath,
+    PhotoName,
+    convert_checked,
+    read_json,
+    write_json,
+)
+from stylesplat.io.kinds import CAMERAS, SCENE, find_capture, wrong_kind_error
 from stylesplat.io.layers import LAYERS, STACK, read_layers, write_layers
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, splat_fault, write_splat_ply
 from stylesplat.io.tensors import (
-    CLASSIFIER,
     IDENTITIES,
     IDS,
     PICKED,
+    TENSOR_CLASSIFIER,
     Declared,
     read_tensors,
     write_tensors,
@@ -35,26 +42,26 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.scene.world_offset import LARGEST_POSITION, ORIGIN, Offset
 
-SPLATS = "splats.ply"  # what the scene looks like
+SCENE_SPLATS = "splats.ply"  # what the scene looks like
 BASE = "base.ply"  # what lies beneath the layers
 IDENTITY_FILE = "identities.safetensors"
 OBJECTS = "objects.json"
 PICKS = "picks.safetensors"
 METRICS = "metrics.json"
-AGAIN = "Train again."
+SCENE_AGAIN = "Train again."
 COMPARED, SAME = 1000, 1e-3  # rows of splats.ply; relative differences that other processors make
-VERSION = 2  # of the folder's layout
+SCENE_VERSION = 2  # of the folder's layout
 VERSION_1_FILES = tuple(  # what version 1 held of paintings
     f"{name}.safetensors"
     for name in ("base_colors", "style_colors", "opacities", "unsplit", "paintings")
 )
 IDENTITY_TENSORS = {
     "identities": IDENTITIES,
-    **CLASSIFIER,
+    **TENSOR_CLASSIFIER,
     "ids": IDS,
     "confidence": Declared(("N",), low=0, high=1.001, optional=True),  # a share, and rounding
 }
-CONTENT = (SCENE, SPLATS, BASE, STACK, IDENTITY_FILE, CAMERAS, OBJECTS, PICKS)
+CONTENT = (SCENE, SCENE_SPLATS, BASE, STACK, IDENTITY_FILE, CAMERAS, OBJECTS, PICKS)
 ATTEMPTS = 5  # at reading a folder that others change; each takes seconds, and so does a change
 
 
@@ -156,10 +163,10 @@ def _state(folder: Path) -> tuple[int, ...] | None:
 def _read(folder: Path) -> Scene:
     declared, info = _read_info(folder / SCENE)
     is_painted = (folder / STACK).exists()
-    base = _read_gaussians(folder / (BASE if is_painted else SPLATS), declared.world_offset)
+    base = _read_gaussians(folder / (BASE if is_painted else SCENE_SPLATS), declared.world_offset)
     layers = read_layers(folder, len(base)) if is_painted else ()
     metrics = read_json(folder / METRICS, most=MAX_JSON)
-    fitting(metrics, _Metrics, f"Cannot read {folder / METRICS}", AGAIN)
+    convert_checked(metrics, _Metrics, f"Cannot read {folder / METRICS}", SCENE_AGAIN)
     if (folder / VERSION_1_FILES[0]).exists():
         say(
             f"{folder} was written by an earlier StyleSplat: its paint stays, but cannot be undone "
@@ -178,22 +185,23 @@ def _read(folder: Path) -> Scene:
         info=info,
         metrics=metrics,
     )
-    if is_painted and (folder / SPLATS).exists():
+    if is_painted and (folder / SCENE_SPLATS).exists():
         _refuse_edited(scene, folder)
     return replace(scene, objects=_read_objects(folder, scene))
 
 
 def _refuse_edited(scene: Scene, folder: Path) -> None:
     """Refuse a splats.ply that does not show the base and the layers."""
-    found, composed = _read_gaussians(folder / SPLATS, scene.world_offset), scene.splats
+    found, composed = _read_gaussians(folder / SCENE_SPLATS, scene.world_offset), scene.splats
     rows = torch.linspace(0, len(composed) - 1, min(len(composed), COMPARED)).long()
     if len(found) != len(composed) or not all(
         torch.allclose(tensor[rows], composed.tensors()[name][rows], rtol=SAME, atol=SAME)
         for name, tensor in found.tensors().items()
     ):
-        way = pasted("import", "MOVED.ply", "--like", folder, "-o", "OTHER")
+        way = shell_command("import", "MOVED.ply", "--like", folder, "-o", "OTHER")
         raise StyleSplatError(
-            f"{folder / SPLATS} is not what {BASE} and the layers show: it was edited, or belongs "
+            f"{folder / SCENE_SPLATS} is not what {BASE} and the layers show: it was edited, or "
+            "belongs "
             f"to another scene. Move it out of the folder, then `{way}`."
         )
 
@@ -201,7 +209,7 @@ def _refuse_edited(scene: Scene, folder: Path) -> None:
 def _read_gaussians(path: Path, offset: Offset) -> Splats:
     splats = read_splat_ply(path)
     if not len(splats):
-        raise StyleSplatError(f"Cannot read {path}: there are no Gaussians. {AGAIN}")
+        raise StyleSplatError(f"Cannot read {path}: there are no Gaussians. {SCENE_AGAIN}")
     means = splats.means.float()
     return replace(splats, means=means, shN=pad_bands(splats.shN), world_offset=offset)
 
@@ -213,7 +221,7 @@ def _with_identities(base: Splats, path: Path, count: int) -> Splats:
     tensors = read_tensors(path, IDENTITY_TENSORS, N=count)
     ids = tuple(tensors.pop("ids").tolist())
     if not ids:
-        raise StyleSplatError(f"Cannot read {path}: it knows no objects. {AGAIN}")
+        raise StyleSplatError(f"Cannot read {path}: it knows no objects. {SCENE_AGAIN}")
     classifier = Classifier(tensors.pop("weight"), tensors.pop("bias"), ids)
     own = {name: tensor[: len(base)].clone() for name, tensor in tensors.items()}
     return replace(base, **own, classifier=classifier)
@@ -222,12 +230,13 @@ def _with_identities(base: Splats, path: Path, count: int) -> Splats:
 def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
     """What scene.json declares, and the rest of its content."""
     content = read_json(path, most=MAX_JSON)
-    if content.pop("version", None) not in (1, VERSION):
+    if content.pop("version", None) not in (1, SCENE_VERSION):
         raise StyleSplatError(
-            f"{path} is not of version 1 or {VERSION}. Read it with the StyleSplat that made it, "
+            f"{path} is not of version 1 or {SCENE_VERSION}. Read it with the StyleSplat that "
+            "made it, "
             "or train again."
         )
-    declared = fitting(content, _Info, f"Cannot read {path}", AGAIN)
+    declared = convert_checked(content, _Info, f"Cannot read {path}", SCENE_AGAIN)
     settings = content.pop("settings", {})
     settings.pop("downscale", None)
     own = ("capture", "capture_relative", "test_views", "world_offset")
@@ -238,12 +247,12 @@ def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
 def _read_objects(folder: Path, scene: Scene) -> dict[str, SceneObject]:
     path, hows = folder / OBJECTS, read_json(folder / OBJECTS, most=MAX_JSON)
     picks = read_tensors(folder / PICKS, PICKED, N=len(scene.splats))
-    fitting(hows, dict[str, _How], f"Cannot read {path}", "Select again.")
+    convert_checked(hows, dict[str, _How], f"Cannot read {path}", "Select again.")
     for name in hows:
         fault = name_fault(name) or (None if name in picks else f"{PICKS} lacks it")
         if fault:
             raise StyleSplatError(
-                f"Cannot read {path}: no object is called {brief(name)!r}, for {fault}. "
+                f"Cannot read {path}: no object is called {shorten(name)!r}, for {fault}. "
                 "Select it again."
             )
     objects = dict[str, SceneObject]()
@@ -262,11 +271,11 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
     def differs(*names: str) -> bool:
         return before is None or any(getattr(scene, n) is not getattr(before, n) for n in names)
 
-    if differs("splats") or not (folder / SPLATS).exists():  # moved away as an edited one
+    if differs("splats") or not (folder / SCENE_SPLATS).exists():  # moved away as an edited one
         fault = splat_fault(scene.splats) if len(scene.splats) else "there are no Gaussians"
         if fault:
             raise StyleSplatError(f"Cannot save the scene: {fault}. Remove what is wrong.")
-        write_splat_ply(scene.splats, folder / SPLATS)
+        write_splat_ply(scene.splats, folder / SCENE_SPLATS)
         _write_identities(scene.splats, folder / IDENTITY_FILE)
     if differs("cameras"):
         write_cameras(scene.cameras, folder / CAMERAS)
@@ -286,7 +295,10 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
         (folder / name).unlink(missing_ok=True)
     if differs("metrics"):
         write_json(scene.metrics, folder / METRICS)
-    old = before is not None and read_json(folder / SCENE, most=MAX_JSON).get("version") != VERSION
+    old = (
+        before is not None
+        and read_json(folder / SCENE, most=MAX_JSON).get("version") != SCENE_VERSION
+    )
     if old or differs("info", "capture", "held_out", "downscale", "world_offset"):
         relative = {}
         if scene.capture is not None:
@@ -295,7 +307,7 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
                 relative["capture_relative"] = way
         info = {
             **scene.info,
-            "version": VERSION,
+            "version": SCENE_VERSION,
             "capture": scene.capture,
             **relative,
             "test_views": scene.held_out,
@@ -318,5 +330,5 @@ def _write_identities(splats: Splats, path: Path) -> None:
 
 def _scene_folder(path: Path | str) -> Path:
     if not (Path(path) / SCENE).is_file():
-        raise wrong_kind(Path(path), "scene")
+        raise wrong_kind_error(Path(path), "scene")
     return Path(path)

@@ -19,12 +19,12 @@ PREFIX = "material:"
 MATERIALS = ("bronze", "marble", "gold-leaf", "clay", "jade")  # of scripts/draw_materials.py
 FOLDER = Path(__file__).with_name("materials")
 MIN_SIDE = 32  # pixels; in less is no texture: one feature of VGG's block 3 sees 40
-MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory only
+STYLE_MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory only
 
 
 Picture = Path | str | Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
 """A file, the name of a material, or colours: floats in 0..1, or bytes."""
-Pixels = UInt8[np.ndarray, "_ _ 3"] | Float[np.ndarray, "_ _ 3"]
+StylePixels = UInt8[np.ndarray, "_ _ 3"] | Float[np.ndarray, "_ _ 3"]
 
 
 def is_material(picture: Any) -> bool:
@@ -74,7 +74,7 @@ def read_style(
     return colors.float() / 255 if colors.dtype == torch.uint8 else colors.clamp(0, 1)
 
 
-def _decoded(path: Path) -> Pixels:
+def _decoded(path: Path) -> StylePixels:
     with open_image(path) as image:
         frames, size = getattr(image, "n_frames", 1), image.size
     if frames > 1:
@@ -86,7 +86,7 @@ def _decoded(path: Path) -> Pixels:
     return read_image(path).numpy()
 
 
-def _colors_of(tensor: Tensor) -> Pixels:
+def _colors_of(tensor: Tensor) -> StylePixels:
     """The colours of a tensor, checked."""
     colors, is_bytes = tensor.detach().cpu(), tensor.dtype == torch.uint8
     is_known = is_bytes or tensor.is_floating_point()
@@ -110,7 +110,7 @@ def _require_side(width: int, height: int, what: str) -> None:
         )
 
 
-def _crop(pixels: Pixels, region: tuple[int, int, int, int], name: str) -> Pixels:
+def _crop(pixels: StylePixels, region: tuple[int, int, int, int], name: str) -> StylePixels:
     (x0, y0, x1, y1), (height, width) = region, pixels.shape[:2]
     name = f"The region {x0},{y0},{x1},{y1} of {name}"
     if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
@@ -122,17 +122,17 @@ def _crop(pixels: Pixels, region: tuple[int, int, int, int], name: str) -> Pixel
     return pixels[y0:y1, x0:x1]
 
 
-def _shrink(pixels: Pixels, name: str) -> Pixels:
+def _shrink(pixels: StylePixels, name: str) -> StylePixels:
     height, width = pixels.shape[:2]
-    if max(width, height) <= MAX_SIDE:
+    if max(width, height) <= STYLE_MAX_SIDE:
         return pixels
-    size = _fitted_size(width, height, float(MAX_SIDE))
-    _require_side(*size, f"Scaled down to {MAX_SIDE} pixels of length, {name}")
+    size = _fitted_size(width, height, float(STYLE_MAX_SIDE))
+    _require_side(*size, f"Scaled down to {STYLE_MAX_SIDE} pixels of length, {name}")
     say(f"{name}: scaled down from {width}x{height} to {size[0]}x{size[1]} pixels")
     return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
 
 
-def _turn(pixels: Pixels, degrees: float, name: str) -> Pixels:
+def _turn(pixels: StylePixels, degrees: float, name: str) -> StylePixels:
     if degrees % 90 == 0:
         return np.rot90(pixels, int(degrees // 90) % 4)
     if not math.isfinite(degrees):

@@ -17,11 +17,11 @@ from stylesplat.scene.capture import MAX_ID
 from stylesplat.scene.splats import IDENTITY_SIZE
 from stylesplat.scene.world_offset import LARGEST_POSITION
 
-REMEDY = "Make the scene again."
+TENSOR_REMEDY = "Make the scene again."
 # No real splat comes near these, and float32 holds the fourth powers that renders take of them
 LARGEST_LOG = 20.0  # of a standard deviation: exp(20) is 5e8
 SMALLEST_LOG = -1e4  # flat Gaussians have standard deviations of nearly 0
-LARGEST = 1e5  # of a colour, logit, identity or weight
+TENSOR_LARGEST = 1e5  # of a colour, logit, identity or weight
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Declared:
     shape: tuple[int | str, ...]
     """Letters are sizes that the tensors of a file share; `N` is the number of Gaussians."""
     dtype: torch.dtype = torch.float32
-    low: float | int = -LARGEST
-    high: float | int = LARGEST
+    low: float | int = -TENSOR_LARGEST
+    high: float | int = TENSOR_LARGEST
     unique: bool = False
     optional: bool = False
 
@@ -46,7 +46,7 @@ GAUSSIANS = {
     "shN": Declared(("N", "bands", 3)),
 }
 IDENTITIES = Declared(("N", IDENTITY_SIZE))
-CLASSIFIER = {"weight": Declared(("K", IDENTITY_SIZE)), "bias": Declared(("K",))}
+TENSOR_CLASSIFIER = {"weight": Declared(("K", IDENTITY_SIZE)), "bias": Declared(("K",))}
 IDS = Declared(("K",), torch.int64, low=0, high=MAX_ID, unique=True)
 PICKED = Declared(("N",), torch.bool)
 
@@ -68,7 +68,7 @@ def read_tensors(
     With one declaration for all, the file may hold any number of tensors of any name.
     """
     read_bytes(path, first=1)  # reports a file that cannot be read
-    with reading(path, REMEDY):
+    with reading(path, TENSOR_REMEDY):
         with safetensors.safe_open(path, "pt") as file:
             tensors = {name: file.get_tensor(name).clone() for name in file.keys()}
         if isinstance(declared, Declared):

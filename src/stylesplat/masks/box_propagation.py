@@ -21,8 +21,8 @@ from torch import Tensor
 from stylesplat.imaging.similarity import mask_iou
 from stylesplat.masks.contours import ColorLevels, move_to_edges, window_around
 from stylesplat.masks.grabcut import (
-    Box,
     Channels,
+    DrawnBox,
     GrabCutImage,
     Stroke,
     color_levels,
@@ -44,15 +44,15 @@ from stylesplat.selection.surface_graph import NothingToPick
 BOX_FIT = 0.08  # by how much the box of a pick in 3D may fit worse than that of GrabCut's cut
 BOX_WEIGHT = 2.0  # of agreement with a box, which a person drew, beside a cut's
 CLICKS = 5  # places in a cut that are clicked at; on the fox the second to fourth is best
-SIZES: tuple[PickSize, ...] = ("object", "group")
-APART = 1.5  # distance of the places, in their distances to the cut's outline
-INNER = 2.0  # pixels from the outline at least
+BOX_SIZES: tuple[PickSize, ...] = ("object", "group")
+BOX_APART = 1.5  # distance of the places, in their distances to the cut's outline
+BOX_INNER = 2.0  # pixels from the outline at least
 
 
 def pick_in_boxes(
     splats: Splats,
     cameras: Cameras,
-    boxes: Sequence[tuple[int, Box]],
+    boxes: Sequence[tuple[int, DrawnBox]],
     cuts: Mapping[int, Mask],
 ) -> Bool[Tensor, " N"] | None:
     """The Gaussians of an object that boxes in some views hold.
@@ -102,7 +102,7 @@ def _candidates(
     ]
     for rank in range(CLICKS):
         clicks = [each[rank] for each in places if rank < len(each)]
-        for size in SIZES if clicks else ():
+        for size in BOX_SIZES if clicks else ():
             try:
                 yield pick_clicked(splats, cameras, clicks, size=size)
             except NothingToPick:
@@ -114,10 +114,10 @@ def _places_to_click(mask: Mask) -> list[tuple[float, float]]:
     depth = np.asarray(distance_transform_edt(mask.numpy()))
     rows, columns = np.indices(depth.shape)
     found = list[tuple[float, float]]()
-    while len(found) < CLICKS and depth.max() >= INNER:
+    while len(found) < CLICKS and depth.max() >= BOX_INNER:
         y, x = np.unravel_index(depth.argmax(), depth.shape)
         found.append((x + 0.5, y + 0.5))
-        depth[(rows - y) ** 2 + (columns - x) ** 2 < (APART * depth[y, x]) ** 2] = 0
+        depth[(rows - y) ** 2 + (columns - x) ** 2 < (BOX_APART * depth[y, x]) ** 2] = 0
     return found
 
 
@@ -129,17 +129,17 @@ def _bounding_box(mask: Mask) -> Mask:
     return box
 
 
-GROWTH = 2  # factor between the numbers of masked views before and after a round
+BOX_GROWTH = 2  # factor between the numbers of masked views before and after a round
 SETTLING_ROUNDS = 2  # over all views at most, after each has a mask
 SETTLED = 0.98  # mean IoU with the round before, at which they stop
 CONTOUR_ROUNDS = 5  # of moving contours to edges, at most
 CONTOURS_SETTLED = 0.998  # mean IoU with the round before, at which they stop
-CLOSER = 2.0  # times more pixels than in any known view, from which a Gaussian is new
+BOX_CLOSER = 2.0  # times more pixels than in any known view, from which a Gaussian is new
 MIN_SHOWN = 0.5  # pixels that a Gaussian makes up, from which marks and masks can mean it
 # Share of a Gaussian's pixels in masks, from which it belongs to an object that is rendered again:
 # with .5 the lowest tenth of the fox has an IoU of .89, with .4 .91; renders then grow too wide.
 MIN_SHARE = 0.4
-MIN_ALPHA = 0.05  # below which the depth of a pixel means nothing
+BOX_MIN_ALPHA = 0.05  # below which the depth of a pixel means nothing
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def view_images(splats: Splats, capture: Capture) -> Images:
         inverse = 1 / depths.clamp(min=1e-6 * float(depths.abs().max()))
         values = torch.stack([inverse, torch.ones_like(inverse)], dim=1)
         summed, alphas = composite(splats, camera, values).cpu().unbind(dim=-1)
-        return grabcut_image(colors(row), summed / alphas.clamp(min=MIN_ALPHA))
+        return grabcut_image(colors(row), summed / alphas.clamp(min=BOX_MIN_ALPHA))
 
     return Images(colors, with_depth)
 
@@ -207,7 +207,7 @@ def render_votes(
     if row not in votes.rows:
         width, height = cameras[row].size
         everywhere = pixels_in(splats, cameras[row], [torch.ones(height, width)])
-        new += everywhere > CLOSER * votes.closest
+        new += everywhere > BOX_CLOSER * votes.closest
     image = composite(splats, cameras[row], torch.stack([votes.share, new], dim=1))
     probability, novelty = image.clamp(0, 1).cpu().unbind(dim=-1)
     return probability, novelty
@@ -218,7 +218,7 @@ def propagate_boxes(
     splats: Splats,
     cameras: Cameras,
     images: Images,
-    boxes: Sequence[tuple[int, Box]],
+    boxes: Sequence[tuple[int, DrawnBox]],
     strokes: Sequence[tuple[int, Stroke]] = (),
     *,
     name: str = "object",
@@ -260,7 +260,7 @@ def propagate_boxes(
 
         start = 0
         while start < len(others):
-            found = refine_views(others[start : start + max(1, (GROWTH - 1) * len(known))])
+            found = refine_views(others[start : start + max(1, (BOX_GROWTH - 1) * len(known))])
             known |= found
             votes = votes.merged(lift_masks(splats, cameras, found))
             start += len(found)
@@ -305,7 +305,7 @@ def _masks_at_edges(
 
 
 @torch.no_grad()
-def spread_marks(
+def propagate_marks(
     splats: Splats, cameras: Cameras, marks: Sequence[tuple[int, Mask, Mask]]
 ) -> list[tuple[Mask, Mask]]:
     """The pixels of every view that belong to an object, and that do not, from those of some.

@@ -27,7 +27,7 @@ def window_around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
 BAND = 0.06  # of the root of the mask's area: how far a contour may move
 MIN_BAND = 2.0  # pixels
 THIN = 2.0  # pixels from the contour, from which the middle of a leg is the object's for certain
-EDGE = 8.0  # difference of colours, over which a connection drops to 1/e
+CONTOUR_EDGE = 8.0  # difference of colours, over which a connection drops to 1/e
 WEAKEST = 1e-5  # connection across the strongest edge
 TRUST = 0.005  # probability with which a walk ends at a pixel, over that of a step in plain colour
 
@@ -59,7 +59,7 @@ def _pixel_graph(colors: Float[np.ndarray, "h w 3"]) -> csr_array:
     ones, others, passes = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for axis in (0, 1):
         apart = (np.diff(colors, axis=axis) ** 2).sum(axis=-1)
-        passes.append((np.exp(-apart / EDGE**2) + WEAKEST).ravel())
+        passes.append((np.exp(-apart / CONTOUR_EDGE**2) + WEAKEST).ravel())
         ones.append(np.delete(number, -1, axis).ravel())
         others.append(np.delete(number, 0, axis).ravel())
     one, other, strength = (np.concatenate(each) for each in (ones, others, passes))

@@ -9,8 +9,8 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.label_maps import overlay_masks
-from stylesplat.masks.box_propagation import propagate_boxes, spread_marks, view_images
-from stylesplat.masks.grabcut import Box, Stroke, pixels_inside, refuse_box
+from stylesplat.masks.box_propagation import propagate_boxes, propagate_marks, view_images
+from stylesplat.masks.grabcut import DrawnBox, Stroke, pixels_inside, refuse_box
 from stylesplat.masks.working_splat import with_label_maps, working_splat
 from stylesplat.options import BOX, Places, check_box
 from stylesplat.scene.cameras import Cameras
@@ -26,7 +26,7 @@ from stylesplat.scene.capture import (
 from stylesplat.scene.objects import check_name
 from stylesplat.scene.scene import Scene
 
-SIZE = 480  # pixels of the longer side at which objects are cut out
+DRAWN_BOX_SIZE = 480  # pixels of the longer side at which objects are cut out
 ANY = "object"  # the name of what is given none
 
 PlacedStroke = tuple[str, Stroke]
@@ -57,7 +57,7 @@ class FromBoxes:
     def mask(self, capture: Capture, device: str) -> Capture:
         """Cut the objects out of all photos."""
         boxes = self.boxes
-        small, full = at_most(capture, SIZE), capture.full_cameras
+        small, full = at_most(capture, DRAWN_BOX_SIZE), capture.full_cameras
         named = dict(enumerate(boxes, start=1)) if boxes else dict(capture.object_names)
         names = named if boxes else _names_in(capture)
         if not names:
@@ -80,7 +80,7 @@ class FromBoxes:
             if boxes
         }
         changes = {
-            id: spread_marks(working.splats, cameras, marks[name])
+            id: propagate_marks(working.splats, cameras, marks[name])
             for id, name in names.items()
             if name in marks
         }
@@ -120,9 +120,9 @@ def refuse_without_box(boxes: Boxes) -> None:
         check_name(name)
 
 
-def _place_boxes(boxes: Boxes, full: Cameras, small: Cameras) -> dict[tuple[str, int], Box]:
+def _place_boxes(boxes: Boxes, full: Cameras, small: Cameras) -> dict[tuple[str, int], DrawnBox]:
     """Boxes in pixels of the working size, by object's name and row of the view."""
-    placed: dict[tuple[str, int], Box] = {}
+    placed: dict[tuple[str, int], DrawnBox] = {}
     for name, places in boxes.items():
         for view, box in BOX.parse_all(places, "boxes"):
             row = full.index(view)
@@ -208,7 +208,7 @@ def _place_strokes(
     return placed
 
 
-def _scaled_box(box: Box, camera: Cameras, small: Cameras) -> Box:
+def _scaled_box(box: DrawnBox, camera: Cameras, small: Cameras) -> DrawnBox:
     return *_scaled(box[:2], camera, small), *_scaled(box[2:], camera, small)
 
 

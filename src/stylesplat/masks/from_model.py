@@ -100,7 +100,7 @@ def _is_ours(folder: Path) -> bool:
     return all(name.startswith(("settings", "clip_")) for name in names)
 
 
-SIZE = 1024  # pixels of the longer side; the models look at no more
+MODEL_SIZE = 1024  # pixels of the longer side; the models look at no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class FromModel:
 
     def mask(self, capture: Capture, device: str) -> Capture:
         """Find the objects of all photos."""
-        family, small, place = self.family, at_most(capture, SIZE), pick_device(device)
+        family, small, place = self.family, at_most(capture, MODEL_SIZE), pick_device(device)
         proposer, is_video = load_proposer(family, self.model, place), FAMILIES[family].video_types
         propagator = load_propagator(family, self.model, place) if is_video else None
         bare = replace(small, label_maps=None, object_names={})

@@ -18,18 +18,20 @@ ITERATIONS = 5
 SEED = 0  # of OpenCV's clustering
 SURE, UNSURE = 0.9, 0.1  # probabilities beyond which colours do not matter
 CONTOUR_ERROR = 0.006  # of the image's diagonal, by which a contour may be wrong
-SURROUNDINGS = 0.1  # of the diagonal, around the object, that its background is learned from
+GRABCUT_SURROUNDINGS = (
+    0.1  # of the diagonal, around the object, that its background is learned from
+)
 MIN_PIXELS = 16  # with fewer, GrabCut cannot learn colours
 MIN_PART = 0.2  # of the largest part's area; a smaller part is a stray
 NECK = 5  # pixels of a bridge between two parts that does not make them one
-CHROMA = 2.5  # levels per unit of CIELAB's a and b, which stay within 50 in photos
+GRABCUT_CHROMA = 2.5  # levels per unit of CIELAB's a and b, which stay within 50 in photos
 EXTREMES = (1, 99)  # percentiles that inverse depth is stretched between
 STROKE_WIDTH = 3  # pixels
 # GrabCut takes three channels, of lightness, a, b and inverse depth. Which tell an object from its
 # background differs: fur before a cream wall by the last three, a mouse on its mat by the first.
-CHANNELS = ((0, 1, 2), (1, 2, 3), (0, 1, 3), (0, 2, 3))
+GRABCUT_CHANNELS = ((0, 1, 2), (1, 2, 3), (0, 1, 3), (0, 2, 3))
 
-Box = tuple[float | int, float | int, float | int, float | int]
+DrawnBox = tuple[float | int, float | int, float | int, float | int]
 Channels = tuple[int, int, int]
 """Lightness and the two chroma axes of CIELAB, some 2.5 levels a unit."""
 GrabCutImage = UInt8[np.ndarray, "H W 4"]
@@ -56,7 +58,7 @@ class Stroke:
 def color_levels(photo: UInt8[Tensor, "H W 3"]) -> ColorLevels:
     """The colours of an sRGB photo, where distances are differences that are seen."""
     lab = cv2.cvtColor(photo.numpy().astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
-    lightness, chroma = 2.55 * lab[..., :1], 128 + CHROMA * lab[..., 1:]
+    lightness, chroma = 2.55 * lab[..., :1], 128 + GRABCUT_CHROMA * lab[..., 1:]
     return np.concatenate([lightness, chroma], axis=2).clip(0, 255).astype(np.uint8)
 
 
@@ -67,7 +69,7 @@ def grabcut_image(colors: ColorLevels, inverse_depth: Float[Tensor, "H W"]) -> G
     return np.dstack([colors, near.clip(0, 255).astype(np.uint8)])
 
 
-def refuse_box(box: Box, size: tuple[int, int], photo: str) -> None:
+def refuse_box(box: DrawnBox, size: tuple[int, int], photo: str) -> None:
     """Refuse a box that leaves too few pixels of the photo inside or outside to learn from."""
     inside = pixels_inside(box, size)
     if min(inside.sum(), (~inside).sum()) < MIN_PIXELS:
@@ -78,7 +80,7 @@ def refuse_box(box: Box, size: tuple[int, int], photo: str) -> None:
 
 
 def cut_box(
-    image: GrabCutImage, box: Box, photo: str, strokes: Sequence[Stroke] = ()
+    image: GrabCutImage, box: DrawnBox, photo: str, strokes: Sequence[Stroke] = ()
 ) -> tuple[Channels, Mask]:
     """Cut out what a box holds, the rest of the photo being background.
 
@@ -98,7 +100,9 @@ def cut_box(
             f"The strokes in {photo} leave nothing of the object, or nothing of what is around it. "
             "Draw less."
         )
-    found = {each: torch.from_numpy(_grabcut(image[..., list(each)], marks)) for each in CHANNELS}
+    found = {
+        each: torch.from_numpy(_grabcut(image[..., list(each)], marks)) for each in GRABCUT_CHANNELS
+    }
     cuts = {channels: mask for channels, mask in found.items() if mask.any()}
     if not cuts:
         raise StyleSplatError(
@@ -128,8 +132,8 @@ def refine_mask(
     near = _dilate(likely > UNSURE, CONTOUR_ERROR * diagonal)
     novel = novelty.numpy() > 0.5
     if novel.any():
-        near |= novel & _dilate(near, SURROUNDINGS * diagonal)
-    window = window_around(near, round(SURROUNDINGS * diagonal))
+        near |= novel & _dilate(near, GRABCUT_SURROUNDINGS * diagonal)
+    window = window_around(near, round(GRABCUT_SURROUNDINGS * diagonal))
     likely, near = likely[window], near[window]
     inside = likely > 0.5
     marks = np.where(inside, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
@@ -140,7 +144,7 @@ def refine_mask(
     return torch.from_numpy(mask)
 
 
-def pixels_inside(box: Box, size: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
+def pixels_inside(box: DrawnBox, size: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
     inside = np.zeros(size[::-1], bool)
     inside[int(box[1]) : round(box[3]), int(box[0]) : round(box[2])] = True
     return inside

@@ -12,9 +12,9 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import with_drawn_maps
-from stylesplat.io.captures.lens import MAX_SIDE
-from stylesplat.io.images import MAX_PIXELS
-from stylesplat.io.json_yaml import MAX_BYTES, fitting, read_json_as
+from stylesplat.io.captures.lens import LENS_MAX_SIDE
+from stylesplat.io.images import IMAGE_MAX_PIXELS
+from stylesplat.io.json_yaml import JSON_MAX_BYTES, convert_checked, read_json_as
 from stylesplat.io.kinds import kind_of
 from stylesplat.io.label_maps import (
     DrawnLabels,
@@ -26,10 +26,10 @@ from stylesplat.io.label_maps import (
 from stylesplat.io.mask_pictures import match_masks, without_suffix
 from stylesplat.scene.capture import BACKGROUND, MAX_ID, Capture, Labels, Mask, OwnLabels, ids_of
 
-REMEDY = "Export images, annotations and RLE masks."
+IMPORT_REMEDY = "Export images, annotations and RLE masks."
 MAX_BITS = 40  # of a run's letters; 8 letters of 5, more than MAX_PIXELS needs
-Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_SIDE)]
-Run = Annotated[int, msgspec.Meta(ge=0, le=MAX_PIXELS)]
+MaskSide = Annotated[int, msgspec.Meta(ge=1, le=LENS_MAX_SIDE)]
+Run = Annotated[int, msgspec.Meta(ge=0, le=IMAGE_MAX_PIXELS)]
 
 
 class CocoImage(msgspec.Struct):
@@ -58,7 +58,7 @@ class CocoFile(msgspec.Struct):
 class RunLengths(msgspec.Struct):
     """A mask of COCO's run lengths, plain or compressed: columns first, starting with zeros."""
 
-    size: tuple[Side, Side]
+    size: tuple[MaskSide, MaskSide]
     """Height and width."""
     counts: str | list[Run]
 
@@ -71,7 +71,7 @@ def read_coco(source: Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[int,
         id the names of categories.
     """
     # Some programs write ids as 3.0 or "3"
-    content = read_json_as(source, CocoFile, REMEDY, most=MAX_BYTES, strict=False)
+    content = read_json_as(source, CocoFile, IMPORT_REMEDY, most=JSON_MAX_BYTES, strict=False)
     files = {
         image.id: PurePosixPath(image.file_name).with_suffix("").as_posix()
         for image in content.images
@@ -90,7 +90,9 @@ def read_coco(source: Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[int,
         elif not 0 < number <= MAX_ID:
             fault = f"the id {number} is not within 1 to {MAX_ID}; 0 is background"
         if number is None or fault:
-            raise StyleSplatError(f"Cannot read {source} as COCO annotations: {fault}. {REMEDY}")
+            raise StyleSplatError(
+                f"Cannot read {source} as COCO annotations: {fault}. {IMPORT_REMEDY}"
+            )
         if not tracked and number in kinds:
             names[number] = kinds[number]
         found.setdefault(files[each.image_id], []).append((number, each.segmentation))
@@ -113,7 +115,7 @@ def decode_rle(rle: Any, source: Path) -> Mask:
     height, width = checked.size
     runs = _unpack(checked.counts) if isinstance(checked.counts, str) else checked.counts
     # Python's integers do not wrap; NumPy's sum would, and np.repeat write out of bounds
-    fits = height * width <= MAX_PIXELS and sum(runs) == height * width
+    fits = height * width <= IMAGE_MAX_PIXELS and sum(runs) == height * width
     if not fits or min(runs, default=0) < 0:
         raise StyleSplatError(
             f"Cannot read a mask in {source}: its runs do not hold the pixels of {height}x{width}, "
@@ -125,7 +127,7 @@ def decode_rle(rle: Any, source: Path) -> Mask:
 
 def _run_lengths(rle: Any, source: Path) -> RunLengths:
     what, remedy = f"Cannot read a mask in {source}", "Polygons are not understood: export RLE."
-    return fitting(rle, RunLengths, what, remedy)
+    return convert_checked(rle, RunLengths, what, remedy)
 
 
 def _unpack(text: str) -> list[int]:

@@ -21,18 +21,20 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Labels, OwnLabels, resize_labels
 from stylesplat.scene.splats import Splats
 
-SIDE = 640  # pixels of a photo's longer side that suffice to tell what it shows
-SMALL = 5e-4  # of a photo: a smaller part is dropped
-FAINT = 1e-2  # pixels of a Gaussian in a part that do not matter
+REPAIR_SIDE = 640  # pixels of a photo's longer side that suffice to tell what it shows
+REPAIR_SMALL = 5e-4  # of a photo: a smaller part is dropped
+REPAIR_FAINT = 1e-2  # pixels of a Gaussian in a part that do not matter
 # Grouping of parts
-SAME_IOU = 0.3  # of two groups of parts, in what both sides see, from which they are one
+REPAIR_SAME_IOU = 0.3  # of two groups of parts, in what both sides see, from which they are one
 COMMON_SIGHT = 0.2  # share of the smaller part that both views must see for their IoU to count
-MIN_PHOTOS = 3  # in which groups of parts must have had the same id, for that to be no accident
+REPAIR_MIN_PHOTOS = (
+    3  # in which groups of parts must have had the same id, for that to be no accident
+)
 # Votes of Gaussians for parts, and back
-ROUNDS = 3
+REPAIR_ROUNDS = 3
 SECOND_OBJECT = 0.25  # share of a part that must be another object for it to be cut
 WHOLE_OBJECT = 0.5  # share of an object's visible pixels that is cut out of a part of any size
-LOST = 0.7  # share of an object in a view; with less the label map has missed some of it
+REPAIR_LOST = 0.7  # share of an object in a view; with less the label map has missed some of it
 # Weight of a pixel of background: not to find an object is the usual mistake
 BACKGROUND_WEIGHT = 0.5
 
@@ -53,7 +55,7 @@ def repair_ids(splats: Splats, cameras: Cameras, maps: Sequence[OwnLabels]) -> l
         New label maps; ids count from 1, larger objects first.
     """
     repaired = _group_parts(splats, cameras, maps)
-    for _ in range(ROUNDS):
+    for _ in range(REPAIR_ROUNDS):
         if not _vote(splats, cameras, repaired):
             break
     return _renumber(repaired)
@@ -85,11 +87,11 @@ def _gaussian_pixels(
     splats: Splats, camera: Cameras, labels: Labels
 ) -> tuple[tuple[int, ...], csr_array]:
     """The ids of a label map, background first, and their pixels of every Gaussian, [N, K]."""
-    small = camera.at_most(SIDE)
+    small = camera.at_most(REPAIR_SIDE)
     width, height = small.size
     ids, pixels = label_pixels(splats, small, [(0, resize_labels(labels, (height, width)))])
     pixels = csr_array(pixels * (labels.numel() / (width * height)))
-    pixels.data[pixels.data <= FAINT] = 0
+    pixels.data[pixels.data <= REPAIR_FAINT] = 0
     pixels.eliminate_zeros()
     return ids, pixels
 
@@ -134,7 +136,7 @@ def cluster_parts(
                 most[row] = iou[best[row]]
             one = int(most.argmax())
             other = int(best[one])
-            if most[one] < SAME_IOU:
+            if most[one] < REPAIR_SAME_IOU:
                 return np.unique(group, return_inverse=True)[1]
             group[group == other] = one
             for table in (intersections, unions):
@@ -154,7 +156,7 @@ def _number_parts(labels: Labels, first: int) -> tuple[Labels, dict[int, int]]:
     ids = dict[int, int]()
     numbers = torch.zeros(labels.shape, dtype=torch.int32)  # half of what int64 takes
     for id, box, part in connected_parts(labels):
-        if part.sum() >= SMALL * labels.numel():
+        if part.sum() >= REPAIR_SMALL * labels.numel():
             number = first + len(ids)
             numbers[box][part] = number
             ids[number] = id
@@ -204,7 +206,7 @@ def _unite_by_id(
 
     masks = np.unique(np.stack([view_of, id_of]), axis=1, return_inverse=True)[1]
     together = count_together(masks)
-    same = (together >= MIN_PHOTOS) & (together > count_together(view_of) / 2)
+    same = (together >= REPAIR_MIN_PHOTOS) & (together > count_together(view_of) / 2)
     return connected_components(same)[1][groups]
 
 
@@ -248,7 +250,7 @@ def _render_votes(
     largest = shares.data == np.repeat(shares.max(axis=1).toarray(), counts)
     firsts = np.unique(shares.indices[largest & np.repeat(visible, counts)])
     columns = np.union1d([0], firsts)  # others win nowhere: less to render
-    certainty, best = render_argmax(splats, camera.at_most(SIDE), shares[:, columns])
+    certainty, best = render_argmax(splats, camera.at_most(REPAIR_SIDE), shares[:, columns])
     width, height = camera.size
     winner = resize_labels(torch.from_numpy(columns)[best], (height, width))
     return winner, resize_labels(certainty, (height, width))
@@ -268,7 +270,7 @@ def _apply_votes(labels: Labels, winner: Labels, certainty: Float[Tensor, "H W"]
             id
             for id, count in counts.items()
             if count >= SECOND_OBJECT * total
-            or count >= max(WHOLE_OBJECT * areas[id], SMALL * pixels)
+            or count >= max(WHOLE_OBJECT * areas[id], REPAIR_SMALL * pixels)
         ]
         if len(large) > 1:
             known = part & torch.isin(winner[box], torch.tensor(large))
@@ -278,7 +280,11 @@ def _apply_votes(labels: Labels, winner: Labels, certainty: Float[Tensor, "H W"]
     for id in areas:
         there = (winner == id) & (certainty > 0.5)
         known = (there & (voted == id)).sum()
-        if id != BACKGROUND and there.sum() >= SMALL * pixels and known < LOST * there.sum():
+        if (
+            id != BACKGROUND
+            and there.sum() >= REPAIR_SMALL * pixels
+            and known < REPAIR_LOST * there.sum()
+        ):
             voted[there & (voted == BACKGROUND)] = id
     return voted
 
@@ -304,7 +310,7 @@ def _renumber(maps: Sequence[OwnLabels]) -> list[OwnLabels]:
             sizes[id] = sizes.get(id, 0) + count
             shares.setdefault(id, []).append(count / labels.numel())
     views = min(2, len(maps))
-    seen = {id: sum(share >= SMALL for share in each) for id, each in shares.items()}
+    seen = {id: sum(share >= REPAIR_SMALL for share in each) for id, each in shares.items()}
     objects = [id for id in sizes if id != BACKGROUND and seen[id] >= views]
     order = sorted(objects, key=lambda id: -sizes[id])
     new = dict.fromkeys(sizes, BACKGROUND) | {id: n for n, id in enumerate(order, start=1)}

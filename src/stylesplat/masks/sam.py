@@ -16,7 +16,7 @@ Method = Literal["sam", "sam2", "edgetam", "sam3"]
 
 # Pixels of enlarged masks that are in memory together: 64 MB as float32. 64 points at once with 3
 # masks each would be 3 GB for 4 megapixels
-PIXELS_AT_ONCE = 2**24
+SAM_PIXELS_AT_ONCE = 2**24
 STABLE_WITHIN = 1.0  # logits around 0 between which the border of a stable mask hardly moves
 
 
@@ -191,7 +191,7 @@ class GridProposer:
     ) -> Iterator[Float[Tensor, "_ H W"]]:
         """The masks at the photo's size, some at a time."""
         ((height, width),) = sizes["original_sizes"]
-        for some in logits.split(max(1, PIXELS_AT_ONCE // (height * width))):
+        for some in logits.split(max(1, SAM_PIXELS_AT_ONCE // (height * width))):
             resized = self.processor.post_process_masks([some[:, None]], binarize=False, **sizes)
             yield resized[0][:, 0]
 

@@ -124,14 +124,14 @@ def propagate_through_splat(
 
 
 CLIP = 5  # photos from one keyframe, where objects are detected, to the next
-WINDOW = 3  # photos that vote on what a keyframe shows: itself and those after it
+TRACK_WINDOW = 3  # photos that vote on what a keyframe shows: itself and those after it
 CONFIRMATIONS = 2  # photos that must agree on an object
-PATIENCE = 3  # keyframes in a row in which an object may be missed before it is dropped
+TRACK_PATIENCE = 3  # keyframes in a row in which an object may be missed before it is dropped
 OTHER_SIZE = 10.0  # distance of photos of another size; the cameras' mean distance is 1
-SAME_IOU = 0.5  # of two masks of one object in one photo
+TRACK_SAME_IOU = 0.5  # of two masks of one object in one photo
 MIN_FREE = 0.5  # share of a mask that no better one may cover
-LARGEST = 0.5  # of a photo: a larger mask is background
-SMALLEST = 5e-4  # of a photo: a smaller mask is a fragment
+TRACK_LARGEST = 0.5  # of a photo: a larger mask is background
+TRACK_SMALLEST = 5e-4  # of a photo: a smaller mask is a fragment
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,14 +207,14 @@ def track_clip(
 
     Returns the label maps by row, and the state for the clip that begins with the last row.
     """
-    views = list(_hypotheses(rows[:WINDOW], segmenter))
+    views = list(_hypotheses(rows[:TRACK_WINDOW], segmenter))
     size = segmenter.size(rows[0])
     same_size = state.known is not None and state.known.shape == size
     known = labels_to_masks(state.known) if state.known is not None and same_size else {}
     masks, detected = associate_ids(known, confirm_masks(views), state.next_id)
     next_id = max([state.next_id - 1, *masks]) + 1
     missed = {id: 0 if id in detected else state.missed.get(id, 0) + 1 for id in masks}
-    masks = {id: mask for id, mask in masks.items() if missed[id] < PATIENCE}
+    masks = {id: mask for id, mask in masks.items() if missed[id] < TRACK_PATIENCE}
     propagated = segmenter.propagate(rows, masks) if masks else [{} for _ in rows]
     maps = {row: masks_to_labels(each, size) for row, each in zip(rows, propagated, strict=True)}
     return maps, TrackingState(maps[rows[-1]], {id: missed[id] for id in masks}, next_id)
@@ -230,7 +230,7 @@ def _hypotheses(rows: Sequence[int], segmenter: Segmenter) -> Iterator[list[Mask
 
 def separate_masks(masks: Sequence[Mask]) -> list[Mask]:
     """Masks that do not overlap: whole objects rather than their parts, nothing tiny or vast."""
-    fit = [mask for mask in masks if mask.sum() <= LARGEST * mask.numel()]
+    fit = [mask for mask in masks if mask.sum() <= TRACK_LARGEST * mask.numel()]
     return _subtract_better(sorted(fit, key=lambda mask: -int(mask.sum())))
 
 
@@ -244,7 +244,7 @@ def confirm_masks(views: Sequence[Sequence[Mask]]) -> list[Mask]:
     if not pool:
         return []
     masks = [mask for _, mask in pool]
-    same = _ious(masks, masks) >= SAME_IOU
+    same = _ious(masks, masks) >= TRACK_SAME_IOU
     origin = torch.tensor([view for view, _ in pool])
     support = [len(origin[row].unique()) for row in same]
     enough = min(CONFIRMATIONS, len(views))
@@ -264,7 +264,7 @@ def associate_ids(
     ids = [*known]
     ious = _ious([*known.values()], found)
     pairs = zip(*linear_sum_assignment(ious.numpy(), maximize=True), strict=True)
-    matches = {ids[i]: int(j) for i, j in pairs if ious[i, j] >= SAME_IOU}
+    matches = {ids[i]: int(j) for i, j in pairs if ious[i, j] >= TRACK_SAME_IOU}
     result = {}
     for id, mask in known.items():
         if id in matches:
@@ -300,7 +300,7 @@ def _subtract_better(masks: Sequence[Mask], taken: Mask | None = None) -> list[M
     for mask in masks:
         free = mask if taken is None else mask & ~taken
         area, left = int(mask.sum()), int(free.sum())
-        if left >= max(SMALLEST * mask.numel(), MIN_FREE * area, 1):
+        if left >= max(TRACK_SMALLEST * mask.numel(), MIN_FREE * area, 1):
             kept.append(free)
             taken = free if taken is None else taken | free
     return kept

@@ -10,7 +10,7 @@ from PIL import Image
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.io.splats.gltf import HALF_TURN, VERTICES, half_turned_node
-from stylesplat.io.splats.gltf_file import FLOAT, VERSION, glb_head, padded_json
+from stylesplat.io.splats.gltf_file import FLOAT, GLB_VERSION, glb_head, padded_json
 from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.scene.world_offset import ORIGIN, Offset
 
@@ -97,7 +97,7 @@ def _glb(mesh: TexturedMesh, offset: Offset) -> bytes:
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     accessors[0] |= {"min": low.tolist(), "max": high.tolist()}
     document = {
-        "asset": {"version": f"{VERSION}.0", "generator": "StyleSplat"},
+        "asset": {"version": f"{GLB_VERSION}.0", "generator": "StyleSplat"},
         "extensionsUsed": [UNLIT],
         "scene": 0,
         "scenes": [{"nodes": [0]}],

@@ -9,7 +9,7 @@ from numba import get_num_threads, prange
 from stylesplat.rendering.kernels.jit import inner, kernel
 from stylesplat.scene.cameras import Cameras
 
-NEAR = 1e-6  # depth in front of which nothing is drawn
+MESH_NEAR = 1e-6  # depth in front of which nothing is drawn
 NOTHING = -1  # the face of a pixel that shows none
 
 
@@ -38,7 +38,7 @@ def draw_mesh(
     """A mesh as one camera shows it, from both sides."""
     viewmat, K = camera.viewmats[0].double().numpy(), camera.Ks[0].double().numpy()
     points_c = vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
-    depths = np.maximum(points_c[:, 2], NEAR / 2)
+    depths = np.maximum(points_c[:, 2], MESH_NEAR / 2)
     places = (points_c @ K.T)[:, :2] / depths[:, None]
     return draw_triangles(places, depths, faces, camera.size)
 
@@ -69,7 +69,7 @@ def _draw(corners, faces, shown, weights, depths, bands):
         top, bottom = height * band // bands, height * (band + 1) // bands
         for face in range(faces.shape[0]):
             a, b, c = corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
-            if min(a[2], b[2], c[2]) < NEAR:
+            if min(a[2], b[2], c[2]) < MESH_NEAR:
                 continue
             first = max(top, int(np.ceil(min(a[1], b[1], c[1]) - 0.5)))
             last = min(bottom - 1, int(np.floor(max(a[1], b[1], c[1]) - 0.5)))

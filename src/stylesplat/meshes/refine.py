@@ -23,13 +23,18 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import per_view
 
 OFFSETS = (-1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0)  # along the normal, in mean edges
-STEPS = (1.0, 1.0, 1.0, 0.5)  # of the offsets, in turn
-PLACES = ((4, 1, 1), (1, 4, 1), (1, 1, 4), (2, 2, 2))  # samples of a face, in sixths of its corners
-HIDDEN = 0.005  # of the extent: what lies farther behind the depth buffer is hidden
-LEAST_COSINE = 0.3  # between normal and ray: below it a pixel is too long on the surface
-OPAQUE = 0.9  # coverage below which a pixel's colour is not the object's alone
-REACH = 12  # pixels by which an outline may be beside the mesh's
-RIM = 4  # pixels within which the mesh has to end, for a vertex to be at its outline
+REFINE_STEPS = (1.0, 1.0, 1.0, 0.5)  # of the offsets, in turn
+REFINE_PLACES = (
+    (4, 1, 1),
+    (1, 4, 1),
+    (1, 1, 4),
+    (2, 2, 2),
+)  # samples of a face, in sixths of its corners
+REFINE_HIDDEN = 0.005  # of the extent: what lies farther behind the depth buffer is hidden
+REFINE_LEAST_COSINE = 0.3  # between normal and ray: below it a pixel is too long on the surface
+REFINE_OPAQUE = 0.9  # coverage below which a pixel's colour is not the object's alone
+REFINE_REACH = 12  # pixels by which an outline may be beside the mesh's
+REFINE_RIM = 4  # pixels within which the mesh has to end, for a vertex to be at its outline
 LEAST_TURN = 0.7  # cosine between a face before and after
 TINY_MOVE = 1e-5  # of the extent: shorter moves are none
 STAY = 5e-4  # variance of colours that moving by an edge has to save: plain parts stay
@@ -50,7 +55,7 @@ def refine(surface: Surface, splats: Splats, views: MeshViews) -> Surface:
         return (render(shape, views.cameras[row])[1][..., 0] > COVERED).numpy()
 
     outlines = [*per_view(look, rows, "looking for outlines")]
-    for step in STEPS:
+    for step in REFINE_STEPS:
         surface = _moved(surface, splats, views, step)
         surface = _moved_to_outlines(surface, outlines, views)
     return surface
@@ -58,7 +63,7 @@ def refine(surface: Surface, splats: Splats, views: MeshViews) -> Surface:
 
 def _moved(surface: Surface, splats: Splats, views: MeshViews, step: float) -> Surface:
     vertices, faces, normals = surface.vertices, surface.faces, vertex_normals(surface)
-    shares = np.array(PLACES, np.float32) / 6  # [B, 3]
+    shares = np.array(REFINE_PLACES, np.float32) / 6  # [B, 3]
     points, directions = (
         np.einsum("bk,fkd->bfd", shares, each[faces]).reshape(-1, 3) for each in (vertices, normals)
     )
@@ -66,13 +71,15 @@ def _moved(surface: Surface, splats: Splats, views: MeshViews, step: float) -> S
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edge = float(np.linalg.norm(np.subtract(*vertices[edges.T]), axis=1).mean())
     offsets = edge * step * np.array(OFFSETS)
-    costs, weights = _disagreement(surface, points, directions, offsets, splats, views)  # [L, B F]
-    corners, samples = np.tile(faces, (len(PLACES), 1)), np.arange(len(points))
+    costs, weights = photo_inconsistency(
+        surface, points, directions, offsets, splats, views
+    )  # [L, B F]
+    corners, samples = np.tile(faces, (len(REFINE_PLACES), 1)), np.arange(len(points))
     to_corners = csr_array(
         (shares.repeat(len(faces), axis=0).ravel(), (corners.ravel(), samples.repeat(3))),
         shape=(len(vertices), len(points)),
     )
-    around = _averaging(edges, len(vertices))
+    around = neighbor_mean_matrix(edges, len(vertices))
     costs, weights = to_corners @ costs.T, to_corners @ weights.T  # [V, L]
     for _ in range(COMMON):
         costs, weights = around @ costs, around @ weights
@@ -85,7 +92,7 @@ def _moved(surface: Surface, splats: Splats, views: MeshViews, step: float) -> S
 def _moved_to_outlines(surface: Surface, outlines: list[np.ndarray], views: MeshViews) -> Surface:
     """Vertices at an outline of the mesh moved to the splat's, less if other views show them."""
     vertices, faces, normals = surface.vertices, surface.faces, vertex_normals(surface)
-    margin = HIDDEN * float(np.ptp(vertices, axis=0).max())
+    margin = REFINE_HIDDEN * float(np.ptp(vertices, axis=0).max())
     sums = np.zeros((len(vertices), 3), np.float32)
     for row, shown in zip(views.trusted.nonzero()[0].tolist(), outlines, strict=True):
         camera = views.cameras[row]
@@ -94,7 +101,7 @@ def _moved_to_outlines(surface: Surface, outlines: list[np.ndarray], views: Mesh
         place = projection_of(camera), position, focal
         _add_gaps(vertices, normals, shown, *place, depths, margin, sums)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    around = _averaging(edges, len(vertices))
+    around = neighbor_mean_matrix(edges, len(vertices))
     for _ in range(OUTLINES):
         sums = around @ sums
     gaps, counts, others = sums.T
@@ -109,10 +116,12 @@ def _shifted(
     for _ in range(times):
         shifts, along = around @ shifts, around @ along
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-    return replace(surface, vertices=_without_folds(surface, shifts[:, None] * along))
+    return replace(surface, vertices=limit_face_rotation(surface, shifts[:, None] * along))
 
 
-def _without_folds(surface: Surface, moves: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+def limit_face_rotation(
+    surface: Surface, moves: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "V 3"]:
     """The vertices moved; less far where a face would turn by much."""
     before = face_normals(surface.vertices, surface.faces)
     while True:
@@ -127,7 +136,7 @@ def _without_folds(surface: Surface, moves: Float[np.ndarray, "V 3"]) -> Float[n
         moves[np.abs(moves) < TINY_MOVE * np.ptp(surface.vertices)] = 0
 
 
-def _averaging(edges: np.ndarray, count: int) -> csr_array:
+def neighbor_mean_matrix(edges: np.ndarray, count: int) -> csr_array:
     """The mean of each vertex and those that it has an edge to."""
     rows = np.concatenate([edges[:, 0], edges[:, 1], np.arange(count)])
     columns = np.concatenate([edges[:, 1], edges[:, 0], np.arange(count)])
@@ -137,7 +146,7 @@ def _averaging(edges: np.ndarray, count: int) -> csr_array:
     return diags_array(1 / links.sum(axis=1)) @ links
 
 
-def _disagreement(
+def photo_inconsistency(
     surface: Surface,
     points: Float[np.ndarray, "P 3"],
     directions: Float[np.ndarray, "P 3"],
@@ -147,12 +156,12 @@ def _disagreement(
 ) -> tuple[Float[np.ndarray, "L P"], Float[np.ndarray, "L P"]]:
     """Weighted squares of colours about their mean over views, and the weights, by offset."""
     sums = np.zeros((len(offsets), len(points), 5), np.float32)
-    margin = HIDDEN * float(np.ptp(surface.vertices, axis=0).max())
+    margin = REFINE_HIDDEN * float(np.ptp(surface.vertices, axis=0).max())
 
     def look(row: int) -> tuple[int, np.ndarray, np.ndarray]:
         image, covered = render(splats, views.cameras[row])
         depths = draw_mesh(surface.vertices, surface.faces, views.cameras[row]).depths
-        return row, torch.cat([image, (covered > OPAQUE).float()], dim=2).numpy(), depths
+        return row, torch.cat([image, (covered > REFINE_OPAQUE).float()], dim=2).numpy(), depths
 
     rows = views.trusted.nonzero()[0].tolist()
     for row, image, depths in per_view(look, rows, "refining the surface"):
@@ -177,7 +186,7 @@ def _collect(points, directions, offsets, image, matrix, position, depths, margi
         dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
         along = dx * directions[n, 0] + dy * directions[n, 1] + dz * directions[n, 2]
         cosine = along / np.sqrt(dx * dx + dy * dy + dz * dz)
-        if cosine < LEAST_COSINE or depths[int(v), int(u)] < w - margin:
+        if cosine < REFINE_LEAST_COSINE or depths[int(v), int(u)] < w - margin:
             continue
         for k in range(offsets.shape[0]):
             x = points[n, 0] + offsets[k] * directions[n, 0]
@@ -197,7 +206,7 @@ def _collect(points, directions, offsets, image, matrix, position, depths, margi
                     red += part * image[row + i, column + j, 0]
                     green += part * image[row + i, column + j, 1]
                     blue += part * image[row + i, column + j, 2]
-            if share < OPAQUE:
+            if share < REFINE_OPAQUE:
                 continue
             sums[k, n, 0] += cosine * red
             sums[k, n, 1] += cosine * green
@@ -222,9 +231,9 @@ def _add_gaps(points, normals, shown, matrix, position, focal, depths, margin, s
         nx, ny, nz = normals[n, 0], normals[n, 1], normals[n, 2]
         dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
         cosine = (dx * nx + dy * ny + dz * nz) / np.sqrt(dx * dx + dy * dy + dz * dz)
-        if cosine < -LEAST_COSINE or depths[int(v), int(u)] < w - margin:
+        if cosine < -REFINE_LEAST_COSINE or depths[int(v), int(u)] < w - margin:
             continue
-        if cosine > LEAST_COSINE:
+        if cosine > REFINE_LEAST_COSINE:
             sums[n, 2] += cosine
             continue
         pixel = w / focal
@@ -232,13 +241,13 @@ def _add_gaps(points, normals, shown, matrix, position, focal, depths, margin, s
         length = np.sqrt((right - u) ** 2 + (down - v) ** 2)
         right, down = (right - u) / length, (down - v) / length
         gap, ends = 0, False
-        for t in range(-REACH, REACH + 1):
+        for t in range(-REFINE_REACH, REFINE_REACH + 1):
             column, row = int(u + t * right), int(v + t * down)
             if column < 0 or row < 0 or column >= width or row >= height:
                 continue
             is_mesh = depths[row, column] < np.inf
             gap += int(shown[row, column]) - int(is_mesh)
-            ends |= 0 <= t < RIM and not is_mesh
+            ends |= 0 <= t < REFINE_RIM and not is_mesh
         if ends:
             sums[n, 0] += gap * pixel
             sums[n, 1] += 1

@@ -35,10 +35,10 @@ from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_
 from stylesplat.stylization.painting import PaintSetup, load_network, paint_setup
 from stylesplat.stylization.style import KEPT_HUES, Style, all_colors, style_pictures
 from stylesplat.stylization.views import (
-    MARGIN,
+    BOX_MARGIN,
     MIN_CELLS,
     VISITS_OF_WINDOWS,
-    Box,
+    ObjectBox,
     PaintView,
     crop_to_box,
     find_boxes,
@@ -47,8 +47,8 @@ from stylesplat.stylization.views import (
     windows,
 )
 
-STEPS = 120
-LONGEST = 1600.0  # pixels of the object's longer side: finer strokes nobody sees
+REPAINT_STEPS = 120
+REPAINT_LONGEST = 1600.0  # pixels of the object's longer side: finer strokes nobody sees
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +104,9 @@ def repaint(
     config, every = style.config, torch.ones(len(unpainted), dtype=torch.bool)
     boxes = find_boxes(unpainted, setup.cameras, every)
     side, area = np.ptp(mesh.vertices, axis=0).max(), face_areas(mesh.vertices, mesh.faces).sum()
-    length = min(LONGEST, float(side) * math.sqrt(len(texels.points) / area))
+    length = min(REPAINT_LONGEST, float(side) * math.sqrt(len(texels.points) / area))
     (*_, last) = config.stages(float(setup.cameras.sizes.max()))
-    stage = Stage(length, STEPS, WINDOW, last.rate, fine=True)
+    stage = Stage(length, REPAINT_STEPS, WINDOW, last.rate, fine=True)
     before = torch.from_numpy(mesh.texture[texels.inside])
     images = style_pictures(style.read(), config, before if config.color in KEPT_HUES else None)
     palette = None if config.color == "free" else build_palette(all_colors(images))
@@ -115,8 +115,8 @@ def repaint(
     found = _texel_views(mesh, texels, setup.network.cells(config.block), boxes, stage, config.seed)
     colors = painted = sh0_from_rgb(before)
     targets = objective.targets(found, unpainted, colors)
-    with task(f"{name}'s texture", STEPS) as bar:
-        steps = optimize_colors(colors, targets, objective, STEPS, seed=config.seed)
+    with task(f"{name}'s texture", REPAINT_STEPS) as bar:
+        steps = optimize_colors(colors, targets, objective, REPAINT_STEPS, seed=config.seed)
         for painted, nnfm in steps:  # noqa: B007  (the last is used)
             bar.advance()
             bar.note(f"NNFM {nnfm:.3f}")
@@ -139,7 +139,7 @@ def _texel_views(
     mesh: TexturedMesh,
     texels: Texels,
     cells: Cells,
-    boxes: Sequence[Box],
+    boxes: Sequence[ObjectBox],
     stage: Stage,
     seed: int,
 ) -> list[TexelView]:
@@ -152,8 +152,8 @@ def _texel_views(
     places = windows(boxes, WINDOW / zoom, count, torch.Generator().manual_seed(seed))
     grey = torch.from_numpy(mesh.texture[texels.inside].mean(axis=0))
 
-    def look(box: Box) -> TexelView:
-        camera, inside = crop_to_box(box, zoom, (MARGIN, MARGIN))
+    def look(box: ObjectBox) -> TexelView:
+        camera, inside = crop_to_box(box, zoom, (BOX_MARGIN, BOX_MARGIN))
         fragments = draw_mesh(mesh.vertices, mesh.faces, camera)
         covered = torch.from_numpy(fragments.faces != NOTHING)
         own = F.avg_pool2d((covered & inside).float()[None], cells.stride)[0] > COVERED

@@ -32,30 +32,37 @@ from stylesplat.scene.projection import (
     share_in_images,
     unproject,
 )
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import centred_K
 from stylesplat.stylization.views import per_view
 
 AROUND = 48  # directions all around
-PHOTOS = 64  # views from where photos were taken, at most
+FUSION_PHOTOS = 64  # views from where photos were taken, at most
 AWAY = 3.0  # radii of the object from its centre to the cameras
 EMPTY = 0.25  # coverage below which the object is not there, in views that no photo supports
-PIXELS = 2  # of a view, by voxel
-SMALLEST = 160  # pixels of a view
+FUSION_PIXELS = 2  # of a view, by voxel
+FUSION_SMALLEST = 160  # pixels of a view
 FINENESS = 0.9  # voxels along the longest side, times the square root of the faces wanted
 VOXELS = (48, 320)  # at least and at most: 320 take 1 GB
 TRUNCATION = 4.0  # voxels
-BEHIND = (0.08, 0.03)  # of the extent: what lies farther behind the mean depth is another side
-LEAST_COSINE = 0.15  # below which depths are too uncertain
-SMOOTHING = 0.7  # voxels
+FUSION_BEHIND = (
+    0.08,
+    0.03,
+)  # of the extent: what lies farther behind the mean depth is another side
+FUSION_LEAST_COSINE = 0.15  # below which depths are too uncertain
+FUSION_SMOOTHING = 0.7  # voxels
 FAINT, SOLID = 0.1, 0.5  # coverage that shows, and the share of what shows that has to be opaque
-NEAR = 0.02  # of the extent, and a voxel at least: so near to a depth the surface is seen
+FUSION_NEAR = 0.02  # of the extent, and a voxel at least: so near to a depth the surface is seen
 LEAST_SEEN = 0.05  # weight of the depths at a vertex: less is a guess
 OPEN = 0.3  # share of the surface: where more is a guess, it is left open
-APART = 0.05  # of the way to their faces' middle: so far vertices that coincide are moved apart
-SAME = 1e-5  # of the extent: closer vertices coincide, and programs that read files merge them
-SPECK = 0.05  # of the largest part's area: smaller parts are strays
+FUSION_APART = (
+    0.05  # of the way to their faces' middle: so far vertices that coincide are moved apart
+)
+FUSION_SAME = (
+    1e-5  # of the extent: closer vertices coincide, and programs that read files merge them
+)
+FUSION_SPECK = 0.05  # of the largest part's area: smaller parts are strays
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +88,11 @@ def mesh_views(splats: Splats, photos: Cameras | None, *, length: int) -> MeshVi
     """Square views of a whole object; without photos all of them are trusted."""
     extent = extent_of(splats, torch.ones(len(splats), dtype=torch.bool))
     radius = float(extent.size.norm()) / 2
-    outward = _all_around(AROUND if photos is not None else AROUND + PHOTOS)
+    outward = _all_around(AROUND if photos is not None else AROUND + FUSION_PHOTOS)
     trusted = torch.full((len(outward),), photos is None)
     if photos is not None:
         seeing = (share_in_images(splats.means, photos) > 0).nonzero()[:, 0]
-        rows = evenly(seeing.tolist(), PHOTOS)
+        rows = evenly_spaced(seeing.tolist(), FUSION_PHOTOS)
         towards = F.normalize(photos.positions[rows].double() - extent.centre, dim=1)
         outward = torch.cat([towards, outward])
         trusted = torch.cat([torch.ones(len(towards), dtype=torch.bool), trusted])
@@ -116,7 +123,7 @@ def surface_depth(splats: Splats, camera: Cameras, extent: float) -> tuple[Tenso
     width, height = camera.size
     places, depths = project(splats.means, camera)
     x, y = places[:, 0].long().clamp(0, width - 1), places[:, 1].long().clamp(0, height - 1)
-    for share in BEHIND:
+    for share in FUSION_BEHIND:
         front = depths < depth[y, x] + share * extent
         depth, _ = expected_depth(splats[front], camera)
     return depth, covered
@@ -141,14 +148,16 @@ def find_mesh_surface(
         StyleSplatError: If there is none, as smoke has none.
     """
     voxels = int(min(max(FINENESS * math.sqrt(faces), VOXELS[0]), VOXELS[1]))
-    views = mesh_views(splats, photos, length=max(SMALLEST, PIXELS * voxels))
-    surface = largest_parts(fuse_depths(splats, views, voxels, name), is_closed=True)
+    views = mesh_views(splats, photos, length=max(FUSION_SMALLEST, FUSION_PIXELS * voxels))
+    surface = keep_large_components(fuse_depths(splats, views, voxels, name), is_closed=True)
     is_seen = (surface.seen[surface.faces] > LEAST_SEEN).any(axis=1)
     areas = face_areas(surface.vertices, surface.faces)
     hidden = 1 - float(areas[is_seen].sum() / areas.sum())
     if hidden < OPEN:
         return surface, 0.0
-    return largest_parts(replace(surface, faces=surface.faces[is_seen]), is_closed=False), hidden
+    return keep_large_components(
+        replace(surface, faces=surface.faces[is_seen]), is_closed=False
+    ), hidden
 
 
 def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Surface:
@@ -171,7 +180,7 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
         inside = np.asarray(distance_transform_edt(shown), np.float32) - 0.5
         outside = np.asarray(distance_transform_edt(~shown), np.float32) - 0.5
         edges = np.where(shown, inside if trusted else 0, -outside)
-        cosines = torch.where((cosines > LEAST_COSINE) & trusted, cosines, 0.0).numpy()
+        cosines = torch.where((cosines > FUSION_LEAST_COSINE) & trusted, cosines, 0.0).numpy()
         solid = int((covered > COVERED).sum())
         return row, depth, cosines, edges, int((covered > FAINT).sum()), solid
 
@@ -185,11 +194,11 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
     for row, depth, cosines, edges, *_ in every:
         camera = views.cameras[row]
         matrix = projection_of(camera)
-        near = max(voxel, NEAR * side)
+        near = max(voxel, FUSION_NEAR * side)
         place = low, voxel, TRUNCATION * voxel, near, float(camera.Ks[0, 0, 0])
         _fuse(depth.numpy(), cosines, edges, matrix, *place, values, weights, support)
     field = np.where(weights > 0, values / np.maximum(weights, 1e-6), -1).astype(np.float32)
-    field = np.pad(gaussian_filter(field, SMOOTHING), 1, constant_values=1.0)
+    field = np.pad(gaussian_filter(field, FUSION_SMOOTHING), 1, constant_values=1.0)
     vertices, faces, _, _ = marching_cubes(-field, 0.0, gradient_direction="ascent")
     places = vertices - 1
     points = low + (places + 0.5) * voxel
@@ -258,7 +267,7 @@ def vertex_normals(surface: Surface) -> Float[np.ndarray, "V 3"]:
     return np.where(lengths > 0, sums / np.maximum(lengths, 1e-20), [0, 0, 1]).astype(np.float32)
 
 
-def largest_parts(surface: Surface, *, is_closed: bool) -> Surface:
+def keep_large_components(surface: Surface, *, is_closed: bool) -> Surface:
     """The surface without small parts, and without cavities if it is closed."""
     count = len(surface.vertices)
     ends = np.concatenate([surface.faces[:, :2], surface.faces[:, 1:]]).T
@@ -266,7 +275,7 @@ def largest_parts(surface: Surface, *, is_closed: bool) -> Surface:
     _, part = connected_components(graph, directed=False)
     owner, first = part[surface.faces[:, 0]], surface.vertices[surface.faces[:, 0]]
     areas = np.bincount(owner, face_areas(surface.vertices, surface.faces))
-    kept = areas > SPECK * areas.max()
+    kept = areas > FUSION_SPECK * areas.max()
     if is_closed:
         normals = face_normals(surface.vertices, surface.faces)
         kept &= np.bincount(owner, (normals * first).sum(axis=1)) > 0
@@ -288,21 +297,25 @@ def simplify(surface: Surface, count: int) -> Surface:
         return surface
     points, faces, *_ = collapse_edges(surface.vertices, surface.faces, target_count=count, agg=5)
     points, faces = np.asarray(points, np.float32), np.asarray(faces, np.int32)
-    surface = without_pinches(compact(Surface(points, faces, np.zeros(len(points), np.float32))))
-    near = KDTree(surface.vertices).query_pairs(SAME * float(np.ptp(points)), output_type="ndarray")
-    return move_apart(surface, np.unique(near[:, 1]))
+    surface = split_nonmanifold_edges(
+        compact(Surface(points, faces, np.zeros(len(points), np.float32)))
+    )
+    near = KDTree(surface.vertices).query_pairs(
+        FUSION_SAME * float(np.ptp(points)), output_type="ndarray"
+    )
+    return separate_coincident_vertices(surface, np.unique(near[:, 1]))
 
 
-def move_apart(surface: Surface, rows: Int[np.ndarray, " L"]) -> Surface:
+def separate_coincident_vertices(surface: Surface, rows: Int[np.ndarray, " L"]) -> Surface:
     """The surface with some vertices moved into their faces."""
     points = surface.vertices.copy()
     for row in rows:
         around = surface.faces[(surface.faces == row).any(axis=1)]
-        points[row] += APART * (surface.vertices[around].mean(axis=(0, 1)) - points[row])
+        points[row] += FUSION_APART * (surface.vertices[around].mean(axis=(0, 1)) - points[row])
     return replace(surface, vertices=points)
 
 
-def without_pinches(surface: Surface) -> Surface:
+def split_nonmanifold_edges(surface: Surface) -> Surface:
     """The surface with two faces at an edge at most: where more touch they are moved apart.
 
     One end of such an edge becomes several vertices, one for those faces around it that are
@@ -335,4 +348,4 @@ def without_pinches(surface: Surface) -> Surface:
         _, first, apart = np.unique(owner[: faces.size], return_index=True, return_inverse=True)
         origins, apart = faces.ravel()[first], apart.reshape(-1, 3).astype(np.int32)
         surface = Surface(surface.vertices[origins], apart, surface.seen[origins])
-        surface = move_apart(surface, np.flatnonzero(np.isin(origins, torn)))
+        surface = separate_coincident_vertices(surface, np.flatnonzero(np.isin(origins, torn)))

@@ -27,12 +27,12 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import per_view
 
-PADDING = 4  # texels between the parts of a texture
-SOLID = 0.9  # coverage from which a pixel's colour is the object's
+TEXTURE_PADDING = 4  # texels between the parts of a texture
+TEXTURE_SOLID = 0.9  # coverage from which a pixel's colour is the object's
 THINNED = 4  # one in so many texels is searched for the nearest
-HIDDEN = 0.01  # of the extent: what lies farther behind the depth buffer is hidden
+TEXTURE_HIDDEN = 0.01  # of the extent: what lies farther behind the depth buffer is hidden
 SHARP = 2  # power of the cosine between normal and ray by which a view counts
-LEAST_COSINE = 0.2
+TEXTURE_LEAST_COSINE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ def unwrap(surface: Surface, size: int) -> TexturedMesh:
     atlas.add_mesh(surface.vertices, surface.faces.astype(np.uint32))
     charts, pack = xatlas.ChartOptions(), xatlas.PackOptions()
     charts.max_iterations = 1
-    pack.resolution, pack.padding, pack.bilinear = size, PADDING, True
+    pack.resolution, pack.padding, pack.bilinear = size, TEXTURE_PADDING, True
     atlas.generate(charts, pack)
     origins, faces, uvs = atlas[0]
     return TexturedMesh(
@@ -121,14 +121,14 @@ def texels_of(mesh: TexturedMesh) -> Texels:
 def bake(mesh: TexturedMesh, splats: Splats, views: MeshViews) -> TexturedMesh:
     """Colour the texture with the renders of splats that are the object alone."""
     texels = texels_of(mesh)
-    margin = HIDDEN * float(np.ptp(mesh.vertices, axis=0).max())
+    margin = TEXTURE_HIDDEN * float(np.ptp(mesh.vertices, axis=0).max())
     sums = np.zeros((2, len(texels.points), 4), np.float32)  # by whether views are trusted
 
     def look(row: int) -> tuple[int, np.ndarray, np.ndarray]:
         image, covered = render(splats, views.cameras[row])
         colors = (image / covered.clamp(min=TINY_COVERAGE)).clamp(0, 1)
         depths = draw_mesh(mesh.vertices, mesh.faces, views.cameras[row]).depths
-        return row, torch.cat([colors, (covered > SOLID).float()], dim=2).numpy(), depths
+        return row, torch.cat([colors, (covered > TEXTURE_SOLID).float()], dim=2).numpy(), depths
 
     for row, image, depths in per_view(look, range(len(views.cameras)), "rendering the texture"):
         camera = views.cameras[row]
@@ -172,7 +172,7 @@ def _gather(points, normals, image, matrix, position, depths, margin, sums):
         cosine = (dx * normals[n, 0] + dy * normals[n, 1] + dz * normals[n, 2]) / np.sqrt(
             dx * dx + dy * dy + dz * dz
         )
-        if cosine < LEAST_COSINE:
+        if cosine < TEXTURE_LEAST_COSINE:
             continue
         column, row = int(u), int(v)
         right, down = u - column, v - row

@@ -13,7 +13,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.interrupts import check
+from stylesplat.interrupts import raise_if_interrupted
 from stylesplat.rendering.reference import (
     Backend,
     Info,
@@ -21,7 +21,7 @@ from stylesplat.rendering.reference import (
     backend_module,
     with_matrices_of,
 )
-from stylesplat.rendering.visibility import MANY, PART, in_view, visible
+from stylesplat.rendering.visibility import PART, VISIBLE_MANY, in_view, visible
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
@@ -85,7 +85,7 @@ def rasterize(
     Raises:
         StyleSplatError: If the cameras differ in size or gsplat is not installed.
     """
-    check()
+    raise_if_interrupted()
     module = backend_module(backend, splats.device)
     cameras = with_matrices_of(splats, cameras)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
@@ -165,7 +165,7 @@ def render(
     from stylesplat.rendering import cpu
 
     near = in_view(splats, camera, pixels)
-    if features is not None and len(near.rows) > MANY:
+    if features is not None and len(near.rows) > VISIBLE_MANY:
         near = visible(near, camera)
     colors = colors_of(
         splats, near.rows, with_matrices_of(splats, camera).positions, sh_degree, features

@@ -14,7 +14,7 @@ from typing import TypeVar
 import torch
 from numba import get_num_threads, set_num_threads
 
-from stylesplat.interrupts import check
+from stylesplat.interrupts import raise_if_interrupted
 from stylesplat.rendering.kernels.jit import SHARED
 
 T = TypeVar("T")
@@ -73,7 +73,7 @@ def map_views(
     pool = RenderPool(len(items) - 1, device)
     try:
         for result in pool.in_order(function, items[1:]):
-            check()
+            raise_if_interrupted()
             yield result
     finally:
         pool.end()

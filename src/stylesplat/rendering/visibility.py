@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, Real
 from torch import Tensor
 from torch.nn.functional import pad
 
-from stylesplat.interrupts import check
+from stylesplat.interrupts import raise_if_interrupted
 from stylesplat.rendering.reference import (
     EVERYONE,
     Backend,
@@ -27,8 +27,10 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import overlapping
 from stylesplat.scene.splats import IDENTITY_SIZE, Splats
 
-LARGE = 400_000  # Gaussians of a scene; culling a smaller one takes as long as it saves
-MANY = 1 << 21  # Gaussians in view, from which features are gathered of the visible ones alone
+VISIBLE_LARGE = 400_000  # Gaussians of a scene; culling a smaller one takes as long as it saves
+VISIBLE_MANY = (
+    1 << 21
+)  # Gaussians in view, from which features are gathered of the visible ones alone
 CHANNELS_PER_PASS = IDENTITY_SIZE  # the CPU kernels are compiled for this many and for fewer
 PART = 1 << 17  # Gaussians whose numbers stay in the processor's cache
 
@@ -65,7 +67,7 @@ def in_view(
 
     With `pixels`, without those that cannot reach one of these.
     """
-    check()  # all loops over views pass here
+    raise_if_interrupted()  # all loops over views pass here
     starts = range(0, max(1, len(splats)), PART)
     parts = [_part_in_view(splats, camera, start, pixels, backend) for start in starts]
     columns = parts[0] if len(parts) == 1 else map(torch.cat, zip(*parts, strict=True))

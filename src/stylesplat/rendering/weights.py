@@ -24,8 +24,8 @@ from stylesplat.rendering.reference import Backend, Projected, backend_module, w
 from stylesplat.rendering.render import colors_of, render
 from stylesplat.rendering.visibility import (
     CHANNELS_PER_PASS,
-    LARGE,
-    MANY,
+    VISIBLE_LARGE,
+    VISIBLE_MANY,
     backproject_projected,
     bounds,
     composite_projected,
@@ -65,7 +65,7 @@ def composite(
     Gradients reach the values. With `pixels` others need not be right.
     """
     near = in_view(splats, camera, pixels, backend)
-    if len(near.rows) > MANY:
+    if len(near.rows) > VISIBLE_MANY:
         near = visible(near, camera)
     return composite_projected(
         near.projected, values.index_select(0, near.rows), camera.size, backend
@@ -187,7 +187,7 @@ def coverage(
     pixels = None
     if mask is None:
         mask = torch.ones_like(splats.opacities, dtype=torch.bool)
-    elif len(splats) >= LARGE:  # skip the others where it cannot be visible
+    elif len(splats) >= VISIBLE_LARGE:  # skip the others where it cannot be visible
         pixels = coverage(geometry_only(splats)[mask.nonzero()[:, 0]], camera) > 0
     return composite(splats, camera, mask.to(splats.means)[:, None], pixels)[..., 0]
 

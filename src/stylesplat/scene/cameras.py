@@ -9,12 +9,14 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, counted, one_line, some
+from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 
 UP_RIDGE = 0.01  # weight of the cameras' mean up axis against their x axes
-PARALLEL = 1e-3  # mean squared sine between view axes (about 2 degrees) below which they never meet
+CAMERA_PARALLEL = (
+    1e-3  # mean squared sine between view axes (about 2 degrees) below which they never meet
+)
 ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
-REMEDY = "To render, choose --views all; to train, give sparse points."
+CAMERA_REMEDY = "To render, choose --views all; to train, give sparse points."
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,9 @@ class Cameras:
     """The image's file name of each camera."""
 
     def __repr__(self) -> str:
-        return one_line(self, counted(len(self), "view"), pixels(self.sizes), some(self.names))
+        return noun_repr(
+            self, count_noun(len(self), "view"), pixels(self.sizes), join_names(self.names)
+        )
 
     def __len__(self) -> int:
         return len(self.names)
@@ -162,16 +166,16 @@ def focus_point(cameras: Cameras) -> Float[Tensor, "3"]:
     positions = cameras.positions.double()
     projectors = torch.eye(3).double() - directions[:, :, None] * directions[:, None]  # [C, 3, 3]
     matrix = projectors.mean(dim=0)
-    if torch.linalg.eigvalsh(matrix)[0] < PARALLEL:
+    if torch.linalg.eigvalsh(matrix)[0] < CAMERA_PARALLEL:
         raise StyleSplatError(
-            f"The cameras all look the same way, so they have no point in common. {REMEDY}"
+            f"The cameras all look the same way, so they have no point in common. {CAMERA_REMEDY}"
         )
     focus = torch.linalg.solve(
         matrix, torch.einsum("cij,cj->i", projectors, positions) / len(cameras)
     )
     if ((focus - positions) * directions).sum(dim=-1).median() <= 0:
         raise StyleSplatError(
-            f"The cameras look outwards, so they have no point in common. {REMEDY}"
+            f"The cameras look outwards, so they have no point in common. {CAMERA_REMEDY}"
         )
     return focus
 

@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, counted, one_line, some
+from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras, pixels
 from stylesplat.scene.outliers import Outliers, find_outliers
-from stylesplat.scene.sequences import GIB, Cache, Lazy, evenly
+from stylesplat.scene.sequences import GIB, Cache, Lazy, evenly_spaced
 from stylesplat.scene.world_offset import ORIGIN, Offset
 
 BACKGROUND = 0  # the label id that means 'no object'
@@ -106,13 +106,13 @@ class Capture:
                 )
 
     def __repr__(self) -> str:
-        of = f" of {some(self.object_names.values())}" if self.object_names else ""
-        return one_line(
+        of = f" of {join_names(self.object_names.values())}" if self.object_names else ""
+        return noun_repr(
             self,
-            counted(len(self), "photo"),
+            count_noun(len(self), "photo"),
             pixels(self.cameras.sizes),
             None if self.label_maps is None else f"label maps{of}",
-            None if self.points is None else counted(len(self.points), "point"),
+            None if self.points is None else count_noun(len(self.points), "point"),
             self.path,
         )
 
@@ -182,7 +182,7 @@ def fingerprint(capture: Capture, *, photos: int = PHOTOS) -> str:
     names = [*cameras.names, *sorted(capture.object_names.items())]
     names += [] if capture.held_out is None else [sorted(capture.held_out)]
     tensors = (cameras.sizes.long(), cameras.viewmats.float(), cameras.Ks.float())
-    rows = evenly(range(len(capture)), photos)
+    rows = evenly_spaced(range(len(capture)), photos)
     labels = (capture.labels(row) for row in range(len(capture)))
     valid = () if capture.valid_masks is None else map(capture.valid, range(len(capture)))
     parts = chain(

@@ -19,17 +19,17 @@ from stylesplat.scene.splats import Splats
 
 # Opacity below which a Gaussian is no surface. In two trained scenes 30 to 70 % of an object's are
 # fainter; with them, an object measured up to 60 times its size.
-FAINT = 0.05
-SAMPLE = 30_000  # Gaussians; neighbours among a million would take seconds
-NEIGHBOURS = 8  # whose mean distance measures the density at a point
+EXTENT_FAINT = 0.05
+EXTENT_SAMPLE = 30_000  # Gaussians; neighbours among a million would take seconds
+EXTENT_NEIGHBOURS = 8  # whose mean distance measures the density at a point
 # Times the median of these distances, beyond which a point is background. Of the opacity of the
 # trained fox 99 % are content, of the desk 55 % and of the demo 93 %, all but its backdrop.
 SPARSE = 7.0
 # Diagonals of the heaviest part, times a part's share of the opacity: how far away it may be
-FARTHEST = 10.0
+EXTENT_FARTHEST = 10.0
 # Share of the opacity outside the bounds, at each end of each axis, as some Gaussians are strays.
 # With 0.001 a toy cube of 0.74 measured 1.08 by 0.74, with 0.01 a vase lost 4 % of its height
-EDGE = 0.005
+EXTENT_EDGE = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,16 +112,16 @@ def extent_of(splats: Splats, picked: Bool[Tensor, " N"]) -> Extent:
     return _bounds(_sample(splats, picked)[0])[0]
 
 
-def solid(splats: Splats, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
+def opaque_rows(splats: Splats, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]:
     """The picked Gaussians that are not faint; all of them if none is."""
-    solid = picked & (torch.sigmoid(splats.opacities) >= FAINT)
+    solid = picked & (torch.sigmoid(splats.opacities) >= EXTENT_FAINT)
     return solid if solid.any() else picked
 
 
 def _sample(splats: Splats, picked: Bool[Tensor, " N"]) -> tuple[Splats, int]:
     """Some of the picked solid Gaussians in 64 bits, and how many each stands for."""
-    rows = solid(splats, picked).nonzero()[:, 0]
-    step = max(1, -(-len(rows) // SAMPLE))
+    rows = opaque_rows(splats, picked).nonzero()[:, 0]
+    step = max(1, -(-len(rows) // EXTENT_SAMPLE))
     return splats[rows[::step]].map(lambda tensor: tensor.detach().cpu().double()), step
 
 
@@ -131,7 +131,7 @@ def _bounds(splats: Splats) -> tuple[Extent, float]:
     blur = _quantile(splats.scales.exp().amax(dim=1), weights, 0.5)
     low, high = (
         torch.stack([_quantile(axis, weights, share) for axis in splats.means.T])
-        for share in (EDGE, 1 - EDGE)
+        for share in (EXTENT_EDGE, 1 - EXTENT_EDGE)
     )
     return Extent(low - blur, high + blur), float(blur)
 
@@ -148,9 +148,9 @@ def _quantile(
 def _is_content(points: Float[Tensor, "M 3"], weights: Float[Tensor, " M"]) -> Bool[Tensor, " M"]:
     """Which points are dense, in parts that are heavy for their distance."""
     everything = torch.ones(len(points), dtype=torch.bool)
-    if len(points) <= NEIGHBOURS:
+    if len(points) <= EXTENT_NEIGHBOURS:
         return everything
-    distances, _ = KDTree(points.numpy()).query(points.numpy(), k=NEIGHBOURS + 1, workers=-1)
+    distances, _ = KDTree(points.numpy()).query(points.numpy(), k=EXTENT_NEIGHBOURS + 1, workers=-1)
     gaps = torch.from_numpy(distances[:, 1:]).mean(dim=1)  # column 0 is the point itself
     reach = SPARSE * float(_quantile(gaps, weights, 0.5))
     if not reach:
@@ -162,7 +162,7 @@ def _is_content(points: Float[Tensor, "M 3"], weights: Float[Tensor, " M"]) -> B
     heaviest = points[parts == shares.argmax()]
     low, high = heaviest.amin(dim=0), heaviest.amax(dim=0)
     away = torch.maximum(low - points, points - high).clamp(min=0).norm(dim=1)
-    near = away <= FARTHEST * shares[parts] * (high - low).norm()
+    near = away <= EXTENT_FARTHEST * shares[parts] * (high - low).norm()
     return dense.masked_scatter(dense, near)
 
 

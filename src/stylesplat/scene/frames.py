@@ -35,7 +35,7 @@ class Frame:
         return Frame(self.rotation.T, 1 / self.scale, shift)
 
 
-SAME = Frame(torch.eye(3))
+FRAME_SAME = Frame(torch.eye(3))
 
 
 def move_cameras(cameras: Cameras, frame: Frame) -> Cameras:
@@ -78,9 +78,9 @@ def known_frames(cameras: Cameras) -> dict[str, Frame]:
     """
     axes = Frame(NERFSTUDIO_AXES)
     return {
-        "capture": SAME,
+        "capture": FRAME_SAME,
         "nerfstudio-axes": axes,
-        "nerfstudio": _normalized(cameras, SAME),
+        "nerfstudio": _normalized(cameras, FRAME_SAME),
         "nerfstudio-colmap": _normalized(cameras, axes),
     }
 
@@ -109,7 +109,7 @@ def _normalized(cameras: Cameras, before: Frame) -> Frame:
 
 DIRECTIONS = 64  # 7 functions of the third degree are fixed by 7; more keep the system well-posed
 GOLDEN = math.pi * (3 - math.sqrt(5))  # golden angle: spreads directions evenly
-EXACT = 1e-9  # float64 solves a half turn to 1e-15; entries so close to 0 or 1 are rounded
+FRAME_EXACT = 1e-9  # float64 solves a half turn to 1e-15; entries so close to 0 or 1 are rounded
 
 
 def move_splats(splats: Splats, frame: Frame) -> Splats:
@@ -141,4 +141,4 @@ def _band_turn(rotation: Float[Tensor, "3 3"], degree: int) -> Float[Tensor, "K 
     after, before = sh_basis(degree, dirs), sh_basis(degree, dirs @ rotation)
     turn = torch.linalg.lstsq(after, before).solution
     whole = turn.round()
-    return torch.where((turn - whole).abs() < EXACT, whole, turn)[1:, 1:]
+    return torch.where((turn - whole).abs() < FRAME_EXACT, whole, turn)[1:, 1:]

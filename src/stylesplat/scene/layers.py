@@ -14,12 +14,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.errors import counted, one_line, some
+from stylesplat.errors import count_noun, join_names, noun_repr
 from stylesplat.scene.splats import SH_C0, Splats, map_bands
 
 UNSEEN = -16.0  # logit of an opacity that no picture shows
 THROUGH = 0.003  # transmittance of all surfels, which makes the visible strength linear
-Kind = Literal["paint", "recolour"]
+LayerKind = Literal["paint", "recolour"]
 RECOLOR = "/recolor"  # after an object's name, in which there is no slash: its recolouring
 
 
@@ -67,7 +67,7 @@ class Layer:
     """How much of the relief shows, 0 to 1.5."""
     visible: bool = True
     """Whether the layer is shown."""
-    kind: Kind = "paint"
+    kind: LayerKind = "paint"
     """The kind of the layer."""
     styles: tuple[Source, ...] = ()
     """The pictures whose style the object has."""
@@ -83,14 +83,14 @@ class Layer:
     """Of a recolouring: colours in 0..1 become `color_map @ (red, green, blue, 1)`."""
 
     def __repr__(self) -> str:
-        pictures = some(each.path.name if each.path else "a picture" for each in self.styles)
+        pictures = join_names(each.path.name if each.path else "a picture" for each in self.styles)
         if self.color_map is not None:
             shown = f"strength {self.strength:g}" if self.visible else "hidden"
-            return one_line(self, self.name, counted(len(self.rows), "Gaussian"), shown)
-        gaussians = counted(len(self.rows), "Gaussian")
+            return noun_repr(self, self.name, count_noun(len(self.rows), "Gaussian"), shown)
+        gaussians = count_noun(len(self.rows), "Gaussian")
         new = f"{len(self.surfels):,} new" if len(self.surfels) else None
         shown = f"strength {self.strength:g}" if self.visible else "hidden"
-        return one_line(
+        return noun_repr(
             self, f"{self.object} like {pictures}", gaussians, new, shown, self.features
         )
 

@@ -9,12 +9,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief, counted, one_line
+from stylesplat.errors import StyleSplatError, count_noun, noun_repr, shorten
 
-MAX_NAME = 100  # characters of an object's name
+OBJECT_MAX_NAME = 100  # characters of an object's name
 RESERVED = "__metadata__"  # of safetensors files
 # Folders, the sign of OBJECT=IMAGE, control characters and line ends, halves of characters
-UNFIT = re.compile(r"[/\\=\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+OBJECT_UNFIT = re.compile(r"[/\\=\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,8 @@ class SceneObject:
 
     def __repr__(self) -> str:
         named = " ".join(map(str, self.how.get("ids", ())))
-        share = f"{int(self.mask.sum()):,} of {counted(len(self.mask), 'Gaussian')}"
-        return one_line(self, share, f"label ids {named}" if named else None)
+        share = f"{int(self.mask.sum()):,} of {count_noun(len(self.mask), 'Gaussian')}"
+        return noun_repr(self, share, f"label ids {named}" if named else None)
 
 
 def check_name(name: str) -> None:
@@ -42,7 +42,7 @@ def check_name(name: str) -> None:
     fault = name_fault(name)
     if fault:
         raise StyleSplatError(
-            f"Cannot call an object {brief(name)!r}: {fault}. Choose another name."
+            f"Cannot call an object {shorten(name)!r}: {fault}. Choose another name."
         )
 
 
@@ -53,7 +53,7 @@ def check_name_or_id(name: str) -> None:
 
 def is_id(name: str) -> bool:
     """Whether a name is a label id; `int` refuses thousands of digits."""
-    return name.isdecimal() and len(name) <= MAX_NAME
+    return name.isdecimal() and len(name) <= OBJECT_MAX_NAME
 
 
 def name_fault(name: str) -> str | None:
@@ -62,11 +62,13 @@ def name_fault(name: str) -> str | None:
         return "a name must not be empty"
     if name.isdecimal():
         return "numbers are label ids"
-    if UNFIT.search(name):
+    if OBJECT_UNFIT.search(name):
         return "names must not contain '=', slashes or control characters"
     if name == RESERVED:
         return "files of objects use that name for themselves"
-    return f"names have at most {MAX_NAME} characters" if len(name) > MAX_NAME else None
+    return (
+        f"names have at most {OBJECT_MAX_NAME} characters" if len(name) > OBJECT_MAX_NAME else None
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,16 +14,16 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from stylesplat.errors import counted, some
+from stylesplat.errors import count_noun, join_names
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import is_in_image, project
 
-FEWEST = 3  # cameras: of two, neither is the one that is wrong
+OUTLIER_FEWEST = 3  # cameras: of two, neither is the one that is wrong
 FAR_CAMERA = 30.0  # reaches: at this distance the scene is 2 degrees wide
 FAR_ALONE = 100.0  # reaches, where no points say what a camera shows
 FAR_POINT = 100.0  # reaches: nothing so far away moves from photo to photo, so it has no depth
 CELLS = 16  # along each side of a picture: points that are in few of them make one spot
-SHOWN = 10  # cells with points in them, from which on a photo shows something of the scene
+OUTLIER_SHOWN = 10  # cells with points in them, from which on a photo shows something of the scene
 EXTENT_SHARE = 0.9  # of the cameras, rounded up, whose distances all count for the extent
 EXTENT_REACH = 3.0  # distances of that share: others, as of few overviews, count up to these
 
@@ -45,8 +45,8 @@ class Outliers:
     def __str__(self) -> str:
         far = "times as far away as the scene reaches"
         facts = [f"{name} (posed {x:,.0f} {far})" for name, x in self.photos.items()]
-        points = counted(self.points, "point")
-        return some(facts + [f"{points} (over {FAR_POINT:.0f} {far})"] * bool(self.points))
+        points = count_noun(self.points, "point")
+        return join_names(facts + [f"{points} (over {FAR_POINT:.0f} {far})"] * bool(self.points))
 
 
 def find_outliers(
@@ -55,7 +55,7 @@ def find_outliers(
     """Which cameras and which points are no outliers, and what the others are."""
     near = torch.ones(len(cameras), dtype=torch.bool)
     near_points = None if points is None else torch.ones(len(points), dtype=torch.bool)
-    if len(cameras) < FEWEST:
+    if len(cameras) < OUTLIER_FEWEST:
         return near, near_points, Outliers()
     positions = cameras.positions.double().cpu()
     middle = positions.median(dim=0).values
@@ -80,7 +80,7 @@ def _shows(points: Float[Tensor, "M 3"], camera: Cameras) -> bool:
     inside = points[is_in_image(points, camera)]
     pixels, _ = project(inside, camera)
     cells = (CELLS * pixels / torch.tensor(camera.size)).long()
-    return len(cells.unique(dim=0)) >= SHOWN
+    return len(cells.unique(dim=0)) >= OUTLIER_SHOWN
 
 
 def scene_extent(cameras: Cameras) -> float:

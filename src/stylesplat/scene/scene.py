@@ -9,7 +9,14 @@ import torch
 from jaxtyping import Bool, Int, Shaped
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, check_choice, counted, one_line, pasted, some
+from stylesplat.errors import (
+    StyleSplatError,
+    check_choice,
+    count_noun,
+    join_names,
+    noun_repr,
+    shell_command,
+)
 from stylesplat.scene.cameras import Cameras, pixels
 from stylesplat.scene.layers import RECOLOR, Composed, Layer, compose
 from stylesplat.scene.objects import SceneObject, check_name
@@ -52,12 +59,12 @@ class Scene:
 
     def __repr__(self) -> str:
         held_out = f" ({len(self.held_out)} held out)" if self.held_out else ""
-        return one_line(
+        return noun_repr(
             self,
-            counted(len(self.splats), "Gaussian"),
-            counted(len(self.cameras), "view") + held_out,
-            f"objects: {some(self.objects)}" if self.objects else None,
-            f"painted: {some(self.painted_objects)}" if self.layers else None,
+            count_noun(len(self.splats), "Gaussian"),
+            count_noun(len(self.cameras), "view") + held_out,
+            f"objects: {join_names(self.objects)}" if self.objects else None,
+            f"painted: {join_names(self.painted_objects)}" if self.layers else None,
             self.path,
         )
 
@@ -182,7 +189,9 @@ def named_layers(scene: Scene, names: Collection[str]) -> list[str]:
 def require_painted(scene: Scene, names: Collection[str] = ()) -> None:
     """Refuse a scene without layers, or without layers of some names."""
     if not scene.layers:
-        way = pasted("stylize", scene.path or "SCENE", "--style", "OBJECT=IMAGE", "-o", "STYLED")
+        way = shell_command(
+            "stylize", scene.path or "SCENE", "--style", "OBJECT=IMAGE", "-o", "STYLED"
+        )
         raise StyleSplatError(
             f"{scene.path or 'The scene'} is not styled. Style it first: `{way}`."
         )

@@ -17,13 +17,13 @@ from stylesplat.scene.cameras import Cameras
 T = TypeVar("T")
 
 
-def evenly(items: Sequence[T], count: int) -> list[T]:
+def evenly_spaced(items: Sequence[T], count: int) -> list[T]:
     """At most `count` of the items, at equal distances."""
     count = min(count, len(items))
     return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]
 
 
-def drawn(items: Sequence[T], count: int, generator: torch.Generator) -> Iterator[T]:
+def shuffled_repeats(items: Sequence[T], count: int, generator: torch.Generator) -> Iterator[T]:
     """Draws `count` items in random order, each equally often."""
     order: list[int] = []
     for _ in range(count):
@@ -31,7 +31,7 @@ def drawn(items: Sequence[T], count: int, generator: torch.Generator) -> Iterato
         yield items[order.pop()]
 
 
-def far_apart(cameras: Cameras, count: int) -> list[int]:
+def farthest_views(cameras: Cameras, count: int) -> list[int]:
     """Rows of cameras chosen by farthest point sampling, the first farthest from the mean."""
     positions = cameras.positions.cpu()
     gaps = (positions - positions.mean(dim=0)).norm(dim=1)

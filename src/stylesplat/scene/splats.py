@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, counted, one_line
+from stylesplat.errors import StyleSplatError, count_noun, noun_repr
 from stylesplat.scene.world_offset import ORIGIN, Offset, from_world, to_world
 
 SH_C0 = 0.28209479177387814  # sqrt(1 / 4 pi): value of the constant band of colour
@@ -31,7 +31,7 @@ class Classifier:
     """The user's label id of each class; 0 is background."""
 
     def __repr__(self) -> str:
-        return one_line(self, f"label ids {' '.join(map(str, self.ids))}")
+        return noun_repr(self, f"label ids {' '.join(map(str, self.ids))}")
 
     def logits(self, identities: Float[Tensor, "*B 16"]) -> Float[Tensor, "*B K"]:
         """Class scores before the softmax, one column per entry of `ids`."""
@@ -92,9 +92,9 @@ class Splats:
     """What was subtracted from the world's coordinates, which may be too large for float32."""
 
     def __repr__(self) -> str:
-        return one_line(
+        return noun_repr(
             self,
-            counted(len(self), "Gaussian"),
+            count_noun(len(self), "Gaussian"),
             f"SH degree {self.sh_degree}",
             "antialiased" if self.antialiased else None,
             None if self.identities is None else "with identities",

@@ -19,17 +19,17 @@ from stylesplat.scene.splats import Splats
 # The model: the content is a convex hull that fills the picture, and other Gaussians are discs that
 # hide part of its middle. A camera stands as far away as it needs, or before the first of these.
 FILLED = 0.92  # share of the picture's width or height
-CLEAR = 0.5  # least distance of the camera from the content's nearest point, in its radii
-NEAREST = 0.1  # least distance of the camera in world units; the near plane is at 0.01
+VIRTUAL_CLEAR = 0.5  # least distance of the camera from the content's nearest point, in its radii
+VIRTUAL_NEAREST = 0.1  # least distance of the camera in world units; the near plane is at 0.01
 WIDEST = 0.5  # least focal length over the picture's width: 90 degrees
-HIDDEN = 0.1  # share of the content's middle that other Gaussians may hide
+VIRTUAL_HIDDEN = 0.1  # share of the content's middle that other Gaussians may hide
 MIDDLE = 0.6  # radius of the middle, in the content's radii
 BEFORE = 0.95  # share of the distance to what would hide the content, where the camera stands
-TINY = 1e-9
+VIRTUAL_TINY = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class ViewDirection:
     """A camera without its distance: the point that it looks at, its direction, its size."""
 
     focus: Float[Tensor, "3"]
@@ -54,7 +54,7 @@ class Sight:
         return FILLED * torch.tensor(self.size).double() / 2
 
 
-def fitting_distance(content: Content, sights: Sequence[Sight], focal: float) -> float:
+def camera_distance(content: Content, sights: Sequence[ViewDirection], focal: float) -> float:
     """The distance at which the content fills the pictures of all sights, if nothing hides it.
 
     Where other Gaussians would hide it, the camera stands before them, and `focal_at` gives a
@@ -63,19 +63,21 @@ def fitting_distance(content: Content, sights: Sequence[Sight], focal: float) ->
     wanted, closest, free = [], [], []
     for sight in sights:
         offsets = sight.offsets(content.outline)
-        radius = max(float(offsets.norm(dim=1).max()), TINY)
+        radius = max(float(offsets.norm(dim=1).max()), VIRTUAL_TINY)
         for distances, lens in ((wanted, focal), (closest, WIDEST * sight.size[0])):
             needed = (offsets[:, :2].abs() * lens / sight.half).amax(dim=1)
-            distances.append(float((needed.clamp(min=CLEAR * radius) - offsets[:, 2]).max()))
+            distances.append(
+                float((needed.clamp(min=VIRTUAL_CLEAR * radius) - offsets[:, 2]).max())
+            )
         free.append(BEFORE * _free_distance(content, sight, radius))
-    return max(min(max(wanted), max(*closest, min(free))), NEAREST)
+    return max(min(max(wanted), max(*closest, min(free))), VIRTUAL_NEAREST)
 
 
-def focal_at(points: Float[Tensor, "M 3"], sight: Sight, distance: float) -> float:
+def focal_at(points: Float[Tensor, "M 3"], sight: ViewDirection, distance: float) -> float:
     """The focal length in pixels at which points fill the picture."""
     offsets = sight.offsets(points)
-    lateral = offsets[:, :2].abs().clamp(min=TINY * distance)
-    depths = (distance + offsets[:, 2:]).clamp(min=TINY * distance)
+    lateral = offsets[:, :2].abs().clamp(min=VIRTUAL_TINY * distance)
+    depths = (distance + offsets[:, 2:]).clamp(min=VIRTUAL_TINY * distance)
     return float((sight.half * depths / lateral).min())
 
 
@@ -109,7 +111,7 @@ def cameras_of(
     )
 
 
-def _free_distance(content: Content, sight: Sight, radius: float) -> float:
+def _free_distance(content: Content, sight: ViewDirection, radius: float) -> float:
     """The distance from which something else hides the middle of the content."""
     offsets = content.others - sight.focus
     ahead = offsets @ sight.outward
@@ -120,19 +122,19 @@ def _free_distance(content: Content, sight: Sight, radius: float) -> float:
     # Nearest to the content first, at their near side, which the camera has to stand before
     along, order = (ahead[between] - blurs).sort()
     hidden = content.areas[between] / (torch.pi * (middle**2 + blurs.square()))
-    walls = along[hidden[order].cumsum(0) > HIDDEN]
+    walls = along[hidden[order].cumsum(0) > VIRTUAL_HIDDEN]
     return float(walls[0]) if len(walls) else math.inf
 
 
-VIEWS = 36
-SIZE = (960, 720)  # pixels; upright for tall content
-TALL = 1.2  # least height of tall content, in its widths
+VIRTUAL_VIEWS = 36
+VIRTUAL_SIZE = (960, 720)  # pixels; upright for tall content
+VIRTUAL_TALL = 1.2  # least height of tall content, in its widths
 FOCAL = 960.0  # pixels, where there is room enough
 ELEVATIONS = (10.0, 35.0)  # degrees, by turns
 EACH = 4  # one view in four is a close-up
-PARTS = 3  # of the content along its longest axis, one in each close-up
+VIRTUAL_PARTS = 3  # of the content along its longest axis, one in each close-up
 ZOOM = 2.0  # least magnification of close-ups
-NAMES = "view_{:03d}.png"
+VIRTUAL_NAMES = "view_{:03d}.png"
 
 
 def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
@@ -143,31 +145,37 @@ def ring_cameras(splats: Splats, up: Float[Tensor, "3"]) -> Cameras:
     side, ahead = level_axes(up)
     outline = content.outline @ torch.stack([side, ahead, up], dim=1)
     lengths = outline.amax(dim=0) - outline.amin(dim=0)
-    size = (SIZE[1], SIZE[0]) if lengths[2] > TALL * lengths[:2].max() else SIZE
+    size = (
+        (VIRTUAL_SIZE[1], VIRTUAL_SIZE[0])
+        if lengths[2] > VIRTUAL_TALL * lengths[:2].max()
+        else VIRTUAL_SIZE
+    )
     viewmats, focals = [], []
-    for row in range(VIEWS):
-        turn = 2 * math.pi * row / VIEWS
+    for row in range(VIRTUAL_VIEWS):
+        turn = 2 * math.pi * row / VIRTUAL_VIEWS
         round, place = divmod(row, EACH)
         close = place == EACH - 1
         tilt = math.radians(ELEVATIONS[(round if close else place) % len(ELEVATIONS)])
         level = math.cos(turn) * side + math.sin(turn) * ahead
         outward = math.cos(tilt) * level + math.sin(tilt) * up
-        sight = Sight(content.extent.centre, outward, up, size)
-        distance = fitting_distance(content, [sight], FOCAL)
+        sight = ViewDirection(content.extent.centre, outward, up, size)
+        distance = camera_distance(content, [sight], FOCAL)
         focal = focal_at(content.outline, sight, distance)
         if close:
-            part = parts[round % PARTS]
+            part = parts[round % VIRTUAL_PARTS]
             sight = replace(sight, focus=(part.amin(dim=0) + part.amax(dim=0)) / 2)
             focal = max(ZOOM * focal, focal_at(part, sight, distance))
         viewmats.append(sight.viewmats(distance)[0])
         focals.append(focal)
     Ks = torch.stack([centred_K(focal, size) for focal in focals])
-    return cameras_of(torch.stack(viewmats), Ks, size, names=NAMES)
+    return cameras_of(torch.stack(viewmats), Ks, size, names=VIRTUAL_NAMES)
 
 
-def has_no_photos(scene: Scene) -> bool:
+def has_rendered_views(scene: Scene) -> bool:
     """Whether a scene came without photos, so that its views are those of `ring_cameras`."""
-    return scene.capture is None and scene.cameras.names == tuple(map(NAMES.format, range(VIEWS)))
+    return scene.capture is None and scene.cameras.names == tuple(
+        map(VIRTUAL_NAMES.format, range(VIRTUAL_VIEWS))
+    )
 
 
 def _parts_along(points: Float[Tensor, "M 3"]) -> list[Float[Tensor, "_ 3"]]:
@@ -176,8 +184,12 @@ def _parts_along(points: Float[Tensor, "M 3"]) -> list[Float[Tensor, "_ 3"]]:
     _, axes = torch.linalg.eigh(offsets.T @ offsets)  # the widest one comes last
     along = offsets @ axes[:, -1]
     low, high = along.min(), along.max()
-    part_of = ((along - low) / (high - low).clamp(min=1e-12) * PARTS).long().clamp(max=PARTS - 1)
-    parts = [points[part_of == part] for part in range(PARTS)]
+    part_of = (
+        ((along - low) / (high - low).clamp(min=1e-12) * VIRTUAL_PARTS)
+        .long()
+        .clamp(max=VIRTUAL_PARTS - 1)
+    )
+    parts = [points[part_of == part] for part in range(VIRTUAL_PARTS)]
     return [part if len(part) else points for part in parts]
 
 
@@ -242,9 +254,11 @@ SWAY = 0.5  # height varies along the path by this share of the captures' own de
 LENS = 1.0  # focal length over a picture's longer side around content, where there is room enough
 TILT, NOD = math.radians(20), math.radians(8)  # of a path around content: its mean, and how varied
 SWING = math.radians(35)  # of a view that turns to and fro, at each side
-EVEN = 1e-3  # sine of the angle to the vertical below which photos surround the focus evenly
+VIRTUAL_EVEN = (
+    1e-3  # sine of the angle to the vertical below which photos surround the focus evenly
+)
 UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where it is not known
-WINDOW = (1600, 1200)  # pixels that all content fits into at the start
+VIRTUAL_WINDOW = (1600, 1200)  # pixels that all content fits into at the start
 ORBIT_FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
 FRAMES = "orbit_{:04d}.png"
 MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
@@ -278,7 +292,7 @@ def zoom_to_content(path: Cameras, content: Content) -> Cameras:
     far = outward.norm(dim=1, keepdim=True)
     frames = zip(outward / far, tops, far[:, 0].tolist(), strict=True)
     focal = min(
-        focal_at(content.outline, Sight(centre, each, top, path.size), distance)
+        focal_at(content.outline, ViewDirection(centre, each, top, path.size), distance)
         for each, top, distance in frames
     )
     return replace(path, Ks=centred_K(focal, path.size).to(path.Ks).expand_as(path.Ks))
@@ -296,8 +310,8 @@ def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
     tilt = (TILT + NOD * phase.sin())[:, None]
     level = phase.cos()[:, None] * side + phase.sin()[:, None] * ahead
     outward = tilt.cos() * level + tilt.sin() * up
-    sights = [Sight(content.extent.centre, each, up, size) for each in outward]
-    distance = fitting_distance(content, sights, focal)
+    sights = [ViewDirection(content.extent.centre, each, up, size) for each in outward]
+    distance = camera_distance(content, sights, focal)
     focal = min(focal_at(content.outline, sight, distance) for sight in sights)
     viewmats = torch.cat([sight.viewmats(distance) for sight in sights])
     return cameras_of(viewmats, centred_K(focal, size), size, names=FRAMES)
@@ -331,7 +345,7 @@ def _axes(cameras: Cameras, focus: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
     up = up_vector(cameras)
     outward = cameras.positions.double().mean(dim=0) - focus
     side = torch.linalg.cross(up, outward)
-    if side.norm() < EVEN * outward.norm():  # surrounded evenly: any direction will do
+    if side.norm() < VIRTUAL_EVEN * outward.norm():  # surrounded evenly: any direction will do
         side = level_axes(up)[0]
     side = torch.nn.functional.normalize(side, dim=0)
     return torch.stack([torch.linalg.cross(side, up), side, up])
@@ -374,8 +388,8 @@ def first_view(splats: Splats, cameras: Cameras | None) -> FirstView:
         slopes = width / float(cameras.Ks[0, 0, 0]), height / float(cameras.Ks[0, 1, 1])
         return FirstView(position, target, up_vector(cameras), slopes)
     outward = torch.nn.functional.normalize(torch.ones(3).double(), dim=0)
-    sight = Sight(middle, outward, UP, WINDOW)
-    distance = fitting_distance(content, [sight], ORBIT_FOCAL)
+    sight = ViewDirection(middle, outward, UP, VIRTUAL_WINDOW)
+    distance = camera_distance(content, [sight], ORBIT_FOCAL)
     focal = focal_at(content.outline, sight, distance)
-    slopes = WINDOW[0] / focal, WINDOW[1] / focal
+    slopes = VIRTUAL_WINDOW[0] / focal, VIRTUAL_WINDOW[1] / focal
     return FirstView(middle + distance * outward, middle, UP, slopes)

@@ -15,12 +15,12 @@ ORIGIN: Offset = (0.0, 0.0, 0.0)
 LARGEST_POSITION = 1e9  # of a coordinate that is no mistake; the Earth's radius in metres is 6e6
 # Times the extent, beyond which a coordinate is too large: of float32's 24 bits 16 are left for the
 # extent, and 1 / 65536 of it is a thirtieth of a pixel in a picture of 2000
-LARGEST_RATIO = 256
+OFFSET_LARGEST_RATIO = 256
 # Units, below which the offset, a whole number, would help little. Cameras of one standpoint and
 # single Gaussians have no extent, and are no reason to move an ordinary scene
 SMALLEST_EXTENT = 0.1
-EDGE = 0.1  # share of the positions at each end of each axis that may be strays
-SAMPLE = 100_000  # positions that are looked at
+OFFSET_EDGE = 0.1  # share of the positions at each end of each axis that may be strays
+OFFSET_SAMPLE = 100_000  # positions that are looked at
 
 
 def choose_offset(positions: Float[Tensor, "M 3"]) -> Offset:
@@ -28,11 +28,11 @@ def choose_offset(positions: Float[Tensor, "M 3"]) -> Offset:
     there = positions[(positions.abs() <= LARGEST_POSITION).all(dim=1)]
     if not len(there):
         return ORIGIN
-    sample = there[:: max(1, len(there) // SAMPLE)].detach().cpu().double()
-    shares = torch.tensor([EDGE, 0.5, 1 - EDGE], dtype=torch.float64)
+    sample = there[:: max(1, len(there) // OFFSET_SAMPLE)].detach().cpu().double()
+    shares = torch.tensor([OFFSET_EDGE, 0.5, 1 - OFFSET_EDGE], dtype=torch.float64)
     low, middle, high = sample.quantile(shares, dim=0)
     extent = max(float((high - low).max()), SMALLEST_EXTENT)
-    if float(middle.abs().max()) <= LARGEST_RATIO * extent:
+    if float(middle.abs().max()) <= OFFSET_LARGEST_RATIO * extent:
         return ORIGIN
     x, y, z = (middle.round() + 0.0).tolist()  # no -0
     return x, y, z

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, pasted
+from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.options import PickSize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.objects import SceneObject, is_id
@@ -16,8 +16,8 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.world_offset import from_world
 from stylesplat.selection.labels import (
     THRESHOLD,
-    Box,
     Point,
+    ViewBox,
     each_object,
     object_ids,
     pick,
@@ -40,7 +40,7 @@ class Choice:
     """The union of all that is named, without what is excluded; see the arguments of `select`."""
 
     ids: tuple[int, ...] = ()
-    boxes: tuple[tuple[str, Box], ...] = ()
+    boxes: tuple[tuple[str, ViewBox], ...] = ()
     points: tuple[tuple[str, Point], ...] = ()
     not_points: tuple[tuple[str, Point], ...] = ()
     of: str | None = None
@@ -202,7 +202,7 @@ def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, "
 def _unknown(scene: Scene, name: str) -> StyleSplatError:
     ids = map(str, object_ids(scene.base)) if scene.base.classifier else ()
     known = ", ".join([*scene.objects, *ids]) or "none"
-    way = pasted("select", scene.path or "SCENE", "--name", "NAME", "--id", "N")
+    way = shell_command("select", scene.path or "SCENE", "--name", "NAME", "--id", "N")
     return StyleSplatError(
         f"The scene has no object {name!r}. Names and ids: {known}. Name one with `{way}`."
     )

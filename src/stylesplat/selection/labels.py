@@ -15,12 +15,12 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, pasted
+from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.options import check_box, check_point
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
-from stylesplat.scene.content import FAINT
+from stylesplat.scene.content import EXTENT_FAINT
 from stylesplat.scene.projection import crop, overlapping
 from stylesplat.scene.splats import Classifier, Splats
 
@@ -60,9 +60,9 @@ def render_labels(splats: Splats, camera: Cameras) -> Int[Tensor, "H W"]:
     return torch.where(alphas[..., 0] < MIN_COVERAGE, BACKGROUND, labels)
 
 
-SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
+MEMBER_SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's
 CONFIRMED = 0.9  # probability above which label maps confirm a Gaussian's label
-AT_ONCE = 1 << 20  # Gaussians whose identities are gathered: 64 MB
+MEMBER_AT_ONCE = 1 << 20  # Gaussians whose identities are gathered: 64 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,17 +81,17 @@ class Members:
         return nobody.index_fill(0, self.likely[id], True)
 
     @torch.no_grad()
-    def doubtful(self, id: int, rows: Int[Tensor, " M"]) -> Bool[Tensor, " M"]:
+    def is_uncertain(self, id: int, rows: Int[Tensor, " M"]) -> Bool[Tensor, " M"]:
         """Which of some Gaussians are neither likely an object's nor surely anything else's."""
         _, classifier = require_identities(self.splats)
-        limits = [SURE[each == BACKGROUND] if each != id else 1.0 for each in classifier.ids]
+        limits = [MEMBER_SURE[each == BACKGROUND] if each != id else 1.0 for each in classifier.ids]
         limits = torch.tensor(limits).to(self.splats.means)
         parts = [(p <= limits).all(dim=1) for _, p in _probabilities(self.splats, rows)]
         return torch.cat(parts) & ~self.mask(id)[rows]
 
 
 @torch.no_grad()
-def members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
+def label_members(splats: Splats, ids: Sequence[int], threshold: float) -> Members:
     """Find the Gaussians of some known label ids whose probability exceeds a threshold."""
     _, classifier = require_identities(splats)
     columns = torch.tensor([classifier.ids.index(id) for id in ids], device=splats.device)
@@ -123,7 +123,7 @@ def _probabilities(
 ) -> Iterator[tuple[Int[Tensor, " B"], Float[Tensor, "B K"]]]:
     """Some of the Gaussians at a time, and their probabilities of all classes."""
     identities, classifier = require_identities(splats)
-    for some in rows.split(AT_ONCE):
+    for some in rows.split(MEMBER_AT_ONCE):
         for part, scores in classifier.some_at_a_time(identities.index_select(0, some)):
             yield some[part], scores.softmax(dim=-1)
 
@@ -143,11 +143,11 @@ def fill_gaps(
     """
     nobody = torch.zeros_like(picked)
     means, own = splats.means, picked.nonzero()[:, 0]
-    if not (torch.sigmoid(splats.opacities[own]) >= FAINT).any():
+    if not (torch.sigmoid(splats.opacities[own]) >= EXTENT_FAINT).any():
         return nobody
     low, high = means[own].amin(dim=0), means[own].amax(dim=0)
     rows = overlapping(means, means, low, high)
-    rows = rows[torch.sigmoid(splats.opacities[rows]) >= FAINT]
+    rows = rows[torch.sigmoid(splats.opacities[rows]) >= EXTENT_FAINT]
     others = rows[~picked[rows]]
     wanted = others[doubtful(others)]
     if not len(wanted):
@@ -163,7 +163,7 @@ def fill_gaps(
 OUTLIER_NEIGHBOURS = 20  # a floating clump of a dozen Gaussians must not confirm itself
 # Standard deviations. Measured on eight objects of two scenes: 2 takes away most of what floats
 # for 1% of the object's own visible area at most (a thin plaque: 2%); 0.5 takes a fifth of it.
-SPREAD = 2.0
+MEMBER_SPREAD = 2.0
 MIN_POINTS = 20  # fewer have no meaningful mean distance
 
 
@@ -175,7 +175,8 @@ def inliers(
     """Which points lie about as close to their neighbours as the others do.
 
     A point is dropped when the logarithm of its mean distance to its nearest neighbours exceeds
-    the mean of all points by `SPREAD` standard deviations. Densities in a splat span orders of
+    the mean of all points by `MEMBER_SPREAD` standard deviations. Densities in a splat span
+    orders of
     magnitude; the logarithm makes them roughly normal and keeps a few distant floaters from
     inflating the deviation they are judged by. (PCL and Open3D use the plain distance.) Large
     Gaussians have far neighbours wherever they lie: `reaches` protects them.
@@ -195,7 +196,7 @@ def inliers(
     distances, _ = KDTree(positions).query(positions, k=neighbours + 1, workers=-1)
     gaps = torch.from_numpy(distances[:, 1:]).mean(dim=1)  # column 0 is the point itself
     log_gaps = gaps.clamp(min=torch.finfo(torch.float32).tiny).log()
-    usual = log_gaps <= log_gaps.mean() + SPREAD * log_gaps.std()
+    usual = log_gaps <= log_gaps.mean() + MEMBER_SPREAD * log_gaps.std()
     if reaches is not None:
         usual |= gaps <= reaches.detach().cpu()
     return usual.to(points.device)
@@ -204,18 +205,18 @@ def inliers(
 THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
 # Mean distance to neighbours over the standard deviation, up to which a Gaussian that label maps
 # confirm is no outlier. Without this large ones are lost: 12 % of what shows of the lifted fox.
-TOUCH = 4.0
-SCENE = "SCENE"  # stands for an unknown folder of a scene
+MEMBER_TOUCH = 4.0
+MEMBER_SCENE = "SCENE"  # stands for an unknown folder of a scene
 
 Point = tuple[float, float]
-Box = tuple[float, float, float, float]
+ViewBox = tuple[float, float, float, float]
 
 
 def pick(
     splats: Splats,
     *,
     object_id: int | Sequence[int] | None = None,
-    box: Box | None = None,
+    box: ViewBox | None = None,
     point: Point | None = None,
     camera: Cameras | None = None,
     threshold: float = THRESHOLD,
@@ -267,7 +268,7 @@ def resolve_ids(
     splats: Splats,
     *,
     object_id: int | Sequence[int] | None = None,
-    box: Box | None = None,
+    box: ViewBox | None = None,
     point: Point | None = None,
     camera: Cameras | None = None,
     folder: Path | None = None,
@@ -277,15 +278,15 @@ def resolve_ids(
     if sum(way is not None for way in (object_id, box, point)) != 1:
         raise StyleSplatError("Select by exactly one way: an id, a box or a point.")
     if object_id is not None:
-        return _known_ids(splats, object_id, folder or SCENE)
+        return _known_ids(splats, object_id, folder or MEMBER_SCENE)
     if camera is None or len(camera) != 1:
         raise StyleSplatError(
             "A box or point needs the one view it refers to. Pass camera=cameras[row]."
         )
     if point is not None:
-        return (_id_at_point(splats, point, camera, folder or SCENE),)
+        return (_id_at_point(splats, point, camera, folder or MEMBER_SCENE),)
     assert box is not None
-    return (_id_in_box(splats, box, camera, folder or SCENE),)
+    return (_id_in_box(splats, box, camera, folder or MEMBER_SCENE),)
 
 
 def each_object(
@@ -296,14 +297,14 @@ def each_object(
     remove_outliers: bool = True,
 ) -> Iterator[tuple[int, Bool[Tensor, " N"]]]:
     """Yields each label id with the Gaussians of its object, possibly none; see `pick`."""
-    found = members(splats, ids, threshold)
+    found = label_members(splats, ids, threshold)
     for id in dict.fromkeys(ids):
         mask = found.mask(id)
         if remove_outliers:
             rows, confirmed = found.likely[id], found.confirmed[id]
-            reaches = TOUCH * splats.scales[rows].exp().amax(dim=1) * confirmed
+            reaches = MEMBER_TOUCH * splats.scales[rows].exp().amax(dim=1) * confirmed
             mask[rows] = inliers(splats.means[rows], reaches=reaches)
-        mask |= fill_gaps(splats, mask, partial(found.doubtful, id))
+        mask |= fill_gaps(splats, mask, partial(found.is_uncertain, id))
         yield id, mask
 
 
@@ -317,7 +318,7 @@ def _known_ids(
     names = ", ".join(map(str, known)) or "none"
     for id in ids:
         if id == BACKGROUND:
-            way = pasted("select", folder, "--name", "NAME", "--background")
+            way = shell_command("select", folder, "--name", "NAME", "--background")
             raise StyleSplatError(
                 f"{id} is no object but the background. Name that with `{way}`. Objects: {names}."
             )
@@ -333,12 +334,12 @@ def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | s
     if label == BACKGROUND:
         raise StyleSplatError(
             f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
-            f"Choose another point, or run `{pasted('objects', folder)}` and select by id."
+            f"Choose another point, or run `{shell_command('objects', folder)}` and select by id."
         )
     return label
 
 
-def _id_in_box(splats: Splats, box: Box, camera: Cameras, folder: Path | str) -> int:
+def _id_in_box(splats: Splats, box: ViewBox, camera: Cameras, folder: Path | str) -> int:
     x0, y0, x1, y1 = check_box(box, camera.size, camera.names[0])
     low, high = (int(x0), int(y0)), (math.ceil(x1), math.ceil(y1))
     labels = render_labels(splats, crop(camera, low, (high[0] - low[0], high[1] - low[1])))
@@ -347,6 +348,6 @@ def _id_in_box(splats: Splats, box: Box, camera: Cameras, folder: Path | str) ->
         text = ",".join(f"{edge:g}" for edge in box)
         raise StyleSplatError(
             f"There is no object inside box {text} in {camera.names[0]}. "
-            f"Choose another box, or run `{pasted('objects', folder)}` and select by id."
+            f"Choose another box, or run `{shell_command('objects', folder)}` and select by id."
         )
     return int(ids[counts.argmax()])

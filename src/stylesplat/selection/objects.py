@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.progress import say, track
 from stylesplat.scene.capture import BACKGROUND, Capture
 from stylesplat.scene.layers import layer_subset
@@ -46,7 +46,7 @@ def every_part(scene: Scene) -> dict[str, Scene]:
     """Each object alone, by its name, or by its label id if it has none; and the rest, if any."""
     masks = masks_of(scene)
     if not masks:
-        raise no_objects(scene)
+        raise no_objects_error(scene)
     if REST in masks:
         raise StyleSplatError(
             f"An object is called {REST!r}, as what belongs to no object will be. Call it "
@@ -79,7 +79,7 @@ def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
         fault = "another object has it" if name in scene.objects else name_fault(name)
         if fault or not mask.any():
             say(
-                f"Object {id} does not get the name {brief(name)!r}: "
+                f"Object {id} does not get the name {shorten(name)!r}: "
                 f"{fault or 'no Gaussians belong to it'}. Name it with `stylesplat select`."
             )
             continue
@@ -93,7 +93,7 @@ def require_named(scene: Scene, name: str) -> SceneObject:
         return scene.objects[name]
     known = ", ".join(scene.objects) or "none"
     raise StyleSplatError(
-        f"No object of {scene.path or 'the scene'} is called {brief(name)!r}. Names: {known}. "
+        f"No object of {scene.path or 'the scene'} is called {shorten(name)!r}. Names: {known}. "
         "Objects get names by `stylesplat select`."
     )
 
@@ -108,7 +108,7 @@ def masks_of(scene: Scene) -> dict[str, Bool[Tensor, " B"]]:
     return masks | {str(id): mask for id, mask in found if mask.any()}
 
 
-def no_objects(scene: Scene) -> StyleSplatError:
+def no_objects_error(scene: Scene) -> StyleSplatError:
     """The error for a scene without objects."""
     return StyleSplatError(
         f"{scene.path or 'The scene'} has no objects. Name one with `stylesplat select`."
@@ -119,7 +119,7 @@ def listed_objects(scene: Scene, names: Sequence[str] = ()) -> ListedObjects:
     """Some or all objects of a scene with their Gaussians and soft shares, and all labels."""
     masks = {name: find_object(scene, name).cpu() for name in names} or masks_of(scene)
     if not masks:
-        raise no_objects(scene)
+        raise no_objects_error(scene)
     own, objects = OwnShares(scene.splats, scene.cameras), dict[str, ListedObject]()
     for name, mask in track(masks.items(), "listing objects", unit="object"):
         picked = scene.to_splats(mask)

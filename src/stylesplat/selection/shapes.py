@@ -11,7 +11,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.options import check_point
 from stylesplat.rendering.weights import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.content import FAINT, Extent, solid
+from stylesplat.scene.content import EXTENT_FAINT, Extent, opaque_rows
 from stylesplat.scene.projection import crop, overlapping, unproject
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.scene.world_offset import place_text
@@ -70,7 +70,7 @@ def _span(splats: Splats, low: Tensor, high: Tensor) -> str:
     return f"from {start} to {end}"
 
 
-SLACK = 1e-6  # of a distance
+SHAPE_SLACK = 1e-6  # of a distance
 INSIDE = 0.9  # share of an object's solid centres that make up its extent; the rest may be strays
 
 
@@ -80,8 +80,8 @@ def grow(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Tenso
     `share` is the distance as a share of the object's extent, up to 1.
     """
     others = (~picked).nonzero()[:, 0]
-    surface = splats.means[solid(splats, picked)]
-    close = near(splats.means[others], surface, _reach(surface, share))
+    surface = splats.means[opaque_rows(splats, picked)]
+    close = within_distance(splats.means[others], surface, _reach(surface, share))
     return picked.index_fill(0, others[close], True)
 
 
@@ -91,9 +91,9 @@ def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Ten
     `share` is the distance as a share of the object's extent, up to 1.
     """
     own = picked.nonzero()[:, 0]
-    reach = _reach(splats.means[solid(splats, picked)], share)
-    around = ~picked & (torch.sigmoid(splats.opacities) >= FAINT)
-    close = near(splats.means[own], splats.means[around], reach)
+    reach = _reach(splats.means[opaque_rows(splats, picked)], share)
+    around = ~picked & (torch.sigmoid(splats.opacities) >= EXTENT_FAINT)
+    close = within_distance(splats.means[own], splats.means[around], reach)
     if close.all():
         raise StyleSplatError(
             f"Shrinking by {share:g} of its extent leaves nothing of the object. Shrink it less."
@@ -101,7 +101,7 @@ def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Ten
     return picked.index_fill(0, own[close], False)
 
 
-def extent(points: Float[Tensor, "M 3"]) -> float:
+def robust_diameter(points: Float[Tensor, "M 3"]) -> float:
     """The diameter of the sphere around the median that holds nearly all points."""
     distances = (points - points.median(dim=0).values).norm(dim=1)
     return 2 * float(distances.sort().values[int(INSIDE * (len(points) - 1))])
@@ -113,17 +113,17 @@ def _reach(surface: Float[Tensor, "M 3"], share: float) -> float:
             f"Cannot grow or shrink an object by {share:g} of its extent. "
             "Give more than 0 and at most 1; 0.05 is 5 %."
         )
-    return share * extent(surface)
+    return share * robust_diameter(surface)
 
 
-def near(
+def within_distance(
     points: Float[Tensor, "M 3"], others: Float[Tensor, "L 3"], reach: float
 ) -> Bool[Tensor, " M"]:
     """Which points lie within `reach` of one of the others."""
     found = torch.zeros(len(points), dtype=torch.bool)
     if not len(others):
         return found.to(points.device)
-    bound = reach * (1 + SLACK)  # the search excludes its bound
+    bound = reach * (1 + SHAPE_SLACK)  # the search excludes its bound
     positions, targets = (each.detach().cpu().double() for each in (points, others))
     low, high = targets.amin(dim=0) - bound, targets.amax(dim=0) + bound
     rows = overlapping(positions, positions, low, high)
@@ -133,12 +133,14 @@ def near(
     return found.to(points.device)
 
 
-NEIGHBOURS = 12  # of a Gaussian, along which a selection spreads over a surface
+SHAPE_NEIGHBOURS = 12  # of a Gaussian, along which a selection spreads over a surface
 COLOR, BEND = 0.1, 0.15  # differences of colour, and of 1 - |cosine| of normals, as far as a step
 
 
 @torch.no_grad()
-def alike(splats: Splats, seeds: Bool[Tensor, " N"], reach: float) -> Bool[Tensor, " N"]:
+def grow_by_similarity(
+    splats: Splats, seeds: Bool[Tensor, " N"], reach: float
+) -> Bool[Tensor, " N"]:
     """Spread over the surface around some Gaussians, as far as it looks the same.
 
     Where the colour or the direction of the surface changes, a step counts for more than its
@@ -149,12 +151,16 @@ def alike(splats: Splats, seeds: Bool[Tensor, " N"], reach: float) -> Bool[Tenso
         seeds: Where to begin.
         reach: How far to go on a surface without changes, in world units.
     """
-    begun = splats.means[solid(splats, seeds)]
-    rows = near(splats.means, begun, reach) & (torch.sigmoid(splats.opacities) >= FAINT) | seeds
+    begun = splats.means[opaque_rows(splats, seeds)]
+    rows = (
+        within_distance(splats.means, begun, reach)
+        & (torch.sigmoid(splats.opacities) >= EXTENT_FAINT)
+        | seeds
+    )
     rows = rows.nonzero()[:, 0]
     points = splats.means[rows].detach().cpu().double()
     _, neighbours = KDTree(points.numpy()).query(
-        points.numpy(), k=min(NEIGHBOURS, len(points)), workers=-1
+        points.numpy(), k=min(SHAPE_NEIGHBOURS, len(points)), workers=-1
     )
     neighbours = torch.from_numpy(neighbours).view(len(points), -1)
     around = points[neighbours] - points[neighbours].mean(dim=1, keepdim=True)  # [M, k, 3]

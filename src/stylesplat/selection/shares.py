@@ -14,28 +14,30 @@ from torch import Tensor
 
 from stylesplat.progress import track
 from stylesplat.rendering.view_pool import map_views
-from stylesplat.rendering.visibility import LARGE, bounds, in_view, pixel_bounds, visible
+from stylesplat.rendering.visibility import VISIBLE_LARGE, bounds, in_view, pixel_bounds, visible
 from stylesplat.rendering.weights import COVERED, contributions, geometry_only
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.projection import crop, overlapping
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import likeliest, render_labels
 
-VIEWS = 16  # more give the same shares
-LONGER_SIDE = 320  # pixels of a view; twice as many give the same shares
+SHARE_VIEWS = 16  # more give the same shares
+SHARE_LONGER_SIDE = 320  # pixels of a view; twice as many give the same shares
 LABELLED = 0.25  # coverage from which a pixel is the object's if its label says so, too
 # The part of a Gaussian's contribution inside the object at which its share begins to exceed 0,
 # and reaches 1. Measured on the fox and the demo: .5 and .9 leave more smudges on the wall, .8 and
 # .97 eat into the fur.
 OUTSIDE, INSIDE = 0.6, 0.95
-UNSEEN = 0.02  # pixels in all views; a Gaussian that contributes less takes its neighbours' part
-NEIGHBOURS = 9
+SHARE_UNSEEN = (
+    0.02  # pixels in all views; a Gaussian that contributes less takes its neighbours' part
+)
+SHARE_NEIGHBOURS = 9
 
 
 @torch.no_grad()
-def own_shares(
+def object_shares(
     splats: Splats,
     picked: Bool[Tensor, " N"],
     cameras: Cameras,
@@ -64,24 +66,27 @@ def own_shares(
             pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
         return view.pixels_in(torch.stack([pixels, torch.ones_like(pixels)], dim=-1))
 
-    views = sampled_views(cameras)
+    views = small_views(cameras)
     found = map_views(look, views, splats.device)
     found = track(found, "finding contours", total=len(views))
     inside, everywhere = sum(found, splats.means.new_zeros(len(splats), 2)).unbind(dim=1)
-    parts = inside / everywhere.clamp(min=UNSEEN)
-    seen, unseen = picked & (everywhere >= UNSEEN), picked & (everywhere < UNSEEN)
+    parts = inside / everywhere.clamp(min=SHARE_UNSEEN)
+    seen, unseen = picked & (everywhere >= SHARE_UNSEEN), picked & (everywhere < SHARE_UNSEEN)
     if seen.any() and unseen.any():
         tree = KDTree(splats.means[seen].double().cpu().numpy())
-        count = min(NEIGHBOURS, int(seen.sum()))
+        count = min(SHARE_NEIGHBOURS, int(seen.sum()))
         _, rows = tree.query(splats.means[unseen].double().cpu().numpy(), k=count)
         rows = torch.from_numpy(rows).to(splats.device)
         parts[unseen] = parts[seen][rows.view(-1, count)].median(dim=1).values
     return ((parts - OUTSIDE) / (INSIDE - OUTSIDE)).clamp(0, 1) * picked
 
 
-def sampled_views(cameras: Cameras) -> list[Cameras]:
+def small_views(cameras: Cameras) -> list[Cameras]:
     """The views in which shares are measured, at a small size."""
-    return [cameras[row].at_most(LONGER_SIDE) for row in evenly(range(len(cameras)), VIEWS)]
+    return [
+        cameras[row].at_most(SHARE_LONGER_SIDE)
+        for row in evenly_spaced(range(len(cameras)), SHARE_VIEWS)
+    ]
 
 
 def _labels_around(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]) -> Tensor:
@@ -102,7 +107,7 @@ def _own_ids(labels: Int[Tensor, " N"], picked: Bool[Tensor, " N"]) -> Tensor:
     return ids[(2 * own > every) & (ids != BACKGROUND)]
 
 
-MARGIN = 2  # pixels around what an object may reach
+SHARE_MARGIN = 2  # pixels around what an object may reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +126,10 @@ class Survey:
             low, high = pixel_bounds(own, camera)
             shown = (low < high).all(dim=1)
             if shown.any():
-                low, high = low[shown].amin(dim=0) - MARGIN, high[shown].amax(dim=0) + MARGIN
+                low, high = (
+                    low[shown].amin(dim=0) - SHARE_MARGIN,
+                    high[shown].amax(dim=0) + SHARE_MARGIN,
+                )
                 mine[rows[overlapping(lows, highs, low + 1, high - 1)].long()] = True
         return mine.nonzero()[:, 0]
 
@@ -129,7 +137,7 @@ class Survey:
 @torch.no_grad()
 def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
     """Survey a scene; None for small scenes and on a GPU, where that saves no time."""
-    if len(splats) < LARGE or splats.device.type != "cpu":
+    if len(splats) < VISIBLE_LARGE or splats.device.type != "cpu":
         return None
     bare = geometry_only(splats)
 
@@ -143,11 +151,11 @@ def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
 
 
 class OwnShares:
-    """`own_shares` of several objects; in a large scene, on the Gaussians around each."""
+    """`object_shares` of several objects; in a large scene, on the Gaussians around each."""
 
     def __init__(self, splats: Splats, cameras: Cameras) -> None:
         self._splats, self._cameras = splats, cameras
-        self._survey = survey(splats, sampled_views(cameras))
+        self._survey = survey(splats, small_views(cameras))
         self._labels = None
         if self._survey is not None and splats.classifier is not None:
             self._labels = likeliest(splats)
@@ -155,8 +163,8 @@ class OwnShares:
     def of(self, picked: Bool[Tensor, " N"]) -> Float[Tensor, " N"]:
         """The shares of an object's Gaussians."""
         if self._survey is None or not picked.any():
-            return own_shares(self._splats, picked, self._cameras)
+            return object_shares(self._splats, picked, self._cameras)
         rows = self._survey.around(picked)
         labels = None if self._labels is None else self._labels[rows]
-        shares = own_shares(self._splats[rows], picked[rows], self._cameras, labels=labels)
+        shares = object_shares(self._splats[rows], picked[rows], self._cameras, labels=labels)
         return shares.new_zeros(len(picked)).index_copy_(0, rows, shares)

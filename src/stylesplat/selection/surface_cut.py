@@ -36,10 +36,10 @@ from stylesplat.rendering.weights import COVERED, TINY_COVERAGE, composite, pixe
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Mask
 from stylesplat.scene.projection import crop, depths_of
-from stylesplat.scene.sequences import cached_while_alive, evenly
+from stylesplat.scene.sequences import cached_while_alive, evenly_spaced
 from stylesplat.scene.splats import Splats, rgb_from_sh0
-from stylesplat.selection.shapes import extent
-from stylesplat.selection.shares import sampled_views
+from stylesplat.selection.shapes import robust_diameter
+from stylesplat.selection.shares import small_views
 from stylesplat.selection.surface_graph import (
     NothingToPick,
     Plane,
@@ -51,7 +51,7 @@ from stylesplat.selection.surface_graph import (
 )
 
 ENDS = 1e-5  # probability with which a walk ends at a step
-SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
+CUT_SMALLEST = 0.02  # share of the connections that the smaller side of a cut has
 
 
 def two_sided(graph: csr_array, rows: np.ndarray, seeds: np.ndarray, limit: float) -> np.ndarray:
@@ -59,7 +59,7 @@ def two_sided(graph: csr_array, rows: np.ndarray, seeds: np.ndarray, limit: floa
     order, boundary, sums = sweep(graph, rows, seeds, graph[rows][:, rows].sum(axis=1))
     smaller = np.minimum(sums, sums[-1] - sums)
     cost = boundary / np.sqrt(smaller.clip(1e-12))
-    cost[(smaller < SMALLEST * sums[-1]) | (np.arange(len(rows)) < len(seeds) - 1)] = np.inf
+    cost[(smaller < CUT_SMALLEST * sums[-1]) | (np.arange(len(rows)) < len(seeds) - 1)] = np.inf
     best = int(cost.argmin())
     return rows[order[: best + 1]] if cost[best] < limit else rows
 
@@ -117,7 +117,7 @@ def solve_symmetric(system: csr_array, right: Float[np.ndarray, " R"]) -> Float[
     return factors.solve(right)
 
 
-VIEWS = 6
+CUT_VIEWS = 6
 WIDTH = 2  # pixels on either side of an outline
 FARTHER = 0.04  # of the pick's extent, by which depths at an outline jump
 
@@ -131,8 +131,8 @@ def occluding_share(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]
     """
     ring = np.ones((2 * WIDTH + 1, 2 * WIDTH + 1), np.uint8)
     farther, whole, shown = 0, 0, 0
-    jump = FARTHER * extent(splats.means[picked]) if picked.any() else 0.0
-    for camera in evenly(sampled_views(cameras), VIEWS):
+    jump = FARTHER * robust_diameter(splats.means[picked]) if picked.any() else 0.0
+    for camera in evenly_spaced(small_views(cameras), CUT_VIEWS):
         depths = depths_of(splats.means, camera)
         values = torch.stack([depths, picked.to(depths), torch.ones_like(depths)], dim=1)
         summed, own_alphas, alphas = composite(splats, camera, values).unbind(dim=-1)
@@ -149,17 +149,19 @@ def occluding_share(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]
 
 SEEN = 1.0  # pixels in all sampled views, from which a Gaussian belongs to the surface
 CLUSTERS = 5000
-NEIGHBOURS = 16
+CUT_NEIGHBOURS = 16
 # All lengths are in median distances to the eighth neighbour
 MIDDLE, GAP, LONE = 8, 4.0, 6.0  # farther neighbours do not touch; lone Gaussians are background
-FLAT = 2.0  # half the thickness of a plane
+CUT_FLAT = 2.0  # half the thickness of a plane
 SPREAD, TINT = 3.0, 3.0  # extent of a cluster; weight of its colours beside its normals
 SOFT_FOLD, SHARP_FOLD, COLOR = 2.0, 4.0, 3.0  # how fast connections weaken
 # Cut connections over the root of the smaller side's, below which an object ends. Two touching
 # objects of the demo have 0.1, the weakest cuts through its single ones 2 to 9.
 MASKED_WEAK = 1.0
 SURE, OTHER = 0.9, 0.5  # shares of a cluster's pixels in masks, and outside, that make it a seed
-STRAY = 0.2  # of the seeds in the part that has most: a part with fewer is no part of the object
+CUT_STRAY = (
+    0.2  # of the seeds in the part that has most: a part with fewer is no part of the object
+)
 # Where an object stands, in gaps over the plane. On the demo a table's own Gaussians reach 0.6, and
 # masks with FOOT 3 or 6 and FOOTING 0 or 1 are worse at the lowest tenth of objects.
 FOOT, FOOTING = 4.0, 0.5
@@ -194,22 +196,22 @@ class ClusterGraph:
 def cluster_graph(splats: Splats, cameras: Cameras) -> ClusterGraph:
     """The graph over the surface of a splat on the CPU."""
     rng = np.random.default_rng(0)
-    seen, towards = _pixels_and_directions(splats, sampled_views(cameras))
+    seen, towards = _pixels_and_directions(splats, small_views(cameras))
     rows = np.flatnonzero(seen > SEEN)
-    if len(rows) <= NEIGHBOURS:
+    if len(rows) <= CUT_NEIGHBOURS:
         raise NothingToPick("Hardly any Gaussian shows in the views. Select by --box3d.")
     means = splats.means.double().numpy()
     points, weights = means[rows], seen[rows]
     colors = rgb_from_sh0(splats.sh0[:, 0]).double().numpy()[rows].clip(0, 1)
-    distances, near = KDTree(points).query(points, k=NEIGHBOURS + 1, workers=-1)
+    distances, near = KDTree(points).query(points, k=CUT_NEIGHBOURS + 1, workers=-1)
     gap = max(float(np.median(distances[:, MIDDLE])), 1e-12)
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][:, :, 0]
     normals *= np.sign((normals * towards[rows]).sum(axis=1))[:, None]
-    planes = find_planes(points, normals, weights, FLAT * gap, rng)
+    planes = find_planes(points, normals, weights, CUT_FLAT * gap, rng)
     flat = np.zeros(len(points), bool)
     for plane in planes:
-        flat |= np.abs(plane.heights(points)) < FLAT * gap
+        flat |= np.abs(plane.heights(points)) < CUT_FLAT * gap
     own = np.flatnonzero(~flat & (distances[:, MIDDLE] <= LONE * gap))
     cluster = np.full(len(rows), -1)
     features = np.hstack([points / (SPREAD * gap), TINT * colors, normals])[own]
@@ -218,7 +220,7 @@ def cluster_graph(splats: Splats, cameras: Cameras) -> ClusterGraph:
     count = cluster.max() + 1
     member = coo_array((weights[own], (cluster[own], own)), (count, len(rows))).tocsr()
     member = diags_array(1 / member.sum(axis=1)) @ member
-    one, other = np.repeat(cluster, NEIGHBOURS), cluster[np.asarray(near)[:, 1:]].ravel()
+    one, other = np.repeat(cluster, CUT_NEIGHBOURS), cluster[np.asarray(near)[:, 1:]].ravel()
     touch = (distances[:, 1:].ravel() < GAP * gap) & (one >= 0) & (other >= 0) & (one != other)
     pairs = coo_array((np.ones(touch.sum()), (one[touch], other[touch])), (count, count)).tocsr()
     owners = cluster[np.asarray(KDTree(points).query(means, workers=-1)[1])]
@@ -282,7 +284,7 @@ def pick_masked(
     chosen = np.zeros(len(surface.points), bool)
     _, parts = connected_components(surface.touching, directed=False)
     counts = np.bincount(parts[seeds], minlength=1)
-    for part in np.flatnonzero(counts > STRAY * counts.max()):
+    for part in np.flatnonzero(counts > CUT_STRAY * counts.max()):
         own, others = (each[parts[each] == part] for each in (seeds, rivals))
         chosen[_cut_part(surface, np.flatnonzero(parts == part), own, others)] = True
     picked = np.append(chosen, False)[surface.owners]
@@ -300,7 +302,7 @@ def _with_feet(
         heights = plane.heights(means) / surface.gap
         heights *= np.sign(np.median(heights[picked]))
         low = picked & (np.abs(heights) < FOOT)
-        slab = np.flatnonzero((surface.owners < 0) & (heights > FOOTING) & (heights < FLAT))
+        slab = np.flatnonzero((surface.owners < 0) & (heights > FOOTING) & (heights < CUT_FLAT))
         if not (low.any() and len(slab)):
             continue
         flat = means @ np.linalg.svd(plane.normal[None])[2][1:].T
@@ -325,15 +327,15 @@ def _cut_part(
     return two_sided(soft, rows, seeds, MASKED_WEAK)
 
 
-FOLD = 8.0  # how fast connections weaken across folds
-NEAREST = 40_000  # patches around the clicks; farther ones are background
+CUT_FOLD = 8.0  # how fast connections weaken across folds
+CUT_NEAREST = 40_000  # patches around the clicks; farther ones are background
 # Cut connections over the root of the smaller side's, below which two objects touch: 0.1 on the
 # demo, where the weakest cuts through single objects have 1.3 and more, and 2.4 through the fox.
 WEAK = 1.0
 # The same cost, below which a piece of a surface is bounded all around: the fox's plaque has 0.09
 # to 0.17 from seven clicks, smaller pieces of it 0.29 and more.
 BOUNDED = 0.2
-FEW = 20  # patches that a piece has at least
+CUT_FEW = 20  # patches that a piece has at least
 MIN_OCCLUDING = 0.02  # of `occluding_share`, below which a pick is background
 
 
@@ -365,7 +367,7 @@ def pick_clicked(
         np.unique([_patch_at(surface, splats, cameras, *each, size) for each in some]).astype(int)
         for some in (places, not_points)
     )
-    graph = surface.pieces() if size == "part" else surface.connections(FOLD)
+    graph = surface.pieces() if size == "part" else surface.connections(CUT_FOLD)
     chosen = np.zeros(len(surface.points), bool)
     parts = _parts(surface, size)
     for part in np.unique(parts[clicked]):
@@ -406,7 +408,7 @@ def _piece(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """The smallest set of patches around the seeds that is well bounded."""
     order, boundary, sums = sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
     cost = boundary / np.sqrt(np.minimum(sums, sums[-1] - sums).clip(1e-12))
-    cost[: min(max(FEW, len(seeds)), len(rows)) - 1] = np.inf
+    cost[: min(max(CUT_FEW, len(seeds)), len(rows)) - 1] = np.inf
     bounded = cost < BOUNDED
     if bounded.any():
         first = int(bounded.argmax())
@@ -419,10 +421,10 @@ def _piece(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
 
 def _nearest(surface: SurfaceGraph, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """The patches closest to seeds, in which walks are found within a second."""
-    if len(rows) <= NEAREST:
+    if len(rows) <= CUT_NEAREST:
         return rows
     away = KDTree(surface.points[seeds]).query(surface.points[rows])[0]
-    return np.sort(rows[np.argpartition(away, NEAREST)[:NEAREST]])
+    return np.sort(rows[np.argpartition(away, CUT_NEAREST)[:CUT_NEAREST]])
 
 
 def _enclosed(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:

@@ -31,24 +31,24 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of, pixel_centres, unproject
 from stylesplat.scene.sequences import cached_while_alive
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.shares import sampled_views
+from stylesplat.selection.shares import small_views
 
 # Edge of a patch in pixels of the sampled views, at the median distance. On the fox and the demo 4
 # to 9 give the same objects.
 PATCH = 5.0
-GRAZING = 0.15  # cosine of the angle to the view's ray below which depth is noise
+GRAPH_GRAZING = 0.15  # cosine of the angle to the view's ray below which depth is noise
 MIN_POINTS, MIN_PATCHES = 3, 8  # in a patch, and in connected patches; fewer are noise
-TOUCH = 1.8  # edges of a patch between the middles of two that touch
+GRAPH_TOUCH = 1.8  # edges of a patch between the middles of two that touch
 # Half a plane's thickness: in medians of how far its patches lie from it; at most, in edges of a
 # patch; at least, in parts of that
 SCATTER, FLAT, THINNEST = 3.0, 1.2, 0.5
-PLANE = 0.15  # share of what shows from which a plane is background; the demo's table has .35
+GRAPH_PLANE = 0.15  # share of what shows from which a plane is background; the demo's table has .35
 UPRIGHT, ALONG = 0.9, 0.8  # cosines of normals to a plane's that fit it, in candidates and planes
 SAMPLE, TRIES = 4000, 200  # points and candidates to find a plane
 # Differences of colours (CIELAB) and normals that divide pieces of a surface, rounds of mean shift,
 # and how fast their connections weaken
 SHADE, BEND, SHIFTS, EDGES = 5.0, 0.7, 10, 6.0
-UNSEEN = 0.02  # pixels in all views; a Gaussian that contributes less is placed by its centre
+GRAPH_UNSEEN = 0.02  # pixels in all views; a Gaussian that contributes less is placed by its centre
 
 
 class NothingToPick(StyleSplatError):
@@ -141,7 +141,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     """The graph over the surface of a splat on the CPU."""
     bare = geometry_only(splats)
     found, sums = [], torch.zeros(len(splats), 4)
-    for camera in track(sampled_views(cameras), "finding the surface"):
+    for camera in track(small_views(cameras), "finding the surface"):
         points, valid, *others = _surface_points(bare, camera)
         found.append([each[valid] for each in (points, *others)])
         known = torch.cat([points * valid[..., None], valid[..., None]], dim=-1)
@@ -154,7 +154,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     edge = PATCH * float(np.median(spacing))
     weights, points, colors, normals = _patches(edge, points, colors, normals)
     tree = KDTree(points)
-    touching = tree.query_pairs(TOUCH * edge, output_type="ndarray")
+    touching = tree.query_pairs(GRAPH_TOUCH * edge, output_type="ndarray")
     beside = symmetric(np.ones(len(touching)), touching, len(points))
     normals = normals + beside @ normals
     normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-12)
@@ -166,10 +166,10 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     solid.eliminate_zeros()
     parts = connected_components(solid, directed=False)[1]
     lone = np.bincount(parts)[parts] < MIN_PATCHES
-    shown = sums[:, :3] / sums[:, 3:].clamp(min=UNSEEN)
+    shown = sums[:, :3] / sums[:, 3:].clamp(min=GRAPH_UNSEEN)
     off = (shown - splats.means).norm(dim=1)
-    reach = splats.scales.exp().amax(dim=1) + TOUCH * edge
-    seen = ((sums[:, 3] > UNSEEN) & (off < reach)).numpy()  # not through what hides it
+    reach = splats.scales.exp().amax(dim=1) + GRAPH_TOUCH * edge
+    seen = ((sums[:, 3] > GRAPH_UNSEEN) & (off < reach)).numpy()  # not through what hides it
     places = torch.where(torch.from_numpy(seen)[:, None], shown, splats.means).double().numpy()
     owners = np.asarray(tree.query(places, workers=-1)[1])
     for plane in planes:  # what an object hides of a plane is not the object's
@@ -200,7 +200,7 @@ def _surface_points(splats: Splats, camera: Cameras) -> tuple[Tensor, ...]:
     normals[1:-1, 1:-1] = normalize(torch.linalg.cross(right, down), dim=-1)
     facing = -(normals * rays).sum(dim=-1)
     normals *= facing.sign()[..., None]
-    valid = (alphas > COVERED) & (facing.abs() > GRAZING)
+    valid = (alphas > COVERED) & (facing.abs() > GRAPH_GRAZING)
     return points, valid, image[..., :3].clamp(0, 1), normals, depths / camera.Ks[0, 0, 0]
 
 
@@ -229,7 +229,7 @@ def find_planes(
 ) -> list[Plane]:
     """Large planes up to half a thickness, by RANSAC."""
     free, planes = np.ones(len(points), bool), []
-    while weights[free].sum() >= PLANE * weights.sum():
+    while weights[free].sum() >= GRAPH_PLANE * weights.sum():
         rows = np.flatnonzero(free)
         some, tries = rng.choice(rows, SAMPLE), rng.choice(rows, TRIES)
         offsets = (points[tries] * normals[tries]).sum(axis=1)
@@ -240,7 +240,7 @@ def find_planes(
         for _ in range(3):
             on = free & (np.abs(plane.heights(points)) < thickness)
             on &= np.abs(normals @ plane.normal) > ALONG
-            if weights[on].sum() < PLANE * weights.sum():
+            if weights[on].sum() < GRAPH_PLANE * weights.sum():
                 return planes
             centre = np.average(points[on], axis=0, weights=weights[on])
             away = points[on] - centre

@@ -10,15 +10,15 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, pasted
+from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.io.hub import find_model, load_model, load_processor
 from stylesplat.progress import track
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
-from stylesplat.scene.sequences import far_apart
+from stylesplat.scene.sequences import farthest_views
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import SCENE, render_labels
+from stylesplat.selection.labels import MEMBER_SCENE, render_labels
 
 CHECKPOINT = "IDEA-Research/grounding-dino-tiny"
 GROUNDED = ("grounding-dino", "mm-grounding-dino")  # score every word of a text for every box
@@ -99,8 +99,8 @@ def load_detector(model: str | None = None, device: torch.device | str = "cpu") 
     return PhraseDetector(loaded, processor, grounded=grounded)
 
 
-VIEWS = 8  # rendered: the others outvote a view in which the detector errs
-LONGER_SIDE = 1024  # pixels of a view; detectors shrink larger ones
+TEXT_VIEWS = 8  # rendered: the others outvote a view in which the detector errs
+TEXT_LONGER_SIDE = 1024  # pixels of a view; detectors shrink larger ones
 STRAYS = 0.01  # share of an object's pixels at each side that its box leaves out
 MIN_FIT = 0.3  # IoU below which a box is around something else, or something without a label
 # Score that may be chance: a quarter of the views must have a box that just counts, or fewer
@@ -122,8 +122,8 @@ def rank_objects(
     """
 
     def detections() -> Iterator[tuple[Int[Tensor, "H W"], Detections]]:
-        for row in track(far_apart(cameras, VIEWS), "looking for it"):
-            camera = cameras[row].at_most(LONGER_SIDE)
+        for row in track(farthest_views(cameras, TEXT_VIEWS), "looking for it"):
+            camera = cameras[row].at_most(TEXT_LONGER_SIDE)
             labels = render_labels(splats, camera).cpu()
             yield labels, detector.detect(_picture(splats, camera), phrase)
 
@@ -166,7 +166,7 @@ def clear_winner(
     if not scores:
         raise StyleSplatError(
             f"No object of the scene fits {phrase!r}. Try another phrase, or run "
-            f"`{pasted('objects', folder or SCENE)}` and select with --id."
+            f"`{shell_command('objects', folder or MEMBER_SCENE)}` and select with --id."
         )
     best, *rest = sorted(scores, key=lambda id: -scores[id])
     called = {id: f" {name!r}" for id, name in (names or {}).items()}

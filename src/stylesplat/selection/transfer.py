@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_ply import of_degree
 from stylesplat.progress import say
 from stylesplat.scene.capture import BACKGROUND
-from stylesplat.scene.frames import SAME, Frame, in_frame_of, move_cameras, move_splats
+from stylesplat.scene.frames import FRAME_SAME, Frame, in_frame_of, move_cameras, move_splats
 from stylesplat.scene.layers import Layer, layer_subset
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
@@ -22,13 +22,13 @@ from stylesplat.scene.splats import Splats
 
 DEGREE = 3  # of the splats of scenes
 # Largest differences between two Gaussians that may be the same; rounding of formats is smaller
-NEAR = 0.002  # of the splat's extent, for positions
-SIZES = 0.35  # for logarithms of standard deviations
+TRANSFER_NEAR = 0.002  # of the splat's extent, for positions
+TRANSFER_SIZES = 0.35  # for logarithms of standard deviations
 OPACITIES = 0.06
-NEIGHBOURS = 8  # compared with each Gaussian: densification leaves copies in one place
+TRANSFER_NEIGHBOURS = 8  # compared with each Gaussian: densification leaves copies in one place
 UNMOVED = 0.9  # share of Gaussians in their old place, above which no motion is estimated
-LEAST = 16  # matches that are not chance
-SAMPLE = 4000  # Gaussians that a motion is estimated from
+TRANSFER_LEAST = 16  # matches that are not chance
+TRANSFER_SAMPLE = 4000  # Gaussians that a motion is estimated from
 UNIQUE = 0.6  # ratio of distances to the nearest and second nearest descriptor (Lowe's test)
 EDITED = 0.1  # median change of the constant band, above which colours were edited
 
@@ -48,7 +48,7 @@ def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat
     splats = in_frame_of(of_degree(splats.to("cpu"), DEGREE), scene.world_offset)
     frame, rows = match_gaussians(splats, scene.splats)
     here = rows >= 0
-    if int(here.sum()) < min(LEAST, len(splats)):
+    if int(here.sum()) < min(TRANSFER_LEAST, len(splats)):
         raise StyleSplatError(
             f"{name} shows nothing of {scene.path or 'the scene'}: none of its {len(splats):,} "
             "Gaussians is one of these. Name the scene that it came from, or import it without one."
@@ -57,7 +57,7 @@ def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat
         scene,
         base=_with_identities(splats, scene.splats, rows.clamp(min=0), here),
         layers=(),
-        cameras=scene.cameras if frame is SAME else move_cameras(scene.cameras, frame),
+        cameras=scene.cameras if frame is FRAME_SAME else move_cameras(scene.cameras, frame),
         objects=_objects(scene, rows.clamp(min=0), here),
         path=None,
     )
@@ -71,30 +71,32 @@ def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat
         "matched": matched,
         "new_gaussians": len(splats) - matched,
         "lost_gaussians": len(scene.splats) - matched,
-        "moved": [] if frame is SAME else [motion],
+        "moved": [] if frame is FRAME_SAME else [motion],
     }
     return replace(found, metrics=metrics)
 
 
 def match_gaussians(found: Splats, known: Splats) -> tuple[Frame, Int[Tensor, " M"]]:
     """The motion from known to found Gaussians, and the known row of each found one, -1 if new."""
-    rows = _nearest(found, known, SAME)
+    rows = _nearest(found, known, FRAME_SAME)
     if (rows >= 0).mean() < UNMOVED and (frame := _motion(found, known)) is not None:
         moved_rows = _nearest(found, known, frame)
         if (moved_rows >= 0).sum() > (rows >= 0).sum():
             return frame, torch.from_numpy(moved_rows)
-    return SAME, torch.from_numpy(rows)
+    return FRAME_SAME, torch.from_numpy(rows)
 
 
 def _nearest(found: Splats, known: Splats, frame: Frame) -> Int[np.ndarray, " M"]:
     """The known row of each Gaussian, one to one, assigned in order of distance."""
     means = found.means.numpy()
-    reach = NEAR * max(np.ptp(np.quantile(means, (0.02, 0.98), axis=0), axis=0).max(), 1e-9)
-    mine, theirs = _features(found, SAME, reach), _features(known, frame, reach)
+    reach = TRANSFER_NEAR * max(
+        np.ptp(np.quantile(means, (0.02, 0.98), axis=0), axis=0).max(), 1e-9
+    )
+    mine, theirs = _features(found, FRAME_SAME, reach), _features(known, frame, reach)
     rows, free = np.full(len(found), -1), np.arange(len(known))
     asking = np.arange(len(found))
     while len(asking) and len(free):
-        count = min(NEIGHBOURS, len(free))
+        count = min(TRANSFER_NEIGHBOURS, len(free))
         tree = KDTree(theirs[free])
         found_pairs = tree.query(mine[asking], k=count, p=np.inf, distance_upper_bound=1)
         away, near = (np.asarray(each).reshape(-1, count) for each in found_pairs)
@@ -112,16 +114,16 @@ def _nearest(found: Splats, known: Splats, frame: Frame) -> Int[np.ndarray, " M"
 def _features(splats: Splats, frame: Frame, reach: float) -> Numbers:
     """Positions, scales and opacities in units of the tolerated differences."""
     means = frame.place(splats.means.double()) / reach
-    sizes = (splats.scales.double().sort(dim=1).values + np.log(frame.scale)) / SIZES
+    sizes = (splats.scales.double().sort(dim=1).values + np.log(frame.scale)) / TRANSFER_SIZES
     opacities = torch.sigmoid(splats.opacities.double())[:, None] / OPACITIES
     return torch.cat([means, sizes, opacities], dim=1).numpy()
 
 
 def _motion(found: Splats, known: Splats) -> Frame | None:
     """The similarity between Gaussians of equal descriptors, by RANSAC."""
-    sample = np.random.default_rng(0).permutation(len(found))[:SAMPLE]
+    sample = np.random.default_rng(0).permutation(len(found))[:TRANSFER_SAMPLE]
     extent = float(np.ptp(found.means.numpy(), axis=0).max())
-    if min(len(sample), len(known)) < LEAST:
+    if min(len(sample), len(known)) < TRANSFER_LEAST:
         return None
     for colors in (True, False):
         mine, theirs = _descriptors(found, colors)[sample], _descriptors(known, colors)
@@ -130,11 +132,11 @@ def _motion(found: Splats, known: Splats) -> Frame | None:
         clear = away[:, 0] < UNIQUE * away[:, 1]
         before = known.means.double().numpy()[near[clear, 0]]
         after = found.means.double().numpy()[sample[clear]]
-        if len(before) < LEAST:
+        if len(before) < TRANSFER_LEAST:
             continue
-        fits = cv2.estimateAffine3D(before, after, ransacThreshold=NEAR * extent)[2]
+        fits = cv2.estimateAffine3D(before, after, ransacThreshold=TRANSFER_NEAR * extent)[2]
         inliers = fits.ravel().astype(bool)
-        if inliers.sum() >= max(LEAST, len(sample) // 50):
+        if inliers.sum() >= max(TRANSFER_LEAST, len(sample) // 50):
             matrix, scale = cv2.estimateAffine3D(
                 before[inliers], after[inliers], force_rotation=True
             )

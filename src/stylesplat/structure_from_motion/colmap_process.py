@@ -23,7 +23,7 @@ from typing import Any
 
 import stylesplat
 from stylesplat.errors import StyleSplatError
-from stylesplat.interrupts import POLL_SECONDS, check
+from stylesplat.interrupts import POLL_SECONDS, raise_if_interrupted
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.files import cannot_write
 from stylesplat.progress import Task, task
@@ -35,9 +35,9 @@ FATAL = 3  # log level: COLMAP logs nothing below what ends the process; errors 
 PHOTOS_PER_THREAD, PAIRS = 4, 50
 # Features that suffice in a typical photo at its own size: fox (1250) then has poses within 0.05
 # degrees, desk (440) has a fifth to a half more error than with the 1360 of twice the size
-FEW = 800
+COLMAP_FEW = 800
 LOG_LINES = 50  # of the child that are kept for error messages
-DISK_FULL = re.compile(
+COLMAP_DISK_FULL = re.compile(
     "disk is full|disk I/O error|No space left|File too large|quota exceeded", re.IGNORECASE
 )
 LOG_NOISE = re.compile(r"^(\s*@|\*\*\*|PC:|terminate called)")  # around the message of glog
@@ -47,7 +47,7 @@ LOG_PREFIX = re.compile(r"^(failed: |\s*what\(\):\s*|\[[\w.]+:\d+\] )+")
 def run_stage(
     stage: str, settings: dict[str, Any], what: str, total: int, unit: str, done: int = 0
 ) -> None:
-    """Run one of `STAGES` in a child process, with a progress bar.
+    """Run one of `COLMAP_STAGES` in a child process, with a progress bar.
 
     The child ends if this process ends or is interrupted. Its database stays valid: SQLite keeps
     a journal.
@@ -83,7 +83,7 @@ def run_stage(
 
 def is_disk_full(text: str) -> bool:
     """Whether a message of COLMAP or SQLite says that the disk is full."""
-    return bool(DISK_FULL.search(text))
+    return bool(COLMAP_DISK_FULL.search(text))
 
 
 def _polled(output: Iterable[str]) -> Iterator[str]:
@@ -100,7 +100,7 @@ def _polled(output: Iterable[str]) -> Iterator[str]:
         try:
             line = lines.get(timeout=POLL_SECONDS)
         except Empty:
-            check()
+            raise_if_interrupted()
             continue
         if line is None:
             return
@@ -133,7 +133,7 @@ def run_child() -> None:
     pycolmap.logging.minloglevel = FATAL
     pycolmap.set_random_seed(task["seed"])
     try:
-        STAGES[sys.argv[1]](task)
+        COLMAP_STAGES[sys.argv[1]](task)
     except Exception as error:
         print(f"failed: {error}", flush=True)
         os._exit(1)
@@ -197,7 +197,7 @@ def _first_octave(
             counts.append(sum(bool(shown[int(each.y), int(each.x)]) for each in features))
         else:
             counts.append(len(features))
-    return 0 if counts and median(counts) >= FEW else -1
+    return 0 if counts and median(counts) >= COLMAP_FEW else -1
 
 
 def _match_pairs(task: dict[str, Any]) -> None:
@@ -241,7 +241,7 @@ def _map_photos(task: dict[str, Any]) -> None:
     )
 
 
-STAGES: dict[str, Callable[[dict[str, Any]], None]] = {
+COLMAP_STAGES: dict[str, Callable[[dict[str, Any]], None]] = {
     "import_photos": _import_photos,
     "extract_features": _extract_features,
     "match_pairs": _match_pairs,

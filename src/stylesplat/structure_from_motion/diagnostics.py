@@ -9,20 +9,20 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, counted, one_line, some
+from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 from stylesplat.io.captures.colmap import ModelFigures
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.outliers import Outliers
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
-from stylesplat.structure_from_motion.image_measures import BLURRED, SOFT
+from stylesplat.structure_from_motion.image_measures import BLURRED, MEASURE_SOFT
 from stylesplat.structure_from_motion.matching import MatchTable
 from stylesplat.structure_from_motion.world_frame import Coverage, PhotoStatistics
 
 Verdict = Literal["good", "fair", "poor"]
 
-FEW = 20  # photos; with fewer from one side only, even that side is poor
+DIAGNOSIS_FEW = 20  # photos; with fewer from one side only, even that side is poor
 MIN_SHARED = 50  # points that a photo has to share with others
 MIN_SHARED_SHARE = 0.1  # of what photos of the capture share in the median
 SAME_DISTANCE = 1.2  # ratio of distances that is not worth a number
@@ -55,7 +55,7 @@ class CaptureReport:
     """Where up is -y, the content is in the middle and the cameras' median distance is 1."""
 
     def __repr__(self) -> str:
-        return one_line(self, *(f"{each.what}: {each.verdict}" for each in self.findings))
+        return noun_repr(self, *(f"{each.what}: {each.verdict}" for each in self.findings))
 
     def summary(self) -> dict[str, Any]:
         """The same as plain values, for JSON."""
@@ -68,15 +68,15 @@ class CaptureReport:
 def diagnose_count(count: int) -> Finding:
     fault = "They are too few for most scenes" if count < 15 else "More make it sharper"
     advice = f"{fault}: take 40 to 100."
-    return _graded("photos", count, (30, 15), counted(count, "photo"), advice)
+    return _graded("photos", count, (30, 15), count_noun(count, "photo"), advice)
 
 
 def diagnose_poses(posed: int, unposed: Mapping[str, str], left_out: int) -> Finding:
     """How many of the photos have a pose, and why others have none."""
     total = posed + len(unposed)
     why = [f"{name} ({reason})" if reason else name for name, reason in unposed.items()]
-    says = f"{posed} of {counted(total, 'photo')} have a pose"
-    says += f", not {some(why)}" if why else ""
+    says = f"{posed} of {count_noun(total, 'photo')} have a pose"
+    says += f", not {join_names(why)}" if why else ""
     says += f"; {left_out} more were left out" if left_out else ""
     advice = (
         "Take more photos between those without a pose and the rest, in small steps, and pose "
@@ -99,7 +99,7 @@ def diagnose_model(figures: ModelFigures) -> list[Finding]:
     weak = weakly_connected(shared)
     overlap = f"each photo shares {min(shared.values()):,} points or more with others"
     if weak:
-        overlap = f"few points connect {some(weak)} with the others"
+        overlap = f"few points connect {join_names(weak)} with the others"
     vague = "Poses are vague: --refine-poses helps; leave out photos that are blurred or zoomed."
     mean = f"the mean reprojection error is {error:.1f} pixels" if error is not None else ""
     return [
@@ -148,15 +148,15 @@ def diagnose_sides(coverage: Coverage, photos: int) -> Finding:
         says = f"seen from {arc} of 360 degrees, a gap of {gap}"
         advice = "Walk on around it, or leave it so if nobody is to look from there."
         return _graded("sides", arc, (320, 120), says, advice)
-    if photos < FEW or arc < 30:
-        says = f"{counted(photos, 'photo')} from one side only, {arc} of 360 degrees"
+    if photos < DIAGNOSIS_FEW or arc < 30:
+        says = f"{count_noun(photos, 'photo')} from one side only, {arc} of 360 degrees"
         return Finding("sides", "poor", arc, says, "Walk around the object.")
     says = f"seen from one side, {arc} of 360 degrees; views from behind will be empty"
     return Finding("sides", "fair", arc, says, "Walk around it if they are wanted.")
 
 
 def diagnose_heights(coverage: Coverage) -> Finding:
-    says = f"{counted(coverage.heights, 'height')}, {coverage.elevations}"
+    says = f"{count_noun(coverage.heights, 'height')}, {coverage.elevations}"
     advice = "Go around again with the camera higher, looking down, or lower."
     return _graded("heights", coverage.heights, (2, 1), says, advice)
 
@@ -191,7 +191,9 @@ def diagnose_photos(photos: PhotoStatistics, names: Sequence[str]) -> list[Findi
             "sharpness",
             len(blurred),
             (0, 0.1 * len(names)),
-            f"blurred: {some(blurred)}" if blurred else "no photo is much less sharp than others",
+            f"blurred: {join_names(blurred)}"
+            if blurred
+            else "no photo is much less sharp than others",
             "Leave them out or take them again, with more light or a steadier hand.",
         ),
         _graded(
@@ -317,7 +319,7 @@ def triangulation_angle(model: pycolmap.Reconstruction) -> float:
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         return float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1.0, 1.0))))
 
-    points = evenly([*model.points3D.values()], SAMPLED_POINTS)
+    points = evenly_spaced([*model.points3D.values()], SAMPLED_POINTS)
     return float(np.median([widest(point) for point in points])) if points else 0.0
 
 
@@ -334,7 +336,7 @@ def why_unregistered(
     def reason(name: str) -> str:
         if name not in counts:
             return "it cannot be decoded"
-        if sharpness.get(name, 1.0) < SOFT:
+        if sharpness.get(name, 1.0) < MEASURE_SOFT:
             return f"blurred: {sharpness[name]:.0%} as sharp as its neighbours"
         if counts[name] < FEW_FEATURES:
             return f"too little texture: {counts[name]} features"
@@ -344,7 +346,7 @@ def why_unregistered(
         if shared < MIN_INLIERS:
             return (
                 "too far from the others: no photo with a pose shares more than "
-                f"{counted(shared, 'feature')} with it, {MIN_INLIERS} are needed"
+                f"{count_noun(shared, 'feature')} with it, {MIN_INLIERS} are needed"
             )
         return (
             f"no camera position fits, though it shares {shared} features with a photo that has a "

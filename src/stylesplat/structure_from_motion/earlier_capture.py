@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import partial_of
+from stylesplat.io.atomic import progress_path
 from stylesplat.io.files import is_file, is_there, real_path
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def source_digest(source: Path) -> str:
 
     folder, names = source.parent, [source.name]
     if source.is_dir():
-        found = find_sources(source, skip=partial_of(source))
+        found = find_sources(source, skip=progress_path(source))
         folder, names = source, [*found.photos, *found.videos]
     state = hashlib.sha256()
     for name in names:
@@ -61,7 +61,7 @@ def find_earlier_capture(given: Path, *, beside: Path) -> Path | None:
 
 def is_sfm_unfinished(given: Path, *, beside: Path) -> bool:
     """Whether an interrupted `sfm` of these photos would be continued."""
-    return is_there(partial_of(capture_place(given, beside=beside)) / "sfm")
+    return is_there(progress_path(capture_place(given, beside=beside)) / "sfm")
 
 
 def view_of_photo(name: str, record: "SfmRecord | None") -> str:

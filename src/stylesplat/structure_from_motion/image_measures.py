@@ -11,14 +11,16 @@ from stylesplat.progress import track
 
 Grey = UInt8[np.ndarray, "_ _"]
 
-SIDE = 640  # pixels of the longer side at which pictures are compared
+MEASURE_SIDE = 640  # pixels of the longer side at which pictures are compared
 
 # Sharpness
-ROUNDING = 1.0  # grey levels squared: what rounding adds to the variance
-NEIGHBOURS = 10  # photos whose median sharpness is the typical one
+MEASURE_ROUNDING = 1.0  # grey levels squared: what rounding adds to the variance
+MEASURE_NEIGHBOURS = 10  # photos whose median sharpness is the typical one
 # Relative to typical. Real photos (fox, desk) have 0.40 or more; blur of 1 % of the width 0.17
 BLURRED = 0.2
-SOFT = 0.5  # relative to typical: too blurred where other frames exist, or where nothing matches
+MEASURE_SOFT = (
+    0.5  # relative to typical: too blurred where other frames exist, or where nothing matches
+)
 # Absolute, of the median photo. Fox and desk have 0.015 and 0.007, and 0.0005 after a Gaussian blur
 # of 0.3 % of their width
 ALL_BLURRED = 0.0007
@@ -31,11 +33,11 @@ LAPLACIANS = tuple(
         [[0, 0, -1], [0, 2, 0], [-1, 0, 0]],
     )
 )
-REACH = np.ones((3, 3), np.uint8)  # of their kernels
+MEASURE_REACH = np.ones((3, 3), np.uint8)  # of their kernels
 
 # Background
 MIN_REMOVED = 0.2  # share of a photo that a removed background covers
-RIM = 0.02  # width of the rim, in shorter sides
+MEASURE_RIM = 0.02  # width of the rim, in shorter sides
 # Share of the rim of one grey level; the object may reach the rest. Fox and desk have 0.07 at most,
 # and an overexposed sky covers half of it
 PLAIN_RIM = 0.7
@@ -56,7 +58,7 @@ QUANTILE = 0.9
 SAME_VIEW = 0.002
 MIN_CORRELATION = 0.9  # of thumbnails; below it two photos are not tracked
 THUMBNAIL = (32, 32)  # pixels
-CANDIDATES = 3  # photos that each is compared with: its neighbours, or copies of it
+MEASURE_CANDIDATES = 3  # photos that each is compared with: its neighbours, or copies of it
 
 
 def sharpness(
@@ -65,24 +67,25 @@ def sharpness(
     """Energy of the Laplacian along the direction that has least of it, over the variance.
 
     Motion blurs one direction only, which the full Laplacian hardly shows where edges run along
-    it. The variance makes dark and bright photos comparable. The picture has `SIDE` pixels, of
+    it. The variance makes dark and bright photos comparable. The picture has `MEASURE_SIDE`
+    pixels, of
     which all count or the valid ones.
     """
     pixels, counted = grey.astype(np.float32), slice(None)
     if valid is not None:
-        counted = cv2.erode(valid.astype(np.uint8), REACH) > 0
+        counted = cv2.erode(valid.astype(np.uint8), MEASURE_REACH) > 0
         if not counted.any():
             return 0.0
     energies = [cv2.filter2D(pixels, cv2.CV_32F, each)[counted].var() for each in LAPLACIANS]
-    return float(min(energies) / (pixels[counted].var() + ROUNDING))
+    return float(min(energies) / (pixels[counted].var() + MEASURE_ROUNDING))
 
 
 def relative_sharpness(values: Sequence[float]) -> list[float]:
     """Each value over the median of its neighbours in the list: 1 is typical."""
 
     def relative(index: int) -> float:
-        first = max(0, min(index - NEIGHBOURS // 2, len(values) - NEIGHBOURS - 1))
-        around = [*values[first:index], *values[index + 1 : first + NEIGHBOURS + 1]]
+        first = max(0, min(index - MEASURE_NEIGHBOURS // 2, len(values) - MEASURE_NEIGHBOURS - 1))
+        around = [*values[first:index], *values[index + 1 : first + MEASURE_NEIGHBOURS + 1]]
         typical = float(np.median(around)) if around else values[index]
         return values[index] / typical if typical else 1.0
 
@@ -97,7 +100,7 @@ def lacks_background(small: SmallPhoto) -> bool:
     if small.transparent > MIN_REMOVED:
         return True
     grey = small.grey.astype(np.float32)
-    width = max(1, round(RIM * min(grey.shape)))
+    width = max(1, round(MEASURE_RIM * min(grey.shape)))
     on_rim = np.ones(grey.shape, bool)
     on_rim[width:-width, width:-width] = False
     plain = np.abs(grey - np.median(grey[on_rim])) < SAME_LEVEL
@@ -141,7 +144,7 @@ def near_duplicates(greys: Sequence[Grey], worth: Sequence[tuple[float, ...]]) -
     for row in track(best_first, "comparing photos", unit="photo"):
         others = np.array([*kept], int)
         correlations = thumbnails[others] @ thumbnails[row]
-        closest = np.argsort(-correlations, kind="stable")[:CANDIDATES]
+        closest = np.argsort(-correlations, kind="stable")[:MEASURE_CANDIDATES]
         alike = [int(others[o]) for o in closest if correlations[o] >= MIN_CORRELATION]
         same = next((other for other in alike if _is_same_view(kept[other], greys[row])), None)
         if same is None:

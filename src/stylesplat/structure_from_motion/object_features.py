@@ -15,13 +15,13 @@ from jaxtyping import Bool, Float, Integer
 from PIL import Image, ImageOps
 from scipy.spatial import KDTree
 
-from stylesplat.errors import StyleSplatError, some
+from stylesplat.errors import StyleSplatError, join_names
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.captures.photos import OPAQUE, same_shape
-from stylesplat.io.files import inside
+from stylesplat.io.captures.photos import PHOTO_OPAQUE, same_shape
+from stylesplat.io.files import resolve_within
 from stylesplat.io.images import decode, image_sizes, open_image
 from stylesplat.progress import track
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.structure_from_motion.workspace import (
     Workspace,
     mask_file,
@@ -30,20 +30,22 @@ from stylesplat.structure_from_motion.workspace import (
 
 STILL, MOVED = 0.003, 0.01  # displacements of matches, in longer sides of the photo
 MIN_MATCHES = 15  # of each motion, COLMAP's least number for a geometry of two photos
-SPREAD = 0.1  # deviation of the still matches, in longer sides: the centre of an orbit has less
+FEATURE_SPREAD = (
+    0.1  # deviation of the still matches, in longer sides: the centre of an orbit has less
+)
 MIN_FITTING = 0.5  # share of the moving matches that fit one geometry
-MAX_PAIRS = 300  # that are looked at
-NEIGHBOURS = 5  # features around a place that decide what it shows
-REACH = 0.04  # of an object beyond its features, in longer sides
+FEATURE_MAX_PAIRS = 300  # that are looked at
+FEATURE_NEIGHBOURS = 5  # features around a place that decide what it shows
+FEATURE_REACH = 0.04  # of an object beyond its features, in longer sides
 GRID = 4  # pixels
-PLAIN = 10  # grey levels by which plain surroundings vary in JPEG files
+FEATURE_PLAIN = 10  # grey levels by which plain surroundings vary in JPEG files
 OUTLINE = 5  # pixels: an outline's features slide over the object
 # A camera stands still if beside the object, in at least half of each photo, hardly a pixel changes
 THUMBNAIL, COMPARED = 120, 40  # pixels, pairs of photos
 UNCHANGED, LEFT_OUT, STILL_SHARE = 12, 0.5, 0.8  # grey levels, and shares of pixels
 
-Box = tuple[float, float, float, float]
-Masks = Mapping[str, Callable[[], Bool[np.ndarray, "_ _"]]]
+PhotoBox = tuple[float, float, float, float]
+MaskReaders = Mapping[str, Callable[[], Bool[np.ndarray, "_ _"]]]
 """By photo."""
 Matches = Mapping[tuple[int, int], Integer[np.ndarray, "M 2"]]
 
@@ -67,7 +69,7 @@ def share_of_two_motions(
 ) -> float:
     """The share of the pairs in which much stays at its pixel while the rest moves as one."""
     pairs = [pair for pair, each in matches.items() if len(each) >= 2 * MIN_MATCHES]
-    pairs = pairs[:: -(-len(pairs) // MAX_PAIRS) or 1]
+    pairs = pairs[:: -(-len(pairs) // FEATURE_MAX_PAIRS) or 1]
     two = [_has_two_motions(places, matches[pair], pair, sides) for pair in pairs]
     return sum(two) / len(two) if two else 0.0
 
@@ -83,7 +85,7 @@ def _has_two_motions(
     still, moving = moved < STILL, moved > MOVED
     if min(still.sum(), moving.sum()) < MIN_MATCHES:
         return False
-    if here[still].std(axis=0).max() < SPREAD * sides[pair[0]]:
+    if here[still].std(axis=0).max() < FEATURE_SPREAD * sides[pair[0]]:
         return False
     cv2.setRNGSeed(0)
     error = STILL * sides[pair[0]]
@@ -96,7 +98,7 @@ def spread_box(
     matches: Matches,
     sides: Sequence[int],
     first: int,
-    box: Box,
+    box: PhotoBox,
 ) -> list[Float[np.ndarray, " _"]]:
     """How much each feature belongs to the object in a box, from -1 to 1.
 
@@ -150,7 +152,7 @@ def _nearest_mean(
 ) -> Float[np.ndarray, " Q"]:
     if not len(places) or not len(at):
         return -np.ones(len(at))
-    near = KDTree(places).query(at, k=min(NEIGHBOURS, len(places)))[1].reshape(len(at), -1)
+    near = KDTree(places).query(at, k=min(FEATURE_NEIGHBOURS, len(places)))[1].reshape(len(at), -1)
     return values[near].mean(axis=1)
 
 
@@ -164,7 +166,7 @@ def pixels_near_features(
     grid = np.stack(np.meshgrid(*(np.arange(0, n, GRID) + GRID / 2 for n in size)), axis=-1)
     shown = _nearest_mean(places, values, grid.reshape(-1, 2)).reshape(grid.shape[:2])
     away = KDTree(places[values > 0]).query(grid.reshape(-1, 2))[0].reshape(grid.shape[:2])
-    shown[away > REACH * max(size)] = -1
+    shown[away > FEATURE_REACH * max(size)] = -1
     enlarged = cv2.resize(shown, (grid.shape[1] * GRID, grid.shape[0] * GRID))
     return enlarged[:height, :width] > 0
 
@@ -172,18 +174,20 @@ def pixels_near_features(
 def cut_out_mask(path: Path) -> Bool[np.ndarray, "H W"]:
     """What is opaque in a cut-out, or differs from its plain surroundings."""
     pixels = decode(path, upright=True)
-    mask = pixels[..., 3] >= OPAQUE if pixels.shape[2] > 3 else np.ones(pixels.shape[:2], bool)
+    mask = (
+        pixels[..., 3] >= PHOTO_OPAQUE if pixels.shape[2] > 3 else np.ones(pixels.shape[:2], bool)
+    )
     if mask.all():
         grey = pixels[..., :3].mean(axis=2)
         rim = np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
-        plain = np.abs(grey - np.median(rim)) < PLAIN
+        plain = np.abs(grey - np.median(rim)) < FEATURE_PLAIN
         parts = cv2.connectedComponents(plain.astype(np.uint8))[1]
         outside = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
         mask = ~(plain & np.isin(parts, outside))
     return cv2.erode(mask.astype(np.uint8), np.ones((OUTLINE, OUTLINE)), borderValue=1) > 0
 
 
-def write_masks(masks: Masks, photos: Path, names: Sequence[str], folder: Path) -> Path:
+def write_masks(masks: MaskReaders, photos: Path, names: Sequence[str], folder: Path) -> Path:
     """Write the masks of photos at their sizes, for COLMAP, and return the folder.
 
     Raises:
@@ -191,14 +195,15 @@ def write_masks(masks: Masks, photos: Path, names: Sequence[str], folder: Path) 
     """
     if missing := [name for name in names if name not in masks]:
         raise StyleSplatError(
-            f"There is no mask of {some(missing)} ({len(missing)} of {len(names)} photos). Add "
+            f"There is no mask of {join_names(missing)} ({len(missing)} of {len(names)} photos). "
+            "Add "
             "them, or leave these photos out."
         )
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     shares = []
     for name, file in zip(names, numbered_files(names), strict=True):
-        size = image_sizes(inside(photos, name))[1]
+        size = image_sizes(resolve_within(photos, name))[1]
         mask = masks[name]()
         if not same_shape(mask.shape[::-1], size):
             raise StyleSplatError(
@@ -226,7 +231,9 @@ def stands_still(photos: Path, files: Sequence[str], masks: Path) -> bool:
             return np.asarray(grey).astype(int), left_out
 
     sizes, same = [], []
-    for row in track(evenly(range(len(files) - 1), COMPARED), "looking at what stands still"):
+    for row in track(
+        evenly_spaced(range(len(files) - 1), COMPARED), "looking at what stands still"
+    ):
         (grey, left_out), (after, also) = look(files[row]), look(files[row + 1])
         both = left_out & also
         sizes.append(both.mean())

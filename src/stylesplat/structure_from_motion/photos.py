@@ -15,11 +15,11 @@ from typing import TypeVar
 import numpy as np
 from PIL import ExifTags, Image
 
-from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.errors import StyleSplatError, join_names, shorten
 from stylesplat.io.atomic import PARTIAL, atomic_path
 from stylesplat.io.captures.photos import SmallPhoto, plain_suffix, read_small
 from stylesplat.io.captures.posed_files import check_path
-from stylesplat.io.files import inside, reason
+from stylesplat.io.files import reason, resolve_within
 from stylesplat.io.images import exif_of, open_image, read_image, write_image
 from stylesplat.io.json_yaml import PhotoName
 from stylesplat.io.kinds import HEIC, NO_PHOTOS, PHOTOS, VIDEOS, find_poses
@@ -28,7 +28,7 @@ from stylesplat.structure_from_motion.config import MIN_PHOTOS
 from stylesplat.structure_from_motion.image_measures import (
     ALL_BLURRED,
     BLURRED,
-    SIDE,
+    MEASURE_SIDE,
     lacks_background,
     near_duplicates,
     relative_sharpness,
@@ -69,7 +69,7 @@ def group_by_camera(photos: Path, names: Sequence[str], cameras: str) -> tuple[C
     """Group photos by size and lens, reading headers only."""
     rows: dict[tuple[object, ...], list[int]] = {}
     for row, name in enumerate(names):
-        with open_image(inside(photos, name)) as image:
+        with open_image(resolve_within(photos, name)) as image:
             key: tuple[object, ...] = image.size
             if cameras == "several":
                 key = (row,)
@@ -139,7 +139,9 @@ def map_photos(
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 MAX_MASKED = 0.5  # share of photos without background; with more the user masked them on purpose
-MAX_NUMBERS = 4  # numbers from the first to the last photo, per photo; with more it is no series
+PHOTO_MAX_NUMBERS = (
+    4  # numbers from the first to the last photo, per photo; with more it is no series
+)
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,7 @@ def find_sources(folder: Path, *, skip: Path) -> SourceFiles:
     heic = [name for name in photos if name.lower().endswith(HEIC)]
     if heic and importlib.util.find_spec("pillow_heif") is None:
         raise StyleSplatError(
-            f"{brief(heic[0])} is HEIC, as are {len(heic)} of {len(photos)} photos of {folder}. "
+            f"{shorten(heic[0])} is HEIC, as are {len(heic)} of {len(photos)} photos of {folder}. "
             "`pip install 'stylesplat[heic]'` makes them readable."
         )
     return SourceFiles(photos, videos, left_out)
@@ -188,7 +190,7 @@ def find_sources(folder: Path, *, skip: Path) -> SourceFiles:
 def _refuse_posed(folder: Path) -> None:
     found = find_poses(folder)
     if found:
-        posed = some(path.relative_to(folder).as_posix() for path in found[0].paths)
+        posed = join_names(path.relative_to(folder).as_posix() for path in found[0].paths)
         photos = f", or give {folder / 'images'} to find new ones" * (folder / "images").is_dir()
         raise StyleSplatError(
             f"{folder} has its poses already ({posed}). Use it as it is, with "
@@ -250,7 +252,7 @@ def is_series(names: Sequence[str]) -> bool:
     if len(matches) < len(names) or len({match[1] for match in matches}) != 1:
         return False
     numbers = [int(match[2]) for match in matches]
-    return numbers[-1] - numbers[0] < MAX_NUMBERS * len(numbers)
+    return numbers[-1] - numbers[0] < PHOTO_MAX_NUMBERS * len(numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +306,9 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
 
 
 def too_few_photos(source: Path, usable: int, left_out: Mapping[str, str]) -> StyleSplatError:
-    reasons = some((f"{brief(name)} ({text})" for name, text in left_out.items()), whole=True)
+    reasons = join_names(
+        (f"{shorten(name)} ({text})" for name, text in left_out.items()), whole=True
+    )
     others = f"; {len(left_out)} left out: {reasons}" if reasons else ""
     return StyleSplatError(
         f"{source} has {usable or 'no'} photos that can be used{others}. "
@@ -316,7 +320,7 @@ def _measure(source: Path, names: Sequence[str], left_out: dict[str, str]) -> li
     def measure(name: str) -> _Candidate | str:
         path = source / name
         try:
-            small, suffix = read_small(path, SIDE), plain_suffix(path) or ".jpg"
+            small, suffix = read_small(path, MEASURE_SIDE), plain_suffix(path) or ".jpg"
             return _Candidate(name, small, sharpness(small.grey), suffix)
         except StyleSplatError as error:
             cause = error.__cause__ if isinstance(error.__cause__, Exception) else error

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import partial_of
-from stylesplat.io.files import inside, require_regular
+from stylesplat.io.atomic import progress_path
+from stylesplat.io.files import require_regular, resolve_within
 from stylesplat.io.json_yaml import read_json_as, write_json
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
@@ -27,13 +27,15 @@ from stylesplat.structure_from_motion.video_keyframes import (
     write_keyframes,
 )
 
-RECORD = ".prepared.json"  # in the folder of prepared photos
-VERSION = 4  # of how photos are selected and written; those of another version are made again
+PREPARE_RECORD = ".prepared.json"  # in the folder of prepared photos
+PREPARE_VERSION = (
+    4  # of how photos are selected and written; those of another version are made again
+)
 
 
 def check_source(source: Path) -> None:
     """Refuse what is clearly neither photos nor a video, before anything is written."""
-    path, files = _find_source(source, partial_of(source))
+    path, files = _find_source(source, progress_path(source))
     if files is None:
         with open_video(path):
             pass
@@ -50,22 +52,22 @@ def prepare(source: Path, folder: Path, *, frames: int = 100) -> PreparedPhotos:
     if files is None:
         parts = [str(frames), _stamp(path)]
     else:
-        photos = [f"{name} {_stamp(inside(path, name))}" for name in files.photos]
+        photos = [f"{name} {_stamp(resolve_within(path, name))}" for name in files.photos]
         parts = [*photos, *files.left_out, *files.videos]
-    text = "\n".join((str(VERSION), *parts))
+    text = "\n".join((str(PREPARE_VERSION), *parts))
     identity = hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()
     record = _read_record(folder)
     if record is None or record.source != identity:
         chosen = select_keyframes(path, frames) if files is None else select_photos(path, files)
         record = _Record(identity, chosen)
         shutil.rmtree(folder, ignore_errors=True)
-        write_json(asdict(record), folder / RECORD)
+        write_json(asdict(record), folder / PREPARE_RECORD)
     prepared = record.prepared
-    missing = {n: o for n, o in prepared.origins.items() if not inside(folder, n).is_file()}
+    missing = {n: o for n, o in prepared.origins.items() if not resolve_within(folder, n).is_file()}
 
     def write(item: tuple[str, str]) -> None:
         name, origin = item
-        write_photo(inside(path, origin), inside(folder, name))
+        write_photo(resolve_within(path, origin), resolve_within(folder, name))
 
     if files is None:
         write_keyframes(path, [*missing], folder)
@@ -106,7 +108,7 @@ class _Record:
 def _read_record(folder: Path) -> _Record | None:
     """The record of an earlier call; None if there is none, or it is damaged."""
     try:
-        return read_json_as(folder / RECORD, _Record, "It is made again.")
+        return read_json_as(folder / PREPARE_RECORD, _Record, "It is made again.")
     except StyleSplatError:
         return None
 

@@ -11,13 +11,13 @@ import numpy as np
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import changing
+from stylesplat.io.atomic import locked_folder
 from stylesplat.io.captures.colmap import posed_images
 from stylesplat.io.captures.colmap_files import check_complete
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens, places_in
 from stylesplat.io.captures.photos import Photo
-from stylesplat.io.files import cannot_write, inside
+from stylesplat.io.files import cannot_write, resolve_within
 from stylesplat.io.images import image_sizes, write_image
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.diagnostics import (
@@ -29,8 +29,8 @@ from stylesplat.structure_from_motion.diagnostics import (
 )
 from stylesplat.structure_from_motion.matching import choose_pairs, match_pairs, orbit_pairs
 from stylesplat.structure_from_motion.object_features import (
-    Box,
-    Masks,
+    MaskReaders,
+    PhotoBox,
     pixels_near_features,
     read_matches,
     share_of_two_motions,
@@ -59,7 +59,10 @@ def write_colmap(model: pycolmap.Reconstruction, photos: Path, folder: Path) -> 
 
     def write(image: pycolmap.Image) -> None:
         lens = lenses[image.camera_id]
-        source, target = inside(photos, image.name), inside(folder / "images", image.name)
+        source, target = (
+            resolve_within(photos, image.name),
+            resolve_within(folder / "images", image.name),
+        )
         photo = Photo(source, upright=True, lens=lens, size=lens.pinhole().size)
         write_image(photo.read_with_alpha(), target, icc_profile=color_profile(source))
 
@@ -99,7 +102,7 @@ def _pinhole_model(
     return pinholes
 
 
-STAGES = ("features", "matching", "mapping")
+RECONSTRUCT_STAGES = ("features", "matching", "mapping")
 MIN_POSED = 0.9  # share of the photos of a closed orbit that neighbours have to pose
 
 
@@ -121,8 +124,8 @@ def reconstruct(
     work: Path,
     *,
     config: SfmConfig,
-    masks: Masks | None = None,
-    box: tuple[str, Box] | None = None,
+    masks: MaskReaders | None = None,
+    box: tuple[str, PhotoBox] | None = None,
 ) -> Reconstruction:
     """Extract features, match them and map the photos.
 
@@ -131,7 +134,7 @@ def reconstruct(
     one with the same photos and settings continues.
     """
     names, times = prepared.names, [time.perf_counter()]
-    with changing(work):
+    with locked_folder(work):
         if box is not None:
             masks = _masks_of(box, photos, prepared, work / "object", config)
         folder = None if masks is None else write_masks(masks, photos, names, work / "masks")
@@ -152,7 +155,7 @@ def reconstruct(
             matched = time.perf_counter()
             models = _map_photos(workspace)
         times += [matched, time.perf_counter()]
-        sides = [max(image_sizes(inside(photos, name))[0]) for name in names]
+        sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in names]
         motions = 0.0 if folder else share_of_two_motions(*read_matches(workspace), sides)
     try:
         check_models(models, table, len(names))
@@ -175,21 +178,21 @@ def reconstruct(
             "pairs_with_two_motions": round(motions, 3),
             "seconds": {
                 stage: round(end - start, 2)
-                for stage, start, end in zip(STAGES, times, times[1:], strict=False)
+                for stage, start, end in zip(RECONSTRUCT_STAGES, times, times[1:], strict=False)
             },
         },
     )
 
 
 def _masks_of(
-    box: tuple[str, Box], photos: Path, prepared: PreparedPhotos, work: Path, config: SfmConfig
-) -> Masks:
+    box: tuple[str, PhotoBox], photos: Path, prepared: PreparedPhotos, work: Path, config: SfmConfig
+) -> MaskReaders:
     """Masks of the object that a box in one photo is around."""
     workspace = open_workspace(work, photos, prepared.names, config)
     extract_features(workspace)
     match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
     places, matches = read_matches(workspace)
-    sizes = [image_sizes(inside(photos, name))[0] for name in prepared.names]
+    sizes = [image_sizes(resolve_within(photos, name))[0] for name in prepared.names]
     first = prepared.names.index(box[0])
     shares = spread_box(places, matches, [max(size) for size in sizes], first, box[1])
     if not (shares[first] > 0).any():

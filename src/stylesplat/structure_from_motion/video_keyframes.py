@@ -19,14 +19,14 @@ from jaxtyping import UInt8
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason, require_regular
-from stylesplat.io.images import MAX_PIXELS, write_image
+from stylesplat.io.images import IMAGE_MAX_PIXELS, write_image
 from stylesplat.io.renders import SMOOTH_COLOR
 from stylesplat.progress import say, task
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
 from stylesplat.structure_from_motion.image_measures import (
     ALL_BLURRED,
-    SIDE,
-    SOFT,
+    MEASURE_SIDE,
+    MEASURE_SOFT,
     CornerTracker,
     relative_sharpness,
     sharpness,
@@ -41,7 +41,7 @@ HDR = (ColorTrc.SMPTE2084, ColorTrc.ARIB_STD_B67)  # HDR10 and HLG, which phones
 # desk half of the neighbours are more than 3 % apart
 MIN_STEP = 0.015
 # After such a displacement the tracker starts anew, so that a trembling hand does not add up
-STRIDE = 0.03
+KEYFRAME_STRIDE = 0.03
 LOST_STEP = 0.2  # displacement to a frame in which the tracker finds nothing again
 OFF_CENTRE = 0.5  # share of its sharpness that a frame loses at the ends of its part of the path
 
@@ -76,9 +76,10 @@ class Video:
     def frames(self) -> Iterator[tuple[int, VideoFrame]]:
         """All frames that can be decoded, with their numbers, in the order of presentation."""
         for number, frame in enumerate(self._decode()):
-            if frame.width * frame.height > MAX_PIXELS:
+            if frame.width * frame.height > IMAGE_MAX_PIXELS:
                 raise StyleSplatError(
-                    f"The frames of {self.path} have more than {MAX_PIXELS // 10**6} megapixels. "
+                    f"The frames of {self.path} have more than {IMAGE_MAX_PIXELS // 10**6} "
+                    "megapixels. "
                     "Scale the video down."
                 )
             if not frame.is_corrupt:
@@ -146,7 +147,7 @@ def select_keyframes(path: Path, most: int) -> PreparedPhotos:
         )
     values = relative_sharpness([frame.sharpness for frame in keyframes])
     sharp = {f.name: value for f, value in zip(keyframes, values, strict=True)}
-    kept = [frame for frame in keyframes if sharp[frame.name] >= SOFT]
+    kept = [frame for frame in keyframes if sharp[frame.name] >= MEASURE_SOFT]
     return PreparedPhotos(
         names=tuple(frame.name for frame in kept),
         ordered=True,
@@ -201,7 +202,7 @@ def _measure_frames(path: Path) -> list[FrameInfo]:
             grey = _small_grey(frame)
             moved = tracker.displacement(grey) if tracker else 0.0
             travel = max(travel, tracker_start + (LOST_STEP if moved is None else moved))
-            if tracker is None or moved is None or moved > STRIDE:
+            if tracker is None or moved is None or moved > KEYFRAME_STRIDE:
                 tracker, tracker_start = CornerTracker(grey), travel
             time = math.nan if frame.time is None else frame.time
             frames.append(FrameInfo(number, time, travel, sharpness(grey)))
@@ -210,7 +211,7 @@ def _measure_frames(path: Path) -> list[FrameInfo]:
 
 
 def _small_grey(frame: VideoFrame) -> UInt8[np.ndarray, "h w"]:
-    scale = min(1.0, SIDE / max(frame.width, frame.height))
+    scale = min(1.0, MEASURE_SIDE / max(frame.width, frame.height))
     width, height = (max(1, round(x * scale)) for x in (frame.width, frame.height))
     small = frame.reformat(width, height, "gray", interpolation=Interpolation.AREA)
     return np.ascontiguousarray(small.to_ndarray())

@@ -14,10 +14,10 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.files import cannot_write, inside
+from stylesplat.io.files import cannot_write, resolve_within
 from stylesplat.io.json_yaml import read_json, write_json
 from stylesplat.progress import say
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.structure_from_motion.colmap_process import FATAL, is_disk_full, run_stage
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.photos import CameraGroup, group_by_camera
@@ -25,7 +25,9 @@ from stylesplat.structure_from_motion.photos import CameraGroup, group_by_camera
 # Photos of one object alone do not tell OPENCV's distortion: the test's turntable fell to pieces
 OBJECT_LENS = "SIMPLE_RADIAL"
 UNMASKED = 4  # times more features are found where most are ignored: an object fills a quarter
-SAMPLE = 3  # photos of a camera that decide at which size features of its photos are found
+WORKSPACE_SAMPLE = (
+    3  # photos of a camera that decide at which size features of its photos are found
+)
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,7 @@ def _create_database(workspace: Workspace, photos: Path) -> None:
             shutil.rmtree(workspace.photos)
         workspace.photos.mkdir(parents=True)
         for file, name in workspace.name_of.items():
-            shutil.copyfile(inside(photos, name), workspace.photos / file)
+            shutil.copyfile(resolve_within(photos, name), workspace.photos / file)
     except OSError as error:
         raise cannot_write(workspace.folder, error) from error
     groups = [
@@ -183,7 +185,7 @@ def extract_features(workspace: Workspace) -> None:
     for group in workspace.groups:
         files = [workspace.files[row] for row in group.rows]
         if missing := [file for file in files if file not in done]:
-            groups.append({"names": missing, "sample": evenly(files, SAMPLE)})
+            groups.append({"names": missing, "sample": evenly_spaced(files, WORKSPACE_SAMPLE)})
     if groups:
         workspace.run(
             "extract_features",

@@ -20,19 +20,23 @@ from stylesplat.scene.cameras import Cameras, focus_point, up_vector
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.projection import depths_of, is_in_image
-from stylesplat.scene.sequences import evenly
-from stylesplat.structure_from_motion.image_measures import SIDE, relative_sharpness, sharpness
+from stylesplat.scene.sequences import evenly_spaced
+from stylesplat.structure_from_motion.image_measures import (
+    MEASURE_SIDE,
+    relative_sharpness,
+    sharpness,
+)
 
-ROUNDS = 5  # of estimating something from the cameras, and leaving out outliers
+WORLD_ROUNDS = 5  # of estimating something from the cameras, and leaving out outliers
 MAX_ROLL = 0.2  # sine of a camera's roll (12 degrees), up to which it counts as held level
 # Length of the level part of the mean view direction; photos all around have less
 MIN_HEADING = 0.2
-TINY = 1e-9
+WORLD_TINY = 1e-9
 
 # Centre
 MAX_POINTS, MAX_CAMERAS = 5000, 100  # that are used
 MAX_OFFSET = 3.0  # medians by which a view axis may miss the centre; others look elsewhere
-MAX_DEPTH = 3.0  # median depths of the points: axes that meet farther away are near parallel
+WORLD_MAX_DEPTH = 3.0  # median depths of the points: axes that meet farther away are near parallel
 MEDIAN_STEPS = 100  # of the geometric median
 
 
@@ -64,7 +68,7 @@ def working_frame(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Frame:
     """
     centre = find_centre(cameras, points).position
     distance = float((cameras.positions.double() - centre).norm(dim=1).median())
-    scale = 1 / distance if distance > TINY else 1.0
+    scale = 1 / distance if distance > WORLD_TINY else 1.0
     rotation = _axes(cameras, camera_up(cameras))
     return Frame(rotation, scale, -scale * rotation @ centre)
 
@@ -73,7 +77,7 @@ def camera_up(cameras: Cameras) -> Float[Tensor, "3"]:
     """The direction that is up for most cameras, without those that are rolled."""
     up = up_vector(cameras)
     rows = list(range(len(cameras)))
-    for _ in range(ROUNDS):
+    for _ in range(WORLD_ROUNDS):
         rolls = (cameras.viewmats[:, 0, :3].double() @ up).abs()
         kept = (rolls <= max(MAX_ROLL, float(rolls.median()))).nonzero()[:, 0].tolist()
         if kept == rows:
@@ -112,7 +116,7 @@ def find_centre(cameras: Cameras, points: Float[Tensor, "M 3"] | None) -> Centre
     if points is None or not len(points):
         position = cameras.positions.double().mean(dim=0) if met is None else met
         return Centre(position, met is None and len(cameras) > 1)
-    if met is not None and _depth(met[None], cameras) <= MAX_DEPTH * _depth(points, cameras):
+    if met is not None and _depth(met[None], cameras) <= WORLD_MAX_DEPTH * _depth(points, cameras):
         return Centre(met, outward=False)
     mean_view = cameras.viewmats[:, 2, :3].double().mean(dim=0)
     apart = len(cameras) > 1 and bool(mean_view.norm() < 0.9)  # they do not all look one way
@@ -123,7 +127,7 @@ def _meeting_point(cameras: Cameras) -> Float[Tensor, "3"] | None:
     """Where the view axes meet, without those of cameras that look elsewhere."""
     rows = list(range(len(cameras)))
     focus = None
-    for _ in range(ROUNDS):
+    for _ in range(WORLD_ROUNDS):
         try:
             focus = focus_point(cameras[rows])
         except StyleSplatError:  # the axes are parallel, or meet behind the cameras
@@ -131,7 +135,7 @@ def _meeting_point(cameras: Cameras) -> Float[Tensor, "3"] | None:
         offsets = focus - cameras.positions.double()
         ahead = (offsets * cameras.viewmats[:, 2, :3].double()).sum(dim=1)
         aside = (offsets.square().sum(dim=1) - ahead.square()).clamp(min=0).sqrt()
-        close = (aside <= MAX_OFFSET * aside.median() + TINY * ahead.median()) & (ahead > 0)
+        close = (aside <= MAX_OFFSET * aside.median() + WORLD_TINY * ahead.median()) & (ahead > 0)
         kept = close.nonzero()[:, 0].tolist()
         if kept == rows or len(kept) < 2:
             break
@@ -145,7 +149,7 @@ def _some_points(points: Float[Tensor, "M 3"]) -> Float[Tensor, "m 3"]:
 
 def _depth(points: Float[Tensor, "M 3"], cameras: Cameras) -> float:
     """The median depth of points, of those in front of the cameras."""
-    rows = evenly(range(len(cameras)), MAX_CAMERAS)
+    rows = evenly_spaced(range(len(cameras)), MAX_CAMERAS)
     depths = torch.cat([depths_of(_some_points(points), cameras[row]) for row in rows])
     ahead = depths[depths > 0]
     return float(ahead.median()) if len(ahead) else 0.0
@@ -154,18 +158,20 @@ def _depth(points: Float[Tensor, "M 3"], cameras: Cameras) -> float:
 def _geometric_median(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Float[Tensor, "3"]:
     """By Weiszfeld's algorithm; the weight of a point is the number of photos that show it."""
     points = _some_points(points)
-    rows = evenly(range(len(cameras)), MAX_CAMERAS)
+    rows = evenly_spaced(range(len(cameras)), MAX_CAMERAS)
     weights = torch.stack([is_in_image(points, cameras[row]) for row in rows]).double().sum(dim=0)
     weights = weights if weights.any() else torch.ones_like(weights)
     median = (weights[:, None] * points).sum(dim=0) / weights.sum()
     for _ in range(MEDIAN_STEPS):
-        pull = weights / (points - median).norm(dim=1).clamp(min=TINY)
+        pull = weights / (points - median).norm(dim=1).clamp(min=WORLD_TINY)
         median = (pull[:, None] * points).sum(dim=0) / pull.sum()
     return median
 
 
 # Coverage; lengths are in units of the cameras' median distance from the centre
-STRIDE = math.radians(45.5)  # around the centre: the gap between photos 45 degrees apart is covered
+WORLD_STRIDE = math.radians(
+    45.5
+)  # around the centre: the gap between photos 45 degrees apart is covered
 STEEP = math.radians(75)  # elevation above or below which a camera is on no side
 HEIGHT_STEP = math.radians(15)  # elevations that differ by less are one height
 
@@ -222,7 +228,9 @@ def measure_coverage(cameras: Cameras, frame: Frame, *, outward: bool) -> Covera
     distances = positions.norm(dim=1)
     low, high = elevations.quantile(torch.tensor([0.05, 0.95]).double()).tolist()
     return Coverage(
-        arc=math.degrees(2 * math.pi - float(gaps[gaps > STRIDE].sum())) if len(gaps) else 0.0,
+        arc=math.degrees(2 * math.pi - float(gaps[gaps > WORLD_STRIDE].sum()))
+        if len(gaps)
+        else 0.0,
         largest_gap=math.degrees(float(gaps.max())) if len(gaps) else 360.0,
         sides=sides.rad2deg(),
         heights=_count_heights(elevations),
@@ -257,7 +265,7 @@ class PhotoStatistics:
 
 
 def measure_photos(capture: Capture) -> PhotoStatistics:
-    small = at_most(capture, SIDE)
+    small = at_most(capture, MEASURE_SIDE)
     sharp, means = [], []
 
     def measured() -> Iterator[tuple[Float[Tensor, "H W 3"], Cameras]]:

@@ -18,7 +18,7 @@ import msgspec
 import torch
 from PIL import Image
 
-from stylesplat.errors import StyleSplatError, pasted
+from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.figures.web_page import start_of
 from stylesplat.io.layers import RECIPE
 from stylesplat.io.renders import write_video
@@ -27,16 +27,22 @@ from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.virtual_cameras import has_no_photos, turned_view
+from stylesplat.scene.virtual_cameras import has_rendered_views, turned_view
 from stylesplat.studio_app import edits as layers
 from stylesplat.studio_app import edits as picking
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.edits import describe_settings, find_layer, recoloring_of
 from stylesplat.studio_app.files import FORMATS, Exporter, SceneStore
 from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture, style_title
-from stylesplat.studio_app.history import KeptState, StudioState, hidden_rows, object_names
+from stylesplat.studio_app.history import CompactState, StudioState, hidden_rows, object_names
 from stylesplat.studio_app.paint_queue import PaintQueue
-from stylesplat.studio_app.pictures import MAP, PIXELS, Pictures, camera_of, render_display
+from stylesplat.studio_app.pictures import (
+    MAP,
+    STUDIO_PICTURE_PIXELS,
+    Pictures,
+    camera_of,
+    render_display,
+)
 from stylesplat.studio_app.session import Display, Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
@@ -44,8 +50,8 @@ from stylesplat.stylization.style import Style
 from stylesplat.verbs.export import export
 from stylesplat.verbs.render import orbit, render
 
-MOST_PIXELS = 8192  # along a side of a still picture
-NEAREST = 0.1  # world units from a photo's camera to its target, at least
+STUDIO_MOST_PIXELS = 8192  # along a side of a still picture
+STUDIO_NEAREST = 0.1  # world units from a photo's camera to its target, at least
 DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
 
 
@@ -61,13 +67,13 @@ class Actions:
         self.exporter = Exporter(session)
         self.previews = StylePreviews(session, gallery, **options)
         self.variants = list[tuple[m.Variant, Layer]]()
-        self.snapshots = list[tuple[str, KeptState]]()
+        self.snapshots = list[tuple[str, CompactState]]()
         self.compared: int | None = None
         self.client = 0
         self._reference: tuple[object, object, Display] | None = None
         scene = session.state.scene
         self._content = content_of(scene.splats).extent
-        self._start = start_of(scene.splats, None if has_no_photos(scene) else scene.cameras)
+        self._start = start_of(scene.splats, None if has_rendered_views(scene) else scene.cameras)
         session.on_painted.append(self._painted)
         changes = [picking.pick_names, picking.pick_box, picking.pick_words, picking.resize_picked]
         changes += [picking.unite_picked, picking.subtract_picked, picking.forget_picked]
@@ -82,11 +88,11 @@ class Actions:
         self._changes = {each.__name__: each for each in changes}
         known = {} if self.readonly else {**self._changes, **self._methods}
         structs = [_struct_of(name, each) for name, each in known.items()]
-        self.decoder = msgspec.json.Decoder(reduce(or_, structs, m.Look))
+        self.decoder = msgspec.json.Decoder(reduce(or_, structs, m.ViewRequest))
 
-    def act(self, client: int, message: m.Look | msgspec.Struct) -> None:
+    def act(self, client: int, message: m.ViewRequest | msgspec.Struct) -> None:
         """Ask for what a page wants; called in the server's thread."""
-        if isinstance(message, m.Look):
+        if isinstance(message, m.ViewRequest):
             self.pictures.look(client, message)
             return
         name = str(type(message).__struct_config__.tag)
@@ -113,7 +119,7 @@ class Actions:
 
     def pick_at(
         self,
-        place: m.Place,
+        place: m.PicturePoint,
         how: m.How = "new",
         radius: m.Positive | None = None,
         reach: m.Positive | None = None,
@@ -124,13 +130,13 @@ class Actions:
         return picking.pick_alike(self.session.state, self._camera(), place, reach or 1.0, how)
 
     def pick_drawn(
-        self, shape: m.Shape, points: m.Line, how: m.How = "new", radius: m.Share = 0.02
+        self, shape: m.Shape, points: m.DrawnLine, how: m.How = "new", radius: m.Share = 0.02
     ) -> StudioState:
         camera = self._camera(MAP)
         inside = picking.region_of(shape, points, camera.size, radius)
         return picking.pick_drawn(self.session.state, camera, inside, how)
 
-    def recolor(self, names: list[m.Text], setting: m.Text, value: float | m.Text | None) -> Any:
+    def recolor(self, names: list[m.ShortText], setting: m.ShortText, value: float | m.ShortText | None) -> Any:
         """Change a setting of objects' recolouring; `match` is the number of a style picture."""
         if setting == "match" and value is not None:
             value = str(self._style(int(value)).path)
@@ -139,7 +145,7 @@ class Actions:
     def paint(
         self,
         style: int,
-        names: list[m.Text] | None = None,
+        names: list[m.ShortText] | None = None,
         settings: dict[str, Any] | None = None,
         instead: bool = False,
     ) -> None:
@@ -164,24 +170,24 @@ class Actions:
         self.compared = number
         self.session.on_change.call()
 
-    def snapshot(self, name: m.Text) -> None:
+    def snapshot(self, name: m.ShortText) -> None:
         name = name.strip() or f"Snapshot {len(self.snapshots) + 1}"
-        self.snapshots.append((name, KeptState(self.session.state)))
+        self.snapshots.append((name, CompactState(self.session.state)))
         self.session.on_change.call()
 
     def restore(self, number: int) -> StudioState:
         name, kept = self.snapshots[number]
         return replace(kept.state(), note=f"Restored {name}")
 
-    def export(self, ending: m.Text) -> None:
+    def export(self, ending: m.ShortText) -> None:
         if ending not in FORMATS:
             raise StyleSplatError(f"There is no format {ending}. Use {', '.join(FORMATS)}.")
         make = partial(export, self.session.state.scene)
         self.exporter.start(f"Exporting {ending}", make, ending, self._deliver(ending))
 
-    def picture(self, width: Annotated[int, msgspec.Meta(ge=1, le=MOST_PIXELS)]) -> None:
+    def picture(self, width: Annotated[int, msgspec.Meta(ge=1, le=STUDIO_MOST_PIXELS)]) -> None:
         camera = self._camera(10**9)
-        camera = camera.downscale(camera.size[0] / width).at_most(MOST_PIXELS)
+        camera = camera.downscale(camera.size[0] / width).at_most(STUDIO_MOST_PIXELS)
         pixels = render_display(self.session.display, camera, self.pictures.background)
         file = io.BytesIO()
         Image.fromarray(pixels).save(file, "PNG")
@@ -192,7 +198,7 @@ class Actions:
         seconds: Annotated[float, msgspec.Meta(gt=0, le=60)] = 4.0,
         fps: Annotated[int, msgspec.Meta(ge=1, le=60)] = 30,
         width: Annotated[int, msgspec.Meta(ge=64, le=3840)] = 960,
-        around: m.Text = "",
+        around: m.ShortText = "",
         path: Literal["photos", "circle", "swing"] = "photos",
     ) -> None:
         """Make a video around an object or the scene: where the photos were taken, or of the view
@@ -220,7 +226,7 @@ class Actions:
         self.pictures.background = color
         self.pictures.refresh()
 
-    def _camera(self, pixels: int = PIXELS) -> Cameras:
+    def _camera(self, pixels: int = STUDIO_PICTURE_PIXELS) -> Cameras:
         look = self.pictures.looks.get(self.client)
         if look is None:
             raise StyleSplatError("This page has no picture yet.")
@@ -273,7 +279,7 @@ class Actions:
             title=title,
             readonly=self.readonly,
             start=self._start,
-            photos=[] if has_no_photos(scene) else list(_photos(scene, self._content.centre)),
+            photos=[] if has_rendered_views(scene) else list(_photos(scene, self._content.centre)),
             settings=m.settings_of(StyleConfig),
             recolorings=m.settings_of(RecolorConfig),
             formats=FORMATS,
@@ -331,7 +337,7 @@ class Actions:
         if not session.saved.scene.layers or self.readonly:
             return ""
         output = folder.resolve().with_name(f"{folder.resolve().name}-painted")
-        return pasted("stylize", folder, "--recipe", folder / RECIPE, "-o", output)
+        return shell_command("stylize", folder, "--recipe", folder / RECIPE, "-o", output)
 
 
 def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
@@ -353,14 +359,14 @@ def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
 def _photos(scene: Scene, middle: torch.Tensor) -> Iterator[dict[str, Any]]:
     for camera in (scene.cameras[row] for row in range(len(scene.cameras))):
         position, axes = camera.positions[0].double(), camera.viewmats[0, :3, :3].double()
-        distance = max(float((middle - position) @ axes[2]), NEAREST)
+        distance = max(float((middle - position) @ axes[2]), STUDIO_NEAREST)
         places = {"position": position, "target": position + distance * axes[2]}
         places |= {"right": axes[0], "down": axes[1]}
         places["slopes"] = camera.sizes[0] / camera.Ks[0].diagonal()[:2]
         yield {"name": camera.names[0], **{key: each.tolist() for key, each in places.items()}}
 
 
-def _vector(values: torch.Tensor) -> m.Vector:
+def _vector(values: torch.Tensor) -> m.ViewVector:
     x, y, z = values.tolist()
     return x, y, z
 

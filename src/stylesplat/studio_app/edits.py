@@ -20,10 +20,10 @@ from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.world_offset import to_world
 from stylesplat.selection.choose import find_object
-from stylesplat.selection.shapes import alike, grow, near, surface_point
+from stylesplat.selection.shapes import grow, grow_by_similarity, surface_point, within_distance
 from stylesplat.selection.text import CHECKPOINT
 from stylesplat.studio_app.history import StudioState, replace_scene, require_picked
-from stylesplat.studio_app.messages import How, Place, Shape, Vector
+from stylesplat.studio_app.messages import How, PicturePoint, Shape, ViewVector
 from stylesplat.stylization.config import RecolorConfig, StyleConfig, plain_settings
 from stylesplat.verbs.adjust import adjust, recolor
 from stylesplat.verbs.objects import delete, rename
@@ -148,28 +148,28 @@ def pick_names(state: StudioState, names: Sequence[str], how: How = "new") -> St
 
 
 def pick_ball(
-    state: StudioState, camera: Cameras, place: Place, radius: float, how: How = "new"
+    state: StudioState, camera: Cameras, place: PicturePoint, radius: float, how: How = "new"
 ) -> StudioState:
     """Pick the ball around the surface at a place of the picture."""
     base = state.scene.base
     centre = surface_point(state.scene.splats, camera, _pixel_of(camera, place))
-    if not near(base.means, centre[None].to(base.means), radius).any():
+    if not within_distance(base.means, centre[None].to(base.means), radius).any():
         raise StyleSplatError("Nothing lies in this ball. Click an object, or enlarge the radius.")
     middle = to_world(_rounded(centre), base.world_offset).tolist()
     return _shaped(state, how, sphere=(*middle, round(radius, DECIMALS)))
 
 
 def pick_alike(
-    state: StudioState, camera: Cameras, place: Place, reach: float, how: How = "new"
+    state: StudioState, camera: Cameras, place: PicturePoint, reach: float, how: How = "new"
 ) -> StudioState:
     """Pick the surface around a place as far as it looks the same, `reach` at most."""
     splats = state.scene.splats
     point = surface_point(splats, camera, _pixel_of(camera, place))[None].to(splats.means)
-    seeds = near(splats.means, point, reach / SEEDS)
+    seeds = within_distance(splats.means, point, reach / SEEDS)
     if not seeds.any():
         distances = (splats.means - point).norm(dim=1)
         seeds = distances == distances.min()
-    return _shaped(state, how, rows=alike(splats, seeds, reach))
+    return _shaped(state, how, rows=grow_by_similarity(splats, seeds, reach))
 
 
 @torch.no_grad()
@@ -196,7 +196,7 @@ def _rounded(places: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
 
 
 def region_of(
-    shape: Shape, points: Sequence[Place], size: tuple[int, int], radius: float
+    shape: Shape, points: Sequence[PicturePoint], size: tuple[int, int], radius: float
 ) -> Bool[Tensor, "H W"]:
     """The pixels in a line that is drawn; the brush's radius is a share of the height."""
     width, height = size
@@ -215,7 +215,9 @@ def region_of(
     return torch.from_numpy(np.array(image))
 
 
-def pick_box(state: StudioState, low: Vector, high: Vector, how: How = "new") -> StudioState:
+def pick_box(
+    state: StudioState, low: ViewVector, high: ViewVector, how: How = "new"
+) -> StudioState:
     corners = _rounded(torch.tensor([low, high], dtype=torch.float64))
     places = to_world(corners, state.scene.world_offset)
     return _shaped(state, how, box3d=tuple(places.flatten().tolist()))
@@ -282,7 +284,7 @@ def hide_objects(state: StudioState, names: Sequence[str], hide: bool) -> Studio
     return replace(state, hidden=hidden, picked=picked, note=note)
 
 
-def _pixel_of(camera: Cameras, place: Place) -> tuple[float, float]:
+def _pixel_of(camera: Cameras, place: PicturePoint) -> tuple[float, float]:
     width, height = camera.size
     x, y = (min(each, 0.9999) for each in place)
     return x * width, y * height

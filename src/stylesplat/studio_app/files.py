@@ -10,9 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.web_page import SUFFIX
+from stylesplat.figures.web_page import WEB_SUFFIX
 from stylesplat.io import scene_folder
-from stylesplat.io.atomic import changing, refuse_unwritable
+from stylesplat.io.atomic import locked_folder, refuse_unwritable
 from stylesplat.io.splats.splat_files import COMPRESSED
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.gallery import NO_NAME
@@ -38,7 +38,7 @@ class SceneStore:
 
     def save(self) -> None:
         session, folder = self._session, self._session.folder
-        with changing(folder):
+        with locked_folder(folder):
             if _stamp(folder) != self._stamp:
                 raise StyleSplatError(
                     f"Another program has changed {folder}. Save the scene under another name."
@@ -109,7 +109,7 @@ def _stamp(folder: Path) -> Stamp:
     return {file: (each.st_mtime_ns, each.st_size) for file, each in found.items()}
 
 
-FORMATS = (".ply", COMPRESSED, ".spz", ".splat", ".sog", ".glb", SUFFIX)
+FORMATS = (".ply", COMPRESSED, ".spz", ".splat", ".sog", ".glb", WEB_SUFFIX)
 
 Make = Callable[[Path], object]
 Deliver = Callable[[bytes], None]

@@ -21,13 +21,13 @@ from stylesplat.io.style_pictures import PREFIX, read_style
 from stylesplat.progress import say
 
 MOST_BYTES = 40 * 2**20  # of an upload
-MOST_PICTURES = 60  # in the gallery
-SIDE = 480  # pixels along the longer side of what pages show
+GALLERY_MOST_PICTURES = 60  # in the gallery
+GALLERY_SIDE = 480  # pixels along the longer side of what pages show
 NO_NAME = re.compile(r"[^\w .-]|^\.+")
-PICTURE = "picture.jpg"  # the name of what is shown and not downloaded
+GALLERY_PICTURE = "picture.jpg"  # the name of what is shown and not downloaded
 DOWNLOADS = 2  # that are kept
 
-Pixels = UInt8[np.ndarray, "H W 3"]
+ThumbnailPixels = UInt8[np.ndarray, "H W 3"]
 
 
 class Files(dict[str, tuple[str, bytes]]):
@@ -36,11 +36,11 @@ class Files(dict[str, tuple[str, bytes]]):
     def __init__(self) -> None:
         self._downloads = deque[str]()
 
-    def add(self, content: bytes, name: str = PICTURE) -> str:
+    def add(self, content: bytes, name: str = GALLERY_PICTURE) -> str:
         """Keep a file; returns its address. Of downloads the latest are kept."""
         key = blake2b(content, digest_size=16).hexdigest()
         self[key] = name, content
-        if name != PICTURE:
+        if name != GALLERY_PICTURE:
             self._downloads.append(key)
             if len(self._downloads) > DOWNLOADS:
                 self.pop(self._downloads.popleft(), None)
@@ -64,7 +64,7 @@ class Gallery:
         if folder is not None and not folder.is_dir():
             raise StyleSplatError(f"There is no folder {folder}. Pass one with style pictures.")
         for path in sorted(folder.iterdir()) if folder is not None else ():
-            if path.suffix.lower() in PHOTOS and len(self.pictures) < MOST_PICTURES:
+            if path.suffix.lower() in PHOTOS and len(self.pictures) < GALLERY_MOST_PICTURES:
                 try:
                     self.add(path)
                 except StyleSplatError as error:
@@ -84,8 +84,10 @@ class Gallery:
         """Add a picture from a browser."""
         if len(content) > MOST_BYTES:
             raise StyleSplatError(too_large(len(content)))
-        if len(self.pictures) >= MOST_PICTURES:
-            raise StyleSplatError(f"The gallery holds {MOST_PICTURES} pictures and is full.")
+        if len(self.pictures) >= GALLERY_MOST_PICTURES:
+            raise StyleSplatError(
+                f"The gallery holds {GALLERY_MOST_PICTURES} pictures and is full."
+            )
         if self._uploads is None:
             self._uploads = tempfile.TemporaryDirectory(prefix="stylesplat-uploads-")
         folder = Path(tempfile.mkdtemp(dir=self._uploads.name))
@@ -109,7 +111,7 @@ def too_large(size: int) -> str:
     return f"The file has {size / 2**20:.0f} MB. Send {MOST_BYTES >> 20} MB at most."
 
 
-def shrunk(picture: Float[Tensor, "_ _ 3"]) -> Pixels:
+def shrunk(picture: Float[Tensor, "_ _ 3"]) -> ThumbnailPixels:
     image = Image.fromarray(to_uint8(picture).numpy())
-    image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
+    image.thumbnail((GALLERY_SIDE, GALLERY_SIDE), Image.Resampling.LANCZOS)
     return np.array(image)

@@ -90,7 +90,7 @@ def replace_scene(state: StudioState, scene: Scene, note: str) -> StudioState:
     )
 
 
-class KeptState:
+class CompactState:
     """A state, of whose scene only the base and the layers are kept while nobody else has it.
 
     The composed splats take most of the memory, and can be composed again.
@@ -109,7 +109,7 @@ class KeptState:
 class History:
     def __init__(self, first: StudioState) -> None:
         self.now = first
-        self._states, self._row = [KeptState(first)], 0
+        self._states, self._row = [CompactState(first)], 0
         self._merge: object = None
 
     @property
@@ -124,7 +124,7 @@ class History:
     def add(self, state: StudioState, *, merge: object = None) -> None:
         """Add a state and display it. It replaces the last one if both have the same `merge`."""
         self._row += not (merge is not None and merge == self._merge)
-        self._states[self._row :] = [KeptState(state)]
+        self._states[self._row :] = [CompactState(state)]
         self._merge, self.now = merge, state
 
     def step(self, rows: int) -> None:

@@ -1,6 +1,7 @@
 """What the page and the server tell each other: JSON over one WebSocket.
 
-The page sends `Look` and the actions of `actions.py`; the field `do` names the kind. The server
+The page sends `ViewRequest` and the actions of `actions.py`; the field `do` names the kind. The
+server
 sends `Hello` once, and after each change a whole `StateMessage`, `Progress` or `Note`. Pictures
 are binary, see `pictures.py`.
 """
@@ -13,27 +14,29 @@ from stylesplat.options import options_of
 from stylesplat.studio_app.gallery import StylePicture
 
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-Place = tuple[Share, Share]  # in a picture, from its top left corner
-Text = Annotated[str, msgspec.Meta(max_length=200)]
-Side = Annotated[int, msgspec.Meta(ge=1, le=16384)]
-Vector = tuple[float, float, float]
+PicturePoint = tuple[Share, Share]  # in a picture, from its top left corner
+ShortText = Annotated[str, msgspec.Meta(max_length=200)]
+PictureSide = Annotated[int, msgspec.Meta(ge=1, le=16384)]
+ViewVector = tuple[float, float, float]
 How = Literal["new", "add", "away"]
 Shape = Literal["rectangle", "lasso", "brush"]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
-Line = Annotated[list[Place], msgspec.Meta(min_length=1, max_length=4000)]
+DrawnLine = Annotated[list[PicturePoint], msgspec.Meta(min_length=1, max_length=4000)]
 
 
-class Look(msgspec.Struct, frozen=True, tag="look", tag_field="do", forbid_unknown_fields=True):
+class ViewRequest(
+    msgspec.Struct, frozen=True, tag="look", tag_field="do", forbid_unknown_fields=True
+):
     number: int
     viewmat: Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
     focal: Positive
-    size: tuple[Side, Side]
+    size: tuple[PictureSide, PictureSide]
     moving: bool = False
     before: bool = False  # whether the picture before painting is wanted, too
     draws: bool = False  # whether the browser draws the Gaussians itself while the camera moves
 
 
-class Told(msgspec.Struct, frozen=True, tag_field="kind"):
+class ServerMessage(msgspec.Struct, frozen=True, tag_field="kind"):
     """What the server tells the page."""
 
 
@@ -56,7 +59,7 @@ def settings_of(config: type) -> tuple[Setting, ...]:
     )
 
 
-class Hello(Told, frozen=True, tag="hello"):
+class Hello(ServerMessage, frozen=True, tag="hello"):
     title: str
     readonly: bool
     start: dict[str, Any]  # the first view: position, target, up, slopes
@@ -77,7 +80,7 @@ class ObjectInfo(msgspec.Struct, frozen=True):
     painted: bool
     thumbnail: str
     count: int | None = None  # of its Gaussians; None until they are found
-    centre: Vector | None = None
+    centre: ViewVector | None = None
     radius: float = 0.0
 
 
@@ -102,7 +105,7 @@ class Variant(msgspec.Struct, frozen=True):
     thumbnail: str
 
 
-class StateMessage(Told, frozen=True, tag="state"):
+class StateMessage(ServerMessage, frozen=True, tag="state"):
     objects: list[ObjectInfo]
     layers: list[LayerInfo]  # the lowest first
     variants: list[Variant]
@@ -120,10 +123,10 @@ class StateMessage(Told, frozen=True, tag="state"):
     folder: str
     command: str  # what gives the saved scene once more; empty if nothing is painted
     compared: int | None
-    box: tuple[Vector, Vector]  # around what is picked, or around the content
+    box: tuple[ViewVector, ViewVector]  # around what is picked, or around the content
 
 
-class Progress(Told, frozen=True, tag="progress"):
+class Progress(ServerMessage, frozen=True, tag="progress"):
     """Long work; nothing is under way without `what`."""
 
     what: str = ""
@@ -133,11 +136,11 @@ class Progress(Told, frozen=True, tag="progress"):
     export: bool = False  # whether it is an export, which can be cancelled
 
 
-class Note(Told, frozen=True, tag="note"):
+class Note(ServerMessage, frozen=True, tag="note"):
     text: str
     failure: bool = False
 
 
-class Download(Told, frozen=True, tag="download"):
+class Download(ServerMessage, frozen=True, tag="download"):
     url: str
     name: str

@@ -15,7 +15,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import color_map, map_colors
 from stylesplat.runtime import tidy_heap
-from stylesplat.scene.content import solid
+from stylesplat.scene.content import opaque_rows
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats, rgb_from_sh0
@@ -32,7 +32,7 @@ SHOW_EVERY = 0.4  # seconds between two pictures of a painting
 SHOWING = 0.2  # of the time of a painting, which its pictures may take
 RECENT = 20  # steps whose speed is that of the rest
 FIRST_GUESS = 2.0  # seconds of painting before the rest is estimated
-SAMPLE = 20_000  # pixels of a style picture whose colours are measured
+QUEUE_SAMPLE = 20_000  # pixels of a style picture whose colours are measured
 GAUSSIANS, NAME = 300, "noise"  # of the scene for the warm-up
 
 
@@ -81,7 +81,7 @@ class PaintQueue:
             self.waiting = deque(each for each in self.waiting if each.name not in names)
             if self._current is not None and self._current.name in names:
                 self._current, self.session.painting = None, False
-                self.session.worker.go_on_with(None)
+                self.session.worker.set_background_task(None)
         numbers = self._numbers
         self.waiting += [PaintJob(next(numbers), name, style, title, instead) for name in names]
         if self.session.painting:
@@ -112,10 +112,10 @@ class PaintQueue:
         Returns whether an object was being painted.
         """
         self.waiting.clear()
-        current, latest, steps = self._current, self._latest, self.session.worker.lengthy
+        current, latest, steps = self._current, self._latest, self.session.worker.background_task
         if current is None or steps is None:
             return False
-        self.session.worker.go_on_with(None)
+        self.session.worker.set_background_task(None)
         if latest is None:
             self._end()  # and the first step, if it has begun
             return True
@@ -146,7 +146,7 @@ class PaintQueue:
         self._times, self._drawn_at = [], 0.0
         self.session.painting = True
         self.session.progress = Progress(f"Painting {job.name} like {job.title}", 0.0)
-        self.session.worker.go_on_with(self._steps(job, lives))
+        self.session.worker.set_background_task(self._steps(job, lives))
         self.session.on_change.call()
 
     def _steps(self, job: PaintJob, lives: Iterator[Live]) -> Iterator[None]:
@@ -208,10 +208,10 @@ def preview_colors(
     splats: Splats, picked: Bool[Tensor, " N"], pictures: tuple[Tensor, ...]
 ) -> Splats:
     """The colours of pictures on an object: a preview of its painting."""
-    rows = solid(splats, picked)
+    rows = opaque_rows(splats, picked)
     source = rgb_from_sh0(splats.sh0[rows, 0]).clamp(0, 1)
     pixels = all_colors(pictures)
-    pixels = pixels[:: -(-len(pixels) // SAMPLE)]
+    pixels = pixels[:: -(-len(pixels) // QUEUE_SAMPLE)]
     return map_colors(splats, picked, color_map(source, pixels.to(source)))
 
 

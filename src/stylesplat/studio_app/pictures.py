@@ -33,23 +33,23 @@ from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import centred_K
 from stylesplat.selection.labels import MIN_COVERAGE
-from stylesplat.studio_app.gallery import Pixels
+from stylesplat.studio_app.gallery import ThumbnailPixels
 from stylesplat.studio_app.history import object_names
-from stylesplat.studio_app.messages import Look
+from stylesplat.studio_app.messages import ViewRequest
 from stylesplat.studio_app.session import Display, Session
 
-PIXELS = 960 * 540  # of a picture at rest: more takes too long
-MOVING = PIXELS // 4  # of a picture while the camera moves
-MAP = PIXELS // 4  # of a map
-MOST = 500_000  # Gaussians that a browser draws; a laptop turns 300,000 smoothly
+STUDIO_PICTURE_PIXELS = 960 * 540  # of a picture at rest: more takes too long
+MOVING = STUDIO_PICTURE_PIXELS // 4  # of a picture while the camera moves
+MAP = STUDIO_PICTURE_PIXELS // 4  # of a map
+STUDIO_PICTURE_MOST = 500_000  # Gaussians that a browser draws; a laptop turns 300,000 smoothly
 MOST_NAMES = 255  # objects that a map tells apart
 ALIKE = 0.95  # of the largest share: of objects that show alike, the smallest is meant
 QUALITY, MOVING_QUALITY = 92, 75  # of JPEGs
 
-Color = tuple[float, float, float]
+RgbColor = tuple[float, float, float]
 
 
-def camera_of(look: Look, pixels: int = PIXELS) -> Cameras:
+def camera_of(look: ViewRequest, pixels: int = STUDIO_PICTURE_PIXELS) -> Cameras:
     """The camera of a browser, with at most so many pixels."""
     camera = Cameras(
         viewmats=torch.tensor(look.viewmat).view(1, 4, 4),
@@ -67,7 +67,7 @@ def binary_message(kind: str, content: bytes, **header: Any) -> bytes:
 
 
 @torch.no_grad()
-def render_display(display: Display, camera: Cameras, background: Color) -> Pixels:
+def render_display(display: Display, camera: Cameras, background: RgbColor) -> ThumbnailPixels:
     behind = torch.tensor(background).to(display.splats.means)
     image, _ = render(display.visible, camera, background=behind)
     return to_uint8(image).cpu().numpy()
@@ -76,13 +76,13 @@ def render_display(display: Display, camera: Cameras, background: Color) -> Pixe
 class Pictures:
     def __init__(self, session: Session, before: Callable[[], Display]) -> None:
         self.session, self._before = session, before
-        self.background: Color = (0.086, 0.086, 0.094)
-        self.looks = dict[int, Look]()
+        self.background: RgbColor = (0.086, 0.086, 0.094)
+        self.looks = dict[int, ViewRequest]()
         self._sent = dict[tuple[int, str], object]()  # what each browser has of each kind
         self._packed: tuple[Display, bytes] | None = None
         session.on_change.append(self.refresh)
 
-    def look(self, client: int, look: Look) -> None:
+    def look(self, client: int, look: ViewRequest) -> None:
         self.looks[client] = look
         self._ask(client)
 
@@ -104,7 +104,7 @@ class Pictures:
         look = self.looks.get(client)
         if look is None:
             return
-        camera = camera_of(look, MOVING if look.moving else PIXELS)
+        camera = camera_of(look, MOVING if look.moving else STUDIO_PICTURE_PIXELS)
         displays = {"after": self.session.display}
         if look.before:
             displays["before"] = self._before()
@@ -129,7 +129,7 @@ class Pictures:
             self.session.masks.of(self.session.state.scene, name)
             self.session.on_change.call()
 
-    def _at_rest(self, job: Callable[[int, Look], None], client: int) -> None:
+    def _at_rest(self, job: Callable[[int, ViewRequest], None], client: int) -> None:
         look = self.looks.get(client)
         if look is not None and not look.moving:
             job(client, look)
@@ -142,13 +142,13 @@ class Pictures:
         return True
 
     def _send(
-        self, client: int, key: str, kind: str, content: bytes, look: Look, **header: Any
+        self, client: int, key: str, kind: str, content: bytes, look: ViewRequest, **header: Any
     ) -> None:
         message = binary_message(kind, content, look=look.number, **header)
         self.session.on_send.call(client, key, message)
 
     @torch.no_grad()
-    def _map(self, client: int, look: Look) -> None:
+    def _map(self, client: int, look: ViewRequest) -> None:
         session, state = self.session, self.session.state
         scene, names = state.scene, object_names(state.scene)[:MOST_NAMES]
         names = [n for n in names if n not in state.hidden and session.masks.has(scene, n)]
@@ -174,7 +174,7 @@ class Pictures:
         content = compress(ids.numpy().tobytes() + depths.half().numpy().tobytes(), 1)
         self._send(client, "map", "map", content, look, size=camera.size, names=names)
 
-    def _picked(self, client: int, look: Look) -> None:
+    def _picked(self, client: int, look: ViewRequest) -> None:
         session, state = self.session, self.session.state
         rows = session.masks.together(state.scene, state.picked)
         picked = None if rows is None else state.scene.to_splats(rows)
@@ -189,7 +189,7 @@ class Pictures:
         header = {"size": camera.size, "names": state.picked}
         self._send(client, "picked", "picked", content, look, **header)
 
-    def _splats(self, client: int, look: Look) -> None:
+    def _splats(self, client: int, look: ViewRequest) -> None:
         display = self.session.display
         if self.session.painting or not self._is_new(client, "splats", display):
             return
@@ -197,7 +197,7 @@ class Pictures:
             base = self.session.state.scene.base
             before = Display(base, None if display.hidden is None else display.hidden[: len(base)])
             splats, base = (each.visible.detach().to("cpu") for each in (display, before))
-            rows = weightiest(splats, MOST)
+            rows = most_visible(splats, STUDIO_PICTURE_MOST)
             packed = pack(splats[rows], base[rows[rows < len(base)]], sh_degree=0, level=1)
             self._packed = display, binary_message("splats", packed.content, **packed.about)
         self.session.on_send.call(client, "splats", self._packed[1])
@@ -207,7 +207,7 @@ def _digest(mask: Bool[Tensor, " N"]) -> int:
     return hash(mask.cpu().numpy().tobytes())
 
 
-def weightiest(splats: Splats, count: int) -> Int[Tensor, " M"]:
+def most_visible(splats: Splats, count: int) -> Int[Tensor, " M"]:
     """Rows of the `count` Gaussians of the largest visible area, in order."""
     sizes = splats.scales.sort(dim=1).values[:, 1:].sum(dim=1)  # logarithm of the larger area
     weights = torch.nn.functional.logsigmoid(splats.opacities) + sizes

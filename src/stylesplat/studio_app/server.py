@@ -22,11 +22,11 @@ from urllib.parse import quote
 import msgspec
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.web_page import PARTS as VIEWER
+from stylesplat.figures.web_page import WEB_PARTS as VIEWER
 from stylesplat.progress import write_lines
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import Actions
-from stylesplat.studio_app.gallery import MOST_BYTES, PICTURE, too_large
+from stylesplat.studio_app.gallery import GALLERY_PICTURE, MOST_BYTES, too_large
 
 if TYPE_CHECKING:
     from starlette.requests import HTTPConnection, Request
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
     from starlette.websockets import WebSocket
 
-ADDRESS = "127.0.0.1"  # a splat may show somebody's home: never offer it to the network
-LOOPBACK = (ADDRESS, "localhost", "[::1]")
+SERVER_ADDRESS = "127.0.0.1"  # a splat may show somebody's home: never offer it to the network
+LOOPBACK = (SERVER_ADDRESS, "localhost", "[::1]")
 REFUSAL = "This server needs a token. Open the address that its terminal shows.\n"
 COOKIE = "stylesplat-token"
-LARGEST = 2**20  # bytes of a message from a page
-PAGE = Path(__file__).with_name("page")
+SERVER_LARGEST = 2**20  # bytes of a message from a page
+SERVER_PAGE = Path(__file__).with_name("page")
 add_type("text/javascript", ".js")  # of some systems it is plain text, which no browser runs
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self'"
@@ -154,7 +154,7 @@ class PageServer:
             Guard(self._app(), self.token, local=host in LOOPBACK),
             lifespan="off",
             ws="websockets-sansio",
-            ws_max_size=LARGEST,
+            ws_max_size=SERVER_LARGEST,
             log_config=None,
             access_log=False,
             server_header=False,
@@ -181,9 +181,9 @@ class PageServer:
         if self._thread is not None:
             self._thread.join(STOP_SECONDS)
 
-    def send(self, client: int, kind: object, message: bytes | m.Told) -> None:
+    def send(self, client: int, kind: object, message: bytes | m.ServerMessage) -> None:
         """Send a message to a page, from any thread."""
-        if isinstance(message, m.Told):
+        if isinstance(message, m.ServerMessage):
             content = msgspec.json.encode(message, enc_hook=str).decode()
         else:
             content = message
@@ -196,7 +196,7 @@ class PageServer:
             with suppress(RuntimeError):  # it is closed
                 self._loop.call_soon_threadsafe(put)
 
-    def broadcast(self, kind: object, message: m.Told) -> None:
+    def broadcast(self, kind: object, message: m.ServerMessage) -> None:
         for client in [*self._clients]:
             self.send(client, kind, message)
 
@@ -219,8 +219,8 @@ class PageServer:
         from starlette.staticfiles import StaticFiles
 
         routes = [
-            Route("/", lambda request: FileResponse(PAGE / "index.html")),
-            Mount("/page", StaticFiles(directory=PAGE)),
+            Route("/", lambda request: FileResponse(SERVER_PAGE / "index.html")),
+            Mount("/page", StaticFiles(directory=SERVER_PAGE)),
             Mount("/viewer", StaticFiles(directory=VIEWER)),
             Route("/file/{key}/{name}", self._file),
             Route("/style", self._upload, methods=["POST"]),
@@ -235,7 +235,7 @@ class PageServer:
         if found is None:
             return Response("This file is no longer there. Export it again.", status_code=404)
         name, content = found
-        if name == PICTURE:
+        if name == GALLERY_PICTURE:
             return Response(content, media_type="image/jpeg")
         headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(name)}"}
         return Response(content, media_type="application/octet-stream", headers=headers)

@@ -25,7 +25,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.studio_app.history import History, ObjectMasks, StudioState, hidden_rows
 from stylesplat.studio_app.messages import Progress
 
-Job = Callable[[], object]
+WorkItem = Callable[[], object]
 
 
 class Worker:
@@ -35,13 +35,13 @@ class Worker:
         """Start the thread, which passes to `failed` what a job raises."""
         self._failed = failed
         self._changed = threading.Condition()
-        self._jobs = list[tuple[bool, str, Job]]()  # the patient ones last
+        self._jobs = list[tuple[bool, str, WorkItem]]()  # the patient ones last
         self._lengthy: Iterator[object] | None = None
         self._busy, self._closed = False, False
         self._thread = threading.Thread(target=self._run, name="stylesplat worker", daemon=True)
         self._thread.start()
 
-    def ask(self, job: Job, *, kind: str = "", patient: bool = False) -> None:
+    def ask(self, job: WorkItem, *, kind: str = "", patient: bool = False) -> None:
         """Add a job.
 
         Args:
@@ -58,18 +58,18 @@ class Worker:
                 self._jobs = sorted([*waiting, new], key=itemgetter(0))
             self._changed.notify_all()
 
-    def go_on_with(self, steps: Iterator[object] | None) -> None:
+    def set_background_task(self, steps: Iterator[object] | None) -> None:
         """Replace the long work: its next step is taken whenever there is no job; None ends it."""
         with self._changed:
             self._lengthy = steps
             self._changed.notify_all()
 
     @property
-    def lengthy(self) -> Iterator[object] | None:
+    def background_task(self) -> Iterator[object] | None:
         """The long work."""
         return self._lengthy
 
-    def breathe(self) -> None:
+    def run_urgent_jobs(self) -> None:
         """Within a long step, in the worker's thread: do the jobs that are not patient."""
         while threading.current_thread() is self._thread:
             with self._changed:
@@ -78,7 +78,7 @@ class Worker:
                 job = self._jobs.pop(0)[-1]
             self._do(job)
 
-    def settle(self, seconds: float = 240.0) -> bool:
+    def wait_until_idle(self, seconds: float = 240.0) -> bool:
         """Wait until there is nothing more to do; return whether that was in time."""
         end = time.monotonic() + seconds
         with self._changed:
@@ -107,7 +107,7 @@ class Worker:
                 job = self._jobs.pop(0)[-1] if self._jobs else self._step
             self._do(job)
 
-    def _do(self, job: Job) -> None:
+    def _do(self, job: WorkItem) -> None:
         try:
             job()
         except Exception as error:
@@ -127,7 +127,7 @@ class Worker:
 
 
 Change = Callable[[StudioState], StudioState | None]
-BUSY = "An object is being painted. Wait until it is done, or press Stop."
+SESSION_BUSY = "An object is being painted. Wait until it is done, or press Stop."
 
 
 class Stopped(Exception):
@@ -219,7 +219,7 @@ class Session:
             if state is None or state is self.state:
                 return
             if self.painting and state.scene is not self.state.scene:
-                raise StyleSplatError(BUSY)
+                raise StyleSplatError(SESSION_BUSY)
             self.history.add(state, merge=merge)
             self.on_change.call()
 
@@ -232,7 +232,7 @@ class Session:
             if self.painting:
                 before = self.state
                 if rows > 0 or not self.interrupt():
-                    raise StyleSplatError(BUSY)
+                    raise StyleSplatError(SESSION_BUSY)
                 if self.state is before:  # the painting had no step yet
                     return
             self.history.step(rows)
@@ -291,7 +291,7 @@ class _SessionObserver(Observer):
         yield self
 
     def advance(self, amount: int | float = 1) -> None:
-        self._session.worker.breathe()
+        self._session.worker.run_urgent_jobs()
         if self._stopped():
             raise Stopped
         self._done += amount

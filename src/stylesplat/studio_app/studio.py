@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.interrupts import POLL_SECONDS, Terminated, check
+from stylesplat.interrupts import POLL_SECONDS, Terminated, raise_if_interrupted
 from stylesplat.io import scene_folder
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
@@ -20,7 +20,7 @@ from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.files import SceneStore
 from stylesplat.studio_app.gallery import Gallery
-from stylesplat.studio_app.server import ADDRESS, PageServer
+from stylesplat.studio_app.server import SERVER_ADDRESS, PageServer
 from stylesplat.studio_app.session import Session
 
 AUTOSAVE_SECONDS = 60.0
@@ -82,7 +82,7 @@ def studio(
     *,
     styles: Path | str | None = None,
     port: int = 8080,
-    host: str = ADDRESS,
+    host: str = SERVER_ADDRESS,
     block: bool = True,
     **options: Any,
 ) -> StudioServer:
@@ -115,7 +115,7 @@ def studio(
     server = PageServer("StyleSplat studio", Actions(session, gallery, store, **options))
     server.start(host, port)
     opened = StudioServer(server, store)
-    if host != ADDRESS:
+    if host != SERVER_ADDRESS:
         say(f"{host} is open to the network: anybody with the token sees and changes the scene.")
     if block:
         _block(opened.close)
@@ -144,7 +144,7 @@ def view(what: Scene | Splats, *, port: int = 8080, block: bool = True) -> Studi
         what = Scene(what.detach().to("cpu"), ring_cameras(what.detach().to("cpu"), up))
     session = Session(what, folder=what.path or Path())
     server = PageServer("StyleSplat", Actions(session, Gallery(), None))
-    server.start(ADDRESS, port)
+    server.start(SERVER_ADDRESS, port)
     opened = StudioServer(server)
     if block:
         _block(opened.close)
@@ -155,7 +155,7 @@ def until_interrupted(stop: Callable[[], object]) -> NoReturn:
     try:
         while True:
             time.sleep(POLL_SECONDS)
-            check()
+            raise_if_interrupted()
     finally:
         stop()
 

@@ -22,13 +22,13 @@ from stylesplat.studio_app.gallery import Files, Gallery, StylePicture
 from stylesplat.studio_app.history import StudioState, require_picked
 from stylesplat.studio_app.messages import Progress
 from stylesplat.studio_app.paint_queue import preview_colors
-from stylesplat.studio_app.session import BUSY, Session, Stopped
+from stylesplat.studio_app.session import SESSION_BUSY, Session, Stopped
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.stylize import stylize
 
-SIDE = 160  # pixels along a thumbnail
+THUMBNAIL_SIDE = 160  # pixels along a thumbnail
 CARD = 0.15  # grey around an object
-QUICK = {"quality": "draft", "steps": 24, "object_size": 112}
+THUMBNAIL_QUICK = {"quality": "draft", "steps": 24, "object_size": 112}
 NAME = "object"
 
 
@@ -68,7 +68,7 @@ class ObjectThumbnails:
         scene = self._session.state.scene
         own = self._session.masks.of(scene, name)
         if name not in self._cameras or not torch.equal(self._cameras[name][0], own):
-            camera = close_up(scene.base, scene.cameras, own).at_most(SIDE)
+            camera = close_up(scene.base, scene.cameras, own).at_most(THUMBNAIL_SIDE)
             self._cameras[name] = own, camera
         return self._cameras[name][1]
 
@@ -104,9 +104,9 @@ class StylePreviews:
             return
         require_picked(state)
         if session.painting:
-            raise StyleSplatError(BUSY)
+            raise StyleSplatError(SESSION_BUSY)
         self._of, self._stopped = state, False
-        session.worker.go_on_with(self._steps(state))
+        session.worker.set_background_task(self._steps(state))
 
     def stop(self) -> None:
         """End the drafts; the previews that there are stay."""
@@ -124,7 +124,7 @@ class StylePreviews:
         session, styles = self._session, [*self._gallery.pictures.values()]
         base, picked = of.scene.base, session.masks.together(of.scene, of.picked)
         assert picked is not None
-        camera = close_up(base, of.scene.cameras, picked).at_most(SIDE)
+        camera = close_up(base, of.scene.cameras, picked).at_most(THUMBNAIL_SIDE)
         alone, everything = base[picked], torch.ones(int(picked.sum()), dtype=torch.bool)
         scene = Scene(alone, of.scene.cameras, objects={NAME: SceneObject(everything)})
 
@@ -144,7 +144,9 @@ class StylePreviews:
                 session.progress = progress
                 session.on_progress.call()
                 with session.listening(lambda: over() or session.painting):
-                    styled = stylize(scene, {NAME: Style(style.path, **QUICK)}, **self._options)
+                    styled = stylize(
+                        scene, {NAME: Style(style.path, **THUMBNAIL_QUICK)}, **self._options
+                    )
                 if over():
                     return
                 self._keep(style, object_picture(styled.splats, camera, everything))

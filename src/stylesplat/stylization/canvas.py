@@ -22,35 +22,42 @@ from stylesplat.rendering.render import colors_of, rasterize
 from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.visibility import in_view
 from stylesplat.rendering.weights import COVERED, coverage, geometry_only
-from stylesplat.scene.sequences import drawn
+from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.surface import (
-    LENGTH,
     POOLED,
+    SURFACE_LENGTH,
     UnpaintedView,
+    average_in_voxels,
     find_surface,
-    pool_points,
+    poisson_disk_sample,
     project_to_planes,
-    thin,
     unpainted_views,
 )
-from stylesplat.stylization.views import Box, Surface, per_view
+from stylesplat.stylization.views import ObjectBox, Surface, per_view
 from stylesplat.training.adam import Moments, adam_step
 
 SPACING = 1.3  # pixels between discs: a stroke is several of them wide
 WIDE, FLAT = 1.0, 0.15  # deviations of a disc in its plane and across it, in spacings
-OPACITY = 0.8  # of a disc before it is fitted: more looks grainy, as a pixel shows a single disc
-HIDDEN = (0.5, 0.9)  # hidden part of a Gaussian's contribution from which it fades, and is gone
-LOST = 0.2  # coverage: where the object would lose more under a canvas, the canvas has a hole
-RIM = 3  # pixels along the object's outline that are no holes
+CANVAS_OPACITY = (
+    0.8  # of a disc before it is fitted: more looks grainy, as a pixel shows a single disc
+)
+CANVAS_HIDDEN = (
+    0.5,
+    0.9,
+)  # hidden part of a Gaussian's contribution from which it fades, and is gone
+CANVAS_LOST = (
+    0.2  # coverage: where the object would lose more under a canvas, the canvas has a hole
+)
+CANVAS_RIM = 3  # pixels along the object's outline that are no holes
 IN_HOLES = 0.05  # part of a Gaussian's contribution to a view that has to lie in holes
-FEW = 500  # pixels of all views that show no surface
-SPARE = 0.95  # share of the discs' maximum that is aimed at
+CANVAS_FEW = 500  # pixels of all views that show no surface
+CANVAS_SPARE = 0.95  # share of the discs' maximum that is aimed at
 CUBE = 3.0  # pixels of the side of cubes that tell how many discs there will be
 PER_CUBE = 0.5  # discs, one side from each other: fox has .52, doll .45, a ball .37
 
-STEPS = 18  # with 28 painted objects look the same
-RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}  # of logits, logarithms and colours
+CANVAS_STEPS = 18  # with 28 painted objects look the same
+CANVAS_RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}  # of logits, logarithms and colours
 RAISED = 0.4  # colours at most: more is noise, with none what lies behind shines through
 LAST = 0.1  # rate of the last step, as a share of the first's
 
@@ -118,15 +125,15 @@ class PaintState:
     """The same Gaussians without the paint."""
     relief: Float[Tensor, " N"]
     """The object's form as luminance that each Gaussian adds; see `form_relief`."""
-    boxes: Sequence[Box] = ()
+    boxes: Sequence[ObjectBox] = ()
     """Where the object is seen, in the views to optimise on."""
 
 
 @torch.no_grad()
-def lay_canvas(
+def build_surfels(
     splats: Splats,
     mask: Bool[Tensor, " N"],
-    boxes: Sequence[Box],
+    boxes: Sequence[ObjectBox],
     *,
     length: float,
     max_discs: int,
@@ -135,19 +142,20 @@ def lay_canvas(
     """Lay a canvas on an object of a scene, and fade the Gaussians under it.
 
     The discs are fine enough for views in which the object is so many pixels long. Next come
-    `fit_canvas` and `confine_canvas`. Returns None if the object has no surface, as smoke has none.
+    `fit_surfels` and `confine_canvas`. Returns None if the object has no surface, as smoke has
+    none.
     """
     views = unpainted_views(splats, mask, boxes)
     *surface, pixel = find_surface(splats, mask, views)
-    if len(surface[0]) < FEW:
+    if len(surface[0]) < CANVAS_FEW:
         return None
-    (cubes,) = pool_points(CUBE * pixel, surface[0])
-    most = SPARE * max_discs
+    (cubes,) = average_in_voxels(CUBE * pixel, surface[0])
+    most = CANVAS_SPARE * max_discs
     least = CUBE * pixel * math.sqrt(PER_CUBE * len(cubes) / most)
-    spacing = max(SPACING * pixel * LENGTH / length, least)
+    spacing = max(SPACING * pixel * SURFACE_LENGTH / length, least)
     while True:
-        points, normals, colors = pool_points(POOLED * spacing, *surface)
-        rows = thin(points, spacing, seed=seed)
+        points, normals, colors = average_in_voxels(POOLED * spacing, *surface)
+        rows = poisson_disk_sample(points, spacing, seed=seed)
         if len(rows) <= max_discs:
             break
         spacing *= math.sqrt(len(rows) / most)
@@ -162,12 +170,12 @@ def lay_canvas(
         means=means,
         quats=_facing(normals),
         scales=scales.expand(len(rows), 3).clone(),
-        opacities=torch.logit(points.new_full((len(rows),), OPACITY)),
+        opacities=torch.logit(points.new_full((len(rows),), CANVAS_OPACITY)),
         sh0=sh0_from_rgb(colors[rows])[:, None],
         shN=splats.shN[parents] * 0,
     )
     parents = torch.cat([torch.arange(len(splats), device=splats.device), parents])
-    return fade_hidden(Canvas(splats, mask, Splats.cat([splats, discs]), parents, views, spacing))
+    return fade_covered(Canvas(splats, mask, Splats.cat([splats, discs]), parents, views, spacing))
 
 
 def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
@@ -179,7 +187,7 @@ def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
 
 
 @torch.no_grad()
-def fade_hidden(canvas: Canvas) -> Canvas:
+def fade_covered(canvas: Canvas) -> Canvas:
     """Fade the object's Gaussians as far as the discs hide them."""
     before, splats, count = canvas.before, canvas.splats, len(canvas.before)
     others = ~canvas.mask | canvas.is_disc
@@ -191,7 +199,7 @@ def fade_hidden(canvas: Canvas) -> Canvas:
 
     found = per_view(look, canvas.views, "looking under the canvas", splats.device)
     hidden, everywhere = torch.stack([*found]).sum(dim=0).unbind(dim=1)
-    low, high = HIDDEN
+    low, high = CANVAS_HIDDEN
     fading = ((hidden / everywhere.clamp(min=1e-9) - low) / (high - low)).clamp(0, 1) * canvas.own
     faded = torch.logit(torch.sigmoid(before.opacities) * (1 - fading), eps=1e-6)
     faded = torch.where(fading > 0, faded, before.opacities)
@@ -199,15 +207,17 @@ def fade_hidden(canvas: Canvas) -> Canvas:
 
 
 @torch.no_grad()
-def fill_holes(canvas: Canvas) -> Canvas:
+def restore_in_holes(canvas: Canvas) -> Canvas:
     """Give the Gaussians that show in holes between the discs their opacity back."""
     faded, mask = geometry_only(canvas.splats), canvas.mask
 
     def look(view: UnpaintedView) -> Tensor:
         linear = view.linear
-        lost = linear.coverage - coverage(faded, view.camera, mask) > LOST
+        lost = linear.coverage - coverage(faded, view.camera, mask) > CANVAS_LOST
         covered = (linear.coverage > COVERED).cpu().numpy().astype(np.uint8)
-        inner = torch.from_numpy(cv2.erode(covered, np.ones((2 * RIM + 1, 2 * RIM + 1))))
+        inner = torch.from_numpy(
+            cv2.erode(covered, np.ones((2 * CANVAS_RIM + 1, 2 * CANVAS_RIM + 1)))
+        )
         inner = inner.to(lost)
         masks = torch.stack([lost & inner, torch.ones_like(lost)], dim=-1)
         in_holes, everywhere = linear.pixels_in(masks).unbind(dim=1)
@@ -230,7 +240,7 @@ class _View(NamedTuple):
     """These, in the colours that they have from there."""
 
 
-def fit_canvas(canvas: Canvas, *, seed: int) -> Canvas:
+def fit_surfels(canvas: Canvas, *, seed: int) -> Canvas:
     """Give the discs of a canvas what makes the object look as before.
 
     In every step the object's colours are raised by other amounts, so that its coverage has to be
@@ -245,13 +255,18 @@ def fit_canvas(canvas: Canvas, *, seed: int) -> Canvas:
         return _View(before, rows, baked)
 
     views = [*map_views(look, canvas.views, canvas.splats.device)]
-    leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in RATES}
+    leaves = {name: canvas.splats.tensors()[name].clone().requires_grad_() for name in CANVAS_RATES}
     moments, own = Moments.zeros(leaves), canvas.mask.to(canvas.splats.means)
     generator = torch.Generator().manual_seed(seed)
-    order = [(view, torch.rand(3, generator=generator)) for view in drawn(views, STEPS, generator)]
+    order = [
+        (view, torch.rand(3, generator=generator))
+        for view in shuffled_repeats(views, CANVAS_STEPS, generator)
+    ]
     raises = (RAISED * torch.stack([raised for _, raised in order])).to(own)  # at once, to a GPU
     turns = zip((view for view, _ in order), raises, strict=True)
-    for step, (view, raised) in enumerate(track(turns, "fitting the canvas", total=STEPS), start=1):
+    for step, (view, raised) in enumerate(
+        track(turns, "fitting the canvas", total=CANVAS_STEPS), start=1
+    ):
         before, rows, is_disc = view.before, view.rows, canvas.is_disc[view.rows]
         with torch.enable_grad():
             moved = {name: leaf[rows] for name, leaf in leaves.items()}
@@ -260,7 +275,7 @@ def fit_canvas(canvas: Canvas, *, seed: int) -> Canvas:
             image, _, _ = rasterize(replace(view.splats, **moved), before.camera)
             wanted = before.image + raised * before.linear.coverage[..., None]
             (image[0] - wanted).square().mean().backward()
-        rates = {name: rate * LAST ** (step / STEPS) for name, rate in RATES.items()}
+        rates = {name: rate * LAST ** (step / CANVAS_STEPS) for name, rate in CANVAS_RATES.items()}
         visible = torch.zeros_like(canvas.is_disc).index_copy(0, rows, is_disc)
         adam_step(leaves, moments, rates, step, visible=visible)
         for leaf in leaves.values():

@@ -9,26 +9,26 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.imaging.color import LUMA, Palette, color_map, mapped
+from stylesplat.imaging.color import LUMA, Palette, color_map, transform_rgb
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import SH_C0, Splats, map_bands, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.config import RecolorConfig, parse_color
 from stylesplat.stylization.views import PaintView, total_weights
 
-VARIATION = 0.05  # deviation of the colours that `vary_colors` adds, of 1
+VARIATION = 0.05  # deviation of the colours that `add_hue_noise` adds, of 1
 WAVELENGTH = 0.12  # of its pattern, in sizes of the object
 WAVES = 48  # that it is made of
 PATTERN = 0.08  # deviation, in lengths of the object, of the blur that removes its pattern
 SHADING = 0.7  # of the object's light to keep: with all of it the dark side shows nothing else
-HIDDEN = 1e-3  # pixels that a Gaussian contributes to all views: fewer tell no colour
-ROUNDS = 4  # of `project_to_palette`; further ones hardly change anything
-STRIDE = 1.5  # of its steps: more than 1 is sooner there, from 2 on it would diverge
+PAINT_HIDDEN = 1e-3  # pixels that a Gaussian contributes to all views: fewer tell no colour
+PAINT_ROUNDS = 4  # of `project_to_palette`; further ones hardly change anything
+PAINT_STRIDE = 1.5  # of its steps: more than 1 is sooner there, from 2 on it would diverge
 DARKEST = 1e-4  # of 1: above the clamp at black, which has no gradient, far below a level
-FAINT = 0.05  # of the median weight: Gaussians that show less move accordingly less
+PAINT_FAINT = 0.05  # of the median weight: Gaussians that show less move accordingly less
 
 
 Colors = Float[Tensor, "P 3"]
@@ -51,7 +51,7 @@ def object_colors(colors: Colors, views: Sequence[PaintView]) -> Float[Tensor, "
 
 
 @torch.no_grad()
-def vary_colors(colors: Colors, means: Float[Tensor, "P 3"], *, seed: int) -> Colors:
+def add_hue_noise(colors: Colors, means: Float[Tensor, "P 3"], *, seed: int) -> Colors:
     """Add smooth patches of other hues, of the same luminance: flat areas vary as paintings do."""
     generator = torch.Generator().manual_seed(seed)
     directions = F.normalize(torch.randn(WAVES, 3, generator=generator), dim=1)
@@ -65,7 +65,7 @@ def vary_colors(colors: Colors, means: Float[Tensor, "P 3"], *, seed: int) -> Co
 
 
 @torch.no_grad()
-def remove_pattern(
+def low_pass_colors(
     colors: Colors, views: Sequence[PaintView], length: float, share: float
 ) -> Colors:
     """Remove a share of the object's own pattern, all that is smaller than `PATTERN` of it.
@@ -96,8 +96,8 @@ def blur_colors(colors: Colors, views: Sequence[PaintView], deviation: float = 0
         blurred = smooth(image.permute(2, 0, 1), view.pixels, deviation).permute(1, 2, 0)
         total += view.backproject(blurred)
         weights += view.backproject(own.expand_as(image).to(image))
-    mean = sh0_from_rgb(total / weights.clamp(min=HIDDEN))
-    return torch.where(weights > HIDDEN, mean, colors)
+    mean = sh0_from_rgb(total / weights.clamp(min=PAINT_HIDDEN))
+    return torch.where(weights > PAINT_HIDDEN, mean, colors)
 
 
 @torch.no_grad()
@@ -114,17 +114,17 @@ def project_to_palette(
     averages (simultaneous algebraic reconstruction, Gilbert 1972).
     """
     weights = total_weights(views)
-    weights = (weights + FAINT * weights[weights > 0].median())[:, None]
+    weights = (weights + PAINT_FAINT * weights[weights > 0].median())[:, None]
     rgb = colors * SH_C0 + 0.5
     brightest = rgb.clamp(min=1)  # Gaussians that show in part need colours beyond white
-    for _ in range(ROUNDS):
+    for _ in range(PAINT_ROUNDS):
         # below black nothing shows, and nothing can be asked for
         rgb = rgb.clamp(min=DARKEST)
         offsets = torch.zeros_like(rgb)
         for view in views:
             wanted = palette.offset(view.render(sh0_from_rgb(rgb))) * view.pixels[..., None]
             offsets += view.backproject(wanted)
-        rgb = (rgb + STRIDE * offsets / weights).minimum(brightest)
+        rgb = (rgb + PAINT_STRIDE * offsets / weights).minimum(brightest)
         rgb = torch.where(beneath[:, None], rgb + palette.offset(rgb), rgb)
     return sh0_from_rgb(rgb.clamp(min=0))
 
@@ -133,7 +133,7 @@ def project_to_palette(
 HUE_SINE = ((-0.213, -0.715, 0.928), (0.143, 0.140, -0.283), (-0.787, 0.715, 0.072))
 WARMTH = 0.25  # logarithm of red's factor, and of 1 / blue's, at temperature 1
 STEEPEST = 2.0  # times the shading of a dark object: more shows its noise
-DARK = 1e-3  # luma to divide by
+PAINT_DARK = 1e-3  # luma to divide by
 VIEWS, LONGER_SIDE = 4, 160  # of renders that show the colours of an object
 
 
@@ -156,7 +156,7 @@ def recolor_map(
         own = _shown_colors(splats, mask, cameras)
         if picture is not None:
             steps.append(color_map(own, picture))
-            own = mapped(own, steps[0])
+            own = transform_rgb(own, steps[0])
         if config.tint is not None:
             steps.append(_tint(torch.tensor(parse_color(config.tint)), own.mean(dim=0)))
     sine, cosine = math.sin(math.radians(config.hue)), math.cos(math.radians(config.hue))
@@ -176,8 +176,8 @@ def recolor_map(
 def _tint(color: Float[Tensor, " 3"], mean: Float[Tensor, " 3"]) -> Float[Tensor, "3 4"]:
     """The map that takes the mean to a colour, and what is lighter or darker to shades of it."""
     luma = torch.tensor(LUMA)
-    shade = color / (color @ luma).clamp(min=DARK)  # of luma 1
-    steepness = ((color @ luma) / (mean @ luma).clamp(min=DARK)).clamp(max=STEEPEST)
+    shade = color / (color @ luma).clamp(min=PAINT_DARK)  # of luma 1
+    steepness = ((color @ luma) / (mean @ luma).clamp(min=PAINT_DARK)).clamp(max=STEEPEST)
     matrix = steepness * shade[:, None] * luma
     return torch.cat([matrix, (color - matrix @ mean)[:, None]], dim=1)
 
@@ -187,7 +187,7 @@ def _shown_colors(
 ) -> Float[Tensor, "P 3"]:
     """The colours of an object alone in a few views; where none shows it, its Gaussians'."""
     own, shown = splats[mask.nonzero()[:, 0]], []
-    for row in evenly(range(len(cameras)), VIEWS):
+    for row in evenly_spaced(range(len(cameras)), VIEWS):
         image, alphas = render(own, cameras[row].at_most(LONGER_SIDE))
         shown.append((image / alphas)[alphas[..., 0] > COVERED])
     colors = torch.cat(shown)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from PIL import ImageColor
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.options import MAX_INTENSITY, Config, Option, Seed, with_settings
 from stylesplat.progress import say
 
@@ -66,7 +66,7 @@ def parse_color(text: str) -> tuple[float, ...]:
         return tuple(level / 255 for level in ImageColor.getrgb(text)[:3])
     except ValueError:
         raise StyleSplatError(
-            f"There is no color {brief(text)!r}. Use #rrggbb or a name such as teal."
+            f"There is no color {shorten(text)!r}. Use #rrggbb or a name such as teal."
         ) from None
 
 

@@ -19,27 +19,27 @@ from stylesplat.rendering.weights import COVERED, contributions, coverage, geome
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import UNSEEN
 from stylesplat.scene.projection import crop
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.canvas import Canvas, fade_hidden, fill_holes
+from stylesplat.stylization.canvas import Canvas, fade_covered, restore_in_holes
 from stylesplat.stylization.views import per_view
 
-VIEWS = 24  # that are checked: discs lie on the very outline of the object
-COARSER = 2.0  # ratio of the photos' size to that of the check: finds the same as full size
+SPILL_VIEWS = 24  # that are checked: discs lie on the very outline of the object
+SPILL_COARSER = 2.0  # ratio of the photos' size to that of the check: finds the same as full size
 LEAST_SIZE = 480  # pixels of the check's longer side, so that small photos are checked in full
-MARGIN = 16  # pixels around what the object may reach in them
-FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
-EDGE = 2  # pixels around what is covered that are its edge
+SPILL_MARGIN = 16  # pixels around what the object may reach in them
+SPILL_FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
+SPILL_EDGE = 2  # pixels around what is covered that are its edge
 SMALLER = 0.6  # factor on the size of a disc that shows beside the object
-NEIGHBOURS = 32  # discs that gradients and structure tensors are averaged over
+SPILL_NEIGHBOURS = 32  # discs that gradients and structure tensors are averaged over
 GRADIENT_WIDTH = 1.5  # deviation of the weights of a gradient's fit, in distances between discs
 TENSOR_WIDTH = 2.5  # and of the average of structure tensors
-RIDGE = 1e-3  # of the fit, for discs whose neighbours lie on a line
+SPILL_RIDGE = 1e-3  # of the fit, for discs whose neighbours lie on a line
 LONG, NARROW = 1.8, 0.6  # factors on scales along and across a stroke; 2.5 spikes the silhouette
 SHINES = 0.1  # pixels of a disc that shine through what is protected, if that lies before it
 
 
-class Outside(NamedTuple):
+class ForbiddenPixels(NamedTuple):
     """Where no disc may show."""
 
     camera: Cameras
@@ -51,7 +51,7 @@ class Outside(NamedTuple):
 
 
 @torch.no_grad()
-def confine_canvas(
+def trim_surfels(
     canvas: Canvas,
     cameras: Cameras,
     *,
@@ -71,8 +71,8 @@ def confine_canvas(
     if painted is not None:
         turned = align_to_strokes(painted, canvas.is_disc, canvas.spacing)
         canvas = canvas.changed(quats=turned.quats, scales=turned.scales)
-    coarser = min(COARSER, max(1.0, float(cameras.sizes.max()) / LEAST_SIZE))
-    checked = cameras[[*evenly(range(len(cameras)), VIEWS)]].downscale(coarser)
+    coarser = min(SPILL_COARSER, max(1.0, float(cameras.sizes.max()) / LEAST_SIZE))
+    checked = cameras[[*evenly_spaced(range(len(cameras)), SPILL_VIEWS)]].downscale(coarser)
     checked = _crop_to_gaussians(splats[canvas.own], checked)
     outside = _find_outside(splats, canvas.own, protected, checked)
     rows, outside = _overflow(canvas, outside)
@@ -85,7 +85,7 @@ def confine_canvas(
         kept[rows] = False
         canvas = canvas.changed(opacities=canvas.splats.opacities.index_fill(0, rows, UNSEEN))
     # what removed discs hid comes back; thin parts are all rim, in which no holes are looked for
-    return fill_holes(fade_hidden(canvas.select(kept))), kept
+    return restore_in_holes(fade_covered(canvas.select(kept))), kept
 
 
 def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
@@ -94,7 +94,7 @@ def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
     for camera in cameras:
         low, high = pixel_bounds(splats, camera)
         most = camera.sizes[0].to(high)
-        low, high = (low - MARGIN).clamp(min=0), torch.minimum(high + MARGIN, most)
+        low, high = (low - SPILL_MARGIN).clamp(min=0), torch.minimum(high + SPILL_MARGIN, most)
         reached = (low < high).all(dim=1)
         if reached.any():
             low, high = low[reached].amin(dim=0), high[reached].amax(dim=0)
@@ -104,32 +104,34 @@ def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
 
 def _find_outside(
     splats: Splats, mask: Tensor, protected: Tensor | None, cameras: Sequence[Cameras]
-) -> list[Outside]:
+) -> list[ForbiddenPixels]:
     """Where there is nothing of an object, haze away from its edge, or what is protected."""
     bare = geometry_only(splats)
     own = bare[mask]
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * EDGE + 1, 2 * EDGE + 1))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SPILL_EDGE + 1, 2 * SPILL_EDGE + 1))
 
-    def look(camera: Cameras) -> list[Outside]:
+    def look(camera: Cameras) -> list[ForbiddenPixels]:
         covered = coverage(bare, camera, mask)
         alone = coverage(own, camera)  # whatever hides it
         solid = (alone > COVERED).cpu().numpy().astype(np.uint8)
         edge = torch.from_numpy(cv2.dilate(solid, disc)).bool().to(covered.device)
-        found = [Outside(camera, (covered == 0) | ((covered < FAINT) & ~edge))]
+        found = [ForbiddenPixels(camera, (covered == 0) | ((covered < SPILL_FAINT) & ~edge))]
         if protected is not None:
-            found.append(Outside(camera, coverage(bare, camera, protected) > COVERED, SHINES))
+            found.append(
+                ForbiddenPixels(camera, coverage(bare, camera, protected) > COVERED, SHINES)
+            )
         return found
 
     return [*chain(*per_view(look, cameras, "looking beside the object", splats.device))]
 
 
 def _overflow(
-    canvas: Canvas, outside: Sequence[Outside]
-) -> tuple[Int[Tensor, " M"], list[Outside]]:
+    canvas: Canvas, outside: Sequence[ForbiddenPixels]
+) -> tuple[Int[Tensor, " M"], list[ForbiddenPixels]]:
     """The discs that show outside the object, and where others may next."""
     bare, is_disc = geometry_only(canvas.splats), canvas.is_disc
 
-    def look(view: Outside) -> tuple[Tensor, Outside]:
+    def look(view: ForbiddenPixels) -> tuple[Tensor, ForbiddenPixels]:
         camera, rows, pixels = view.camera, view.rows, view.pixels
         part = bare if rows is None else bare[rows]
         rows = torch.arange(len(bare), device=bare.device) if rows is None else rows
@@ -165,7 +167,7 @@ def align_to_strokes(splats: Splats, discs: Bool[Tensor, " N"], distance: float)
     means, axes = splats.means[rows], rotation_matrices(splats.quats[rows])
     tangents, normals = axes[:, :, :2], axes[:, :, 2]
     points = means.double().cpu().numpy()
-    far, near = KDTree(points).query(points, k=min(NEIGHBOURS, len(rows)), workers=-1)
+    far, near = KDTree(points).query(points, k=min(SPILL_NEIGHBOURS, len(rows)), workers=-1)
     far = torch.from_numpy(far).to(means).view(len(rows), -1) / distance
     near = torch.from_numpy(near).to(rows).view(len(rows), -1)
     same_side = (normals[near] * normals[:, None]).sum(dim=2).clamp(min=0)  # [D, k]
@@ -206,7 +208,7 @@ def _gradients(
     changes = values[near] - (weights * values[near]).sum(dim=1, keepdim=True) / total
     normal = torch.einsum("dk,dki,dkj->dij", weights, offsets, offsets)
     right = torch.einsum("dk,dki,dk->di", weights, offsets, changes)
-    fitted = torch.linalg.solve(normal + RIDGE * torch.eye(2).to(points), right)
+    fitted = torch.linalg.solve(normal + SPILL_RIDGE * torch.eye(2).to(points), right)
     return torch.einsum("dij,dj->di", tangents, fitted)
 
 

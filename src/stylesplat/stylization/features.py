@@ -33,7 +33,7 @@ DEPTHS = {  # convolutions of a block (Simonyan & Zisserman 2014)
     "vgg19": (2, 2, 4, 4, 4),
     "compact": (1, 2, 3),  # they see as far as VGG19's do
 }
-FOLD = 2  # pixels along x and y that become channels of one in the compact network
+NETWORK_FOLD = 2  # pixels along x and y that become channels of one in the compact network
 COMPACT_GREY, COMPACT_CONTRAST = 0.5, 0.25  # its mean and standard deviation of colours
 # Instructions with which convolutions are faster in bfloat16 than in float32: 128 channels on 48x48
 # pixels took 2.6 ms in float32 and 8.2 ms in bfloat16 by AVX-512, 2.5 and 1.3 ms with its BF16
@@ -118,8 +118,8 @@ class FeatureNetwork:
     def features(self, x: Float[Tensor, "B _ H W"], blocks: Sequence[int]) -> list[Tensor]:
         """The features [B,D,_,_] of images whose colours are normalised already."""
         if self.heads:
-            x = F.pad(x, (0, x.shape[3] % FOLD, 0, x.shape[2] % FOLD))
-            x = F.pixel_unshuffle(x, FOLD).contiguous(memory_format=torch.channels_last)
+            x = F.pad(x, (0, x.shape[3] % NETWORK_FOLD, 0, x.shape[2] % NETWORK_FOLD))
+            x = F.pixel_unshuffle(x, NETWORK_FOLD).contiguous(memory_format=torch.channels_last)
         outputs = {}
         for number, block in enumerate(self.blocks[: max(blocks)], start=1):
             if number > (2 if self.heads else 1):  # folded pixels are pooled already
@@ -133,7 +133,7 @@ class FeatureNetwork:
                 if self.heads:
                     outputs[number] = self.heads[number - 1](outputs[number])
         if self.heads and 1 in outputs:
-            outputs[1] = F.pixel_shuffle(outputs[1], FOLD)
+            outputs[1] = F.pixel_shuffle(outputs[1], NETWORK_FOLD)
         return [outputs[number] for number in blocks]
 
     def cells(self, block: int) -> Cells:
@@ -248,7 +248,7 @@ def compact_from(tensors: Mapping[str, Tensor], source: Path | str) -> FeatureNe
         [f"block{block}.conv{layer + 1}" for layer in range(count)]
         for block, count in enumerate(DEPTHS["compact"], start=1)
     ]
-    blocks, heads = _blocks(tensors, names, 3 * FOLD**2, source), []
+    blocks, heads = _blocks(tensors, names, 3 * NETWORK_FOLD**2, source), []
     for number, convs in enumerate(blocks, start=1):
         width = sum(len(conv.bias) for conv in convs)
         heads.append(_convolution(tensors, f"block{number}.head", (width, 1, 1), source))

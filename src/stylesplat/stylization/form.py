@@ -22,14 +22,14 @@ from stylesplat.imaging.similarity import blur, smooth
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.splats import SH_C0, Splats
-from stylesplat.stylization.colors import HIDDEN, STRIDE
-from stylesplat.stylization.views import Box, PaintView, box_cameras
+from stylesplat.stylization.colors import PAINT_HIDDEN, PAINT_STRIDE
+from stylesplat.stylization.views import ObjectBox, PaintView, box_cameras
 
 BAND_DEVIATIONS = (0.004, 0.015, 0.05)  # of blurs whose differences are bands, in lengths
 ENERGY_DEVIATION = 0.03  # of the blur that averages a band's energy, in lengths
 SALIENT = 0.6  # times the median energy: less is pattern
 SURVEY_LENGTH = 96.0  # pixels of the object's longer side where bands are compared
-SURVEY_VIEWS = 8  # with 6 rare sides get too much form
+FORM_SURVEY_VIEWS = 8  # with 6 rare sides get too much form
 # Deviation of a band's energy over the object, of its mean: of pattern, and what counts in full.
 # The demo's vase and teapot have .67 to .75, a doll .89, fox and a face 1.1 to 1.5.
 EVEN, UNEVEN = 0.75, 0.88
@@ -38,11 +38,11 @@ EVEN_OF_TWO = 0.5
 # Bimodality of what has many values, and of two. The vase has .57 in most places and .75 in one of
 # twenty, fox .47, a sign's letters .85 to .95, .8 where pixels blur them.
 MANY, TWO = 0.75, 0.88
-CHROMA = 0.5  # luminance that one unit of an object's main hue contrast becomes
-TINY = 1e-6  # energy of a band that the object hardly has
-NEAR = 0.04  # deviation of the window of a local correlation, in lengths
-FAINT = 0.01  # of 1: detail of less contrast is not seen
-ROUNDS = 6  # of `form_relief`: with 1 eyes are blurred, 12 show no more
+FORM_CHROMA = 0.5  # luminance that one unit of an object's main hue contrast becomes
+FORM_TINY = 1e-6  # energy of a band that the object hardly has
+FORM_NEAR = 0.04  # deviation of the window of a local correlation, in lengths
+FORM_FAINT = 0.01  # of 1: detail of less contrast is not seen
+FORM_ROUNDS = 6  # of `form_relief`: with 1 eyes are blurred, 12 show no more
 RARE = 0.05  # share of an object: less form than that counts less
 POOLED_DEVIATION = 1.0  # pixels of the finest band's blur at least, in a pooled view
 
@@ -69,16 +69,18 @@ class FormBand(NamedTuple):
     """The detail's square, blurred."""
 
 
-def survey_detail(splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]) -> FormSurvey:
+def survey_detail(
+    splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[ObjectBox]
+) -> FormSurvey:
     """The detail of an object, whatever size it is painted in."""
-    cameras = box_cameras(boxes, SURVEY_LENGTH, SURVEY_VIEWS, margin=0)
+    cameras = box_cameras(boxes, SURVEY_LENGTH, FORM_SURVEY_VIEWS, margin=0)
     pairs = [colors_and_coverage(splats, camera, mask) for camera in cameras]
     images, covered = zip(*pairs, strict=True)
-    return survey_form(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH)
+    return measure_detail(images, [each[..., 0] > COVERED for each in covered], SURVEY_LENGTH)
 
 
 @torch.no_grad()
-def survey_form(
+def measure_detail(
     images: Sequence[Float[Tensor, "_ _ 3"]], masks: Sequence[Bool[Tensor, "_ _"]], length: float
 ) -> FormSurvey:
     """Measure an object's detail in views of the whole unpainted object, so many pixels long."""
@@ -88,7 +90,7 @@ def survey_form(
         squares = torch.stack(object_detail(image, mask, length, hue)).square()
         energies.append(smooth(squares, mask, ENERGY_DEVIATION * length)[:, mask])
     bands = torch.cat(energies, dim=1).unbind()
-    variations = [float(energy.std() / (energy.mean() + TINY)) for energy in bands]
+    variations = [float(energy.std() / (energy.mean() + FORM_TINY)) for energy in bands]
     return FormSurvey([float(energy.median()) for energy in bands], variations, hue)
 
 
@@ -107,8 +109,8 @@ def object_detail(
     hue: Float[Tensor, " 3"],
 ) -> list[Float[Tensor, "H W"]]:
     """The detail of an unpainted object, by bands, as luminance, to whose contrast hues add."""
-    near = NEAR * length
-    weights = torch.stack([luma_weights(image.device, image.dtype), CHROMA * hue.to(image)])
+    near = FORM_NEAR * length
+    weights = torch.stack([luma_weights(image.device, image.dtype), FORM_CHROMA * hue.to(image)])
     details = []
     for luma, chroma in detail_bands(torch.einsum("hwc,dc->dhw", image, weights), mask, length):
         together = blur(luma * chroma, near) + _faint_energy(near)
@@ -161,11 +163,11 @@ def measure_form(
     by_band = zip(bands, energies, survey.energies, survey.variations, strict=True)
     for band, energy, typical, variation in by_band:
         share = ((variation - even) / (UNEVEN - EVEN)).clamp(0, 1)
-        least = (1 - two) * SALIENT * typical + FAINT**2
+        least = (1 - two) * SALIENT * typical + FORM_FAINT**2
         weight = (1 - least / energy.maximum(least)) * mask
         area = (weight + RARE * mask).sum()
         detail = share * weight * band
-        around = blur(detail.square(), NEAR * length)
+        around = blur(detail.square(), FORM_NEAR * length)
         found.append(FormBand(detail, share * weight / area, around))
     return found
 
@@ -180,7 +182,7 @@ def bimodality(
     variance = (square - mean**2).clamp(min=0)
     third = cube - 3 * mean * square + 2 * mean**3
     fourth = fourth - 4 * mean * cube + 6 * mean**2 * square - 3 * mean**4
-    return ((third**2 + variance**3) / (fourth * variance + FAINT**6)).to(grey)
+    return ((third**2 + variance**3) / (fourth * variance + FORM_FAINT**6)).to(grey)
 
 
 def form_distance(
@@ -194,7 +196,7 @@ def form_distance(
     Every place that stands out counts by how much it does, whatever its contrast: an eye in the
     shade as much as one in the light.
     """
-    total, near = image.new_zeros(()), NEAR * length
+    total, near = image.new_zeros(()), FORM_NEAR * length
     faint = _faint_energy(near)
     bands = detail_bands(image @ luma_weights(image.device, image.dtype), mask, length)
     for band, (detail, weight, energy) in zip(bands, form, strict=True):
@@ -206,7 +208,7 @@ def form_distance(
 
 def _faint_energy(near: float) -> float:
     """What a blur of this deviation gives of faint detail: it has the sum of its Gaussian."""
-    return 2 * math.pi * (near * FAINT) ** 2
+    return 2 * math.pi * (near * FORM_FAINT) ** 2
 
 
 @torch.no_grad()
@@ -232,13 +234,13 @@ def form_relief(
         weights += view.backproject(target)[:, 2:]
         grey = view.render(F.pad(relief, (0, 1)))
         targets.append((view, (target + grey)[..., :2], own[..., None]))
-    for _ in range(ROUNDS):
+    for _ in range(FORM_ROUNDS):
         missing = torch.zeros_like(relief)
         for view, target, own in targets:
             error = (target - view.render(F.pad(relief / SH_C0, (0, 1)))[..., :2]) * own
             missing += view.backproject(F.pad(error, (0, 1)))[:, :2]
-        relief = relief + STRIDE * missing / weights.clamp(min=HIDDEN)
-        relief = torch.where(weights > HIDDEN, relief, 0).clamp(-1, 1)
+        relief = relief + PAINT_STRIDE * missing / weights.clamp(min=PAINT_HIDDEN)
+        relief = torch.where(weights > PAINT_HIDDEN, relief, 0).clamp(-1, 1)
     return relief
 
 

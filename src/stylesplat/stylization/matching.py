@@ -17,13 +17,13 @@ from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel
 
 DIMENSIONS = 64  # of the compressed space; its matches cost less than 0.1 % of the loss
-CANDIDATES = 4  # that are compared exactly
+MATCH_CANDIDATES = 4  # that are compared exactly
 SIMILARITIES_AT_ONCE = {"cpu": 2**22, "cuda": 2**26}  # bounds features x style features
-KINDS = 32  # of style features, in balanced searches
-ROUNDS = 12  # that find them
+MATCH_KINDS = 32  # of style features, in balanced searches
+MATCH_ROUNDS = 12  # that find them
 REMEMBERED = 0.8  # of the usage before: a view shows only a part of the object
 BALANCE = 0.5  # what a search adds to the cosines of a kind that had no match, by its share
-MOST = 0.5  # of what is added: with .3 lines stay away from what is dark
+MATCH_MOST = 0.5  # of what is added: with .3 lines stay away from what is dark
 
 
 def nnfm_loss(
@@ -105,7 +105,9 @@ class StyleIndex:
         each = self.shares.new_full((len(found),), 1 / len(found))
         used = torch.zeros_like(self.shares).index_add_(0, self.kinds[found], each)
         usage = potentials.usage.lerp(used, 1 - REMEMBERED)
-        favour = potentials.favour.add(self.shares - usage, alpha=BALANCE).clamp(-MOST, MOST)
+        favour = potentials.favour.add(self.shares - usage, alpha=BALANCE).clamp(
+            -MATCH_MOST, MATCH_MOST
+        )
         return Potentials(usage, favour)
 
     def _search(
@@ -118,7 +120,7 @@ class StyleIndex:
         rows = max(1, SIMILARITIES_AT_ONCE["cpu"] // columns)
         found = []
         for chunk, query in zip(feats.split(rows), queries.split(rows), strict=True):
-            candidates = torch.zeros(len(chunk), CANDIDATES, dtype=torch.long)
+            candidates = torch.zeros(len(chunk), MATCH_CANDIDATES, dtype=torch.long)
             similarities = (query @ table).flatten().numpy()
             largest_columns(similarities, columns, len(self.directions), candidates.numpy())
             few = self.directions.index_select(0, candidates.flatten())
@@ -138,7 +140,7 @@ def build_index(
     basis = vectors[:, -DIMENSIONS:].contiguous()  # eigenvalues ascend
     padding = -len(directions) % vec.LANES
     compressed = F.pad((directions @ basis).T, (0, padding)).contiguous()
-    kinds = _kinds(directions @ basis, KINDS if balanced else 1)
+    kinds = _kinds(directions @ basis, MATCH_KINDS if balanced else 1)
     shares = torch.bincount(kinds) / len(kinds)
     return StyleIndex(directions.to(dtype), basis, compressed, kinds, shares)
 
@@ -147,7 +149,7 @@ def _kinds(points: Float[Tensor, "Q B"], count: int) -> Int[Tensor, " Q"]:
     """The cluster of each point (k-means, Lloyd 1982); the first centres are at equal distances."""
     centres = points[torch.linspace(0, len(points) - 1, count).long()]
     kinds = torch.zeros(len(points), dtype=torch.long, device=points.device)
-    for _ in range(ROUNDS):
+    for _ in range(MATCH_ROUNDS):
         kinds = (points @ centres.T - centres.square().sum(dim=1) / 2).argmax(dim=1)
         sizes = torch.bincount(kinds, minlength=count)[:, None]
         sums = torch.zeros_like(centres).index_add_(0, kinds, points)
@@ -184,7 +186,7 @@ def largest_columns(flat, stride, count, found):
         best = np.full(found.shape[1], -np.inf, np.float32)
         start = row * stride
         for column in range(0, stride, vec.LANES):
-            lanes = vec.load(flat, start + column)
+            lanes = vec.load_vec(flat, start + column)
             better = vec.bits(vec.greater(lanes, best[-1]))
             while better != 0:
                 place = column + vec.lowest_bit(better)

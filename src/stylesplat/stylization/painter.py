@@ -16,36 +16,36 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import Palette, build_palette
 from stylesplat.io.style_pictures import Picture, read_style
 from stylesplat.progress import say, task
-from stylesplat.rendering.visibility import LARGE, in_view, visible
+from stylesplat.rendering.visibility import VISIBLE_LARGE, in_view, visible
 from stylesplat.rendering.weights import coverage, geometry_only
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.layers import Composed, Layer, appearance_only, compose
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.shares import own_shares
-from stylesplat.stylization.canvas import Canvas, PaintState, fit_canvas, lay_canvas
+from stylesplat.selection.shares import object_shares
+from stylesplat.stylization.canvas import Canvas, PaintState, build_surfels, fit_surfels
 from stylesplat.stylization.colors import (
     Colors,
+    add_hue_noise,
     add_luminance,
     blur_colors,
+    low_pass_colors,
     object_colors,
     project_to_palette,
-    remove_pattern,
     transfer_colors,
-    vary_colors,
 )
 from stylesplat.stylization.config import DEFAULT_NETWORK, Stage, StyleConfig, plain_settings
-from stylesplat.stylization.confine import confine_canvas, reached_pixels
+from stylesplat.stylization.confine import reached_pixels, trim_surfels
 from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.form import FormSurvey, form_relief, survey_detail
 from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
 from stylesplat.stylization.painting import Painting, PaintSetup, check_paintings, paint_setup
 from stylesplat.stylization.paper import paint_as_published
-from stylesplat.stylization.style import KEPT_HUES, all_colors, style_pictures, without_strokes
+from stylesplat.stylization.style import KEPT_HUES, all_colors, large_shapes, style_pictures
 from stylesplat.stylization.views import (
     WHOLE_VIEWS,
-    Box,
+    ObjectBox,
     ObjectView,
     find_boxes,
     object_views,
@@ -74,7 +74,7 @@ class Subject:
     """Its scene is that of the canvas."""
     painting: Painting
     """Its mask has the Gaussians that are painted."""
-    boxes: Sequence[Box]
+    boxes: Sequence[ObjectBox]
     """Where the object is visible, in the views to optimise on."""
     detail: FormSurvey
     canvas: Canvas
@@ -161,7 +161,7 @@ def own_part(setup: PaintSetup, painting: Painting) -> Painting:
     """The painting without Gaussians that lie mostly beside the object; the paper paints all."""
     if painting.config.published:
         return painting
-    own = own_shares(setup.splats, painting.mask, setup.cameras) > OWN
+    own = object_shares(setup.splats, painting.mask, setup.cameras) > OWN
     if not own.any():
         require_boxes(setup, painting)  # else that is why
         raise StyleSplatError(
@@ -212,7 +212,7 @@ def lay_discs(subject: Subject, length: float) -> Subject:
     max_discs = painting.config.max_discs(int(painting.mask.sum()))
     if max_discs == 0 or painting.config.intensity == 0:
         return subject.on(canvas)
-    laid = lay_canvas(
+    laid = build_surfels(
         canvas.splats,
         canvas.mask,
         subject.boxes,
@@ -223,7 +223,7 @@ def lay_discs(subject: Subject, length: float) -> Subject:
     if laid is None:
         say(f"{painting.name} has no surface for a canvas: its own Gaussians are painted.")
         return subject.on(canvas)
-    return subject.on(fit_canvas(laid, seed=painting.config.seed))
+    return subject.on(fit_surfels(laid, seed=painting.config.seed))
 
 
 def initial_colors(subject: Subject, stage: Stage) -> tuple[Colors, Goal]:
@@ -238,13 +238,13 @@ def initial_colors(subject: Subject, stage: Stage) -> tuple[Colors, Goal]:
     share = KEPT_HUES.get(config.color, 0.0)
     own = object_colors(colors, whole) if share > 0 else None
     images = style_pictures(painting.images, config, own, share)
-    colors = remove_pattern(colors, whole, length, config.pattern_removed)
+    colors = low_pass_colors(colors, whole, length, config.pattern_removed)
     form = config.form * config.pattern_removed  # what was removed of it with the pattern
     colors = add_luminance(colors, form * relief.sum(dim=1))
     if config.color == "free":
         return colors, Goal(images, None, relief)
-    colors = vary_colors(colors, subject.canvas.splats.means[rows], seed=config.seed)
-    colors = transfer_colors(colors, all_colors(without_strokes(images, config.scale)), whole)
+    colors = add_hue_noise(colors, subject.canvas.splats.means[rows], seed=config.seed)
+    colors = transfer_colors(colors, all_colors(large_shapes(images, config.scale)), whole)
     return colors, Goal(images, build_palette(all_colors(images)), relief)
 
 
@@ -292,7 +292,7 @@ def melt_strokes(
 ) -> Colors:
     """Leave the large shapes of a coarse stage, in the style's colours."""
     whole, _ = whole_object(subject, stage, BLUR_VIEWS, views)
-    shapes = without_strokes(goal.images, subject.painting.config.scale)
+    shapes = large_shapes(goal.images, subject.painting.config.scale)
     return transfer_colors(blur_colors(colors, whole), all_colors(shapes), whole)
 
 
@@ -320,7 +320,7 @@ def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Float[Ten
     """Turn the discs along the strokes, and let none show beside the object."""
     if not subject.canvas.is_disc.any():
         return subject, colors
-    canvas, kept = confine_canvas(
+    canvas, kept = trim_surfels(
         subject.canvas,
         subject.setup.all_cameras,
         painted=subject.painted(colors),
@@ -377,7 +377,7 @@ def paint_objects(setup: PaintSetup, paintings: Sequence[Painting]) -> Composed:
 
 def paint_layer(
     setup: PaintSetup, painting: Painting, parents: Int[Tensor, " M"]
-) -> tuple[Layer, list[Box]]:
+) -> tuple[Layer, list[ObjectBox]]:
     """Paint an object on what lies below its layer.
 
     `parents` are the rows of the base that the Gaussians below belong to. Returns the layer, and
@@ -412,7 +412,7 @@ def crop_scene(
     splats, views = setup.splats, [*setup.all_cameras]
     everything = setup, painting, torch.arange(len(splats), device=splats.device)
     names = {*setup.all_cameras.names}
-    if len(splats) < LARGE or len(names) < len(views):
+    if len(splats) < VISIBLE_LARGE or len(names) < len(views):
         return everything
     bare, own = geometry_only(splats), painting.mask.nonzero()[:, 0]
     others = replace(bare, opacities=bare.opacities.masked_fill(painting.mask, -torch.inf))

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.rendering.render import colors_of, rasterize
-from stylesplat.scene.sequences import drawn, evenly
+from stylesplat.scene.sequences import evenly_spaced, shuffled_repeats
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, PaintState
 from stylesplat.stylization.form import form_relief, survey_detail
@@ -38,7 +38,7 @@ def paint_as_published(setup: PaintSetup, painting: Painting) -> Iterator[PaintS
     """Paint an object as the paper does; see `painter.paint_object`."""
     config, splats, mask = painting.config, setup.splats, painting.mask
     every = require_boxes(setup, painting)
-    boxes = evenly(every, math.ceil(VIEWS_USED * len(every)))
+    boxes = evenly_spaced(every, math.ceil(VIEWS_USED * len(every)))
     detail = survey_detail(splats, mask, boxes)
     (stage,) = config.stages(typical_length(boxes))
     rows, generator = mask.nonzero()[:, 0], torch.Generator().manual_seed(config.seed)
@@ -56,7 +56,7 @@ def paint_as_published(setup: PaintSetup, painting: Painting) -> Iterator[PaintS
     rates = {"sh0": config.lr, "shN": config.lr / SHN_SLOWDOWN}
     moments, potentials = Moments.zeros(leaves), None
     generator = torch.Generator().manual_seed(config.seed)
-    for step, target in enumerate(drawn(targets, stage.steps, generator), start=1):
+    for step, target in enumerate(shuffled_repeats(targets, stage.steps, generator), start=1):
         with torch.enable_grad():  # the caller may have disabled it
             image = render_bands(target.view, splats.with_rows(rows, leaves))
             nnfm, total, potentials = objective(target, image, potentials)

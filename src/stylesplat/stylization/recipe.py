@@ -5,7 +5,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
 
-from stylesplat.errors import StyleSplatError, within
+from stylesplat.errors import StyleSplatError, error_context
 from stylesplat.io.files import read_bytes
 from stylesplat.io.json_yaml import INSTEAD, MAX_YAML, parse_yaml
 from stylesplat.io.kinds import kind_of
@@ -65,7 +65,7 @@ def read_recipe(path: Path | str, *, preset: Preset = "default") -> Recipe:
             whose digest the recipe holds.
     """
     path = Path(path)
-    with within(f"Cannot use the recipe {path}"):
+    with error_context(f"Cannot use the recipe {path}"):
         if path.is_dir() or (kind_of(path) == "part of a scene" and path.name != RECIPE):
             raise StyleSplatError(f"it is no recipe. {INSTEAD}")
         content = parse_yaml(read_bytes(path, most=MAX_YAML))
@@ -81,7 +81,7 @@ def read_recipe(path: Path | str, *, preset: Preset = "default") -> Recipe:
         config = with_settings(PRESETS[shared["preset"]], settings)
         objects, recolors = [], []
         for name, entry in _named_entries(shared.get("objects")):
-            with within(name):
+            with error_context(name):
                 if "recolor" in entry:
                     recolors.append(_recolored_object(name, entry, len(objects), path.parent))
                 else:
@@ -99,7 +99,7 @@ def parse_variation(text: str) -> tuple[str, tuple[Any, ...]]:
     key, _, values = text.partition("=")
     if not (key and values.strip()):
         raise StyleSplatError(f"Expected KEY=VALUE,VALUE, got {text!r}. KEY is a setting.")
-    with within(f"Cannot vary {text}"):
+    with error_context(f"Cannot vary {text}"):
         values = parse_yaml(f"[{values}]")
         return key, tuple(convert_settings({key: value}, VARIED)[key] for value in values)
 

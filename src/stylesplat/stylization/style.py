@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, check_choice, one_line, some
-from stylesplat.imaging.color import color_map, mapped
+from stylesplat.errors import StyleSplatError, check_choice, join_names, noun_repr
+from stylesplat.imaging.color import color_map, transform_rgb
 from stylesplat.io.files import read_bytes
 from stylesplat.io.style_pictures import Picture, is_material, picture_file, read_style, resize
 from stylesplat.options import with_settings
@@ -32,11 +32,13 @@ from stylesplat.stylization.features import FeatureNetwork
 
 SHOCKS = 4.0  # steps of the filter that coarsens a style image, for every unit of scale
 MAX_COARSENED = 8.0  # scale: beyond it strokes are as large as pictures
-RIDGE = 0.06  # curvature across a stroke, of 1: less is no stroke
-LARGEST = 1300.0  # pixels of a resized style image's longer side: of a larger one parts are used
+STYLE_RIDGE = 0.06  # curvature across a stroke, of 1: less is no stroke
+STYLE_LARGEST = (
+    1300.0  # pixels of a resized style image's longer side: of a larger one parts are used
+)
 BROAD = 0.05  # of the object's length: what is less is a stroke
 KEPT_HUES: dict[ColorMode, float] = {"blend": 0.5, "keep": 1.0}  # share of an object's own
-PARTS = 9  # that together are as large
+STYLE_PARTS = 9  # that together are as large
 
 
 @torch.no_grad()
@@ -75,7 +77,7 @@ def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor
         return picture
     scale = min(scale, MAX_COARSENED)
     width, square = scale / 2, np.ones((3, 3))
-    image = resize(picture, min(LARGEST, float(max(picture.shape[:2])))).cpu().numpy()
+    image = resize(picture, min(STYLE_LARGEST, float(max(picture.shape[:2])))).cpu().numpy()
     image = cv2.GaussianBlur(image, (0, 0), width / 2)  # else extremes would grow
     for _ in range(round(SHOCKS * (scale - USUAL_SCALE))):
         smooth = cv2.GaussianBlur(image, (0, 0), width / 2)
@@ -83,13 +85,13 @@ def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor
         eigen = cv2.cornerEigenValsAndVecs(grey, 4 * round(width) + 3, 3)
         x, y = eigen[..., 2], eigen[..., 3]  # across the flow
         xx, xy, yy = (cv2.Sobel(grey, cv2.CV_32F, *order) for order in ((2, 0), (1, 1), (0, 2)))
-        ridge = width**2 * (x**2 * xx + 2 * x * y * xy + y**2 * yy)[..., None] / RIDGE
+        ridge = width**2 * (x**2 * xx + 2 * x * y * xy + y**2 * yy)[..., None] / STYLE_RIDGE
         grown = np.where(ridge < 0, cv2.dilate(image, square), cv2.erode(image, square))
         image = cv2.addWeighted(image, 0.5, np.where(abs(ridge) > 1, grown, smooth), 0.5, 0)
     return torch.from_numpy(image).to(picture)
 
 
-def without_strokes(pictures: Sequence[Tensor], scale: float) -> list[Tensor]:
+def large_shapes(pictures: Sequence[Tensor], scale: float) -> list[Tensor]:
     """Style images so small that only large shapes are left: strokes melt into their mean.
 
     Shapes of an object that take these colours leave the rest of a style's contrast to strokes.
@@ -109,7 +111,7 @@ def style_pictures(
     if own is None:
         return [*images]
     to_own = color_map(all_colors(images), own)
-    return [image.lerp(mapped(image, to_own).clamp(0, 1), share) for image in images]
+    return [image.lerp(transform_rgb(image, to_own).clamp(0, 1), share) for image in images]
 
 
 def style_parts(
@@ -119,13 +121,13 @@ def style_parts(
 
     With each comes its share of that side.
     """
-    if length <= LARGEST:
+    if length <= STYLE_LARGEST:
         return [(picture, 1.0)]
     longer = max(picture.shape[:2])
-    side = longer * LARGEST / length / 3
+    side = longer * STYLE_LARGEST / length / 3
     down, across = (max(1, int(size / side)) for size in picture.shape[:2])
     parts = [part for rows in picture.chunk(down) for part in rows.chunk(across, dim=1)]
-    chosen = torch.randperm(len(parts), generator=generator)[:PARTS].tolist()
+    chosen = torch.randperm(len(parts), generator=generator)[:STYLE_PARTS].tolist()
     return [(parts[i], max(parts[i].shape[:2]) / longer) for i in chosen]
 
 
@@ -173,7 +175,7 @@ class Style:
         default, config = asdict(StyleConfig()), asdict(self.config)
         changed = (f"{name}={config[name]!r}" for name in config if config[name] != default[name])
         titles = (p if isinstance(p, Path | str) else "a picture" for p in self.pictures)
-        return one_line(self, some(Path(title).name for title in titles), *changed)
+        return noun_repr(self, join_names(Path(title).name for title in titles), *changed)
 
     def read(self) -> tuple[Float[Tensor, "_ _ 3"], ...]:
         """The pictures, cropped and turned."""

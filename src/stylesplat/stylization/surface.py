@@ -29,20 +29,20 @@ from stylesplat.scene.projection import (
     unproject,
 )
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.shapes import extent
-from stylesplat.stylization.views import Box, box_cameras, per_view
+from stylesplat.selection.shapes import robust_diameter
+from stylesplat.stylization.views import ObjectBox, box_cameras, per_view
 
-VIEWS = 16  # with 12 places that few of them show stay bare
-LENGTH = 200.0  # longer side of the object in them, in pixels
-MARGIN = 8  # pixels around its box, where nothing is to show
-SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
-BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it
+SURFACE_VIEWS = 16  # with 12 places that few of them show stay bare
+SURFACE_LENGTH = 200.0  # longer side of the object in them, in pixels
+SURFACE_MARGIN = 8  # pixels around its box, where nothing is to show
+SURFACE_SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
+SURFACE_BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it
 PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
 HOLE = 6.0  # pixels around a point without any inside the silhouettes: less is no hole
-BESIDE = 2.0  # pixels from its rim, where there are points already
-GRAZING = 0.25  # cosine below which depths are too uncertain
+SURFACE_BESIDE = 2.0  # pixels from its rim, where there are points already
+SURFACE_GRAZING = 0.25  # cosine below which depths are too uncertain
 POOLED = 0.6  # side of the cubes whose points are averaged, in distances of the samples
-PLANE = 16  # points that a plane is fitted to
+SURFACE_PLANE = 16  # points that a plane is fitted to
 
 
 class UnpaintedView(NamedTuple):
@@ -56,9 +56,9 @@ class UnpaintedView(NamedTuple):
 
 @torch.no_grad()
 def unpainted_views(
-    splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[Box]
+    splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[ObjectBox]
 ) -> list[UnpaintedView]:
-    """Views of the whole object, `LENGTH` pixels long."""
+    """Views of the whole object, `SURFACE_LENGTH` pixels long."""
 
     def look(camera: Cameras) -> UnpaintedView:
         camera = with_matrices_of(splats, camera)
@@ -66,7 +66,7 @@ def unpainted_views(
         colors = colors_of(splats, linear.gaussians, camera.positions)
         return UnpaintedView(camera, linear, linear.render(colors))
 
-    cameras = box_cameras(boxes, LENGTH, VIEWS, MARGIN)
+    cameras = box_cameras(boxes, SURFACE_LENGTH, SURFACE_VIEWS, SURFACE_MARGIN)
     return [*per_view(look, cameras, "looking at the object", splats.device)]
 
 
@@ -78,9 +78,10 @@ def find_surface(
 
     Returns:
         The points, one for each pixel that shows it; their normals towards the camera that saw
-        them; their colours; the typical size of a pixel if the object is `LENGTH` pixels long.
+        them; their colours; the typical size of a pixel if the object is `SURFACE_LENGTH` pixels
+        long.
     """
-    far = BEHIND * extent(splats.means[mask])
+    far = SURFACE_BEHIND * robust_diameter(splats.means[mask])
     alone = geometry_only(splats[mask])
 
     def look(view: UnpaintedView) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -99,11 +100,11 @@ def find_surface(
             found |= inside.masked_scatter(inside, there < COVERED)
         return found
 
-    kept = pull_inside(points, normals, covered > SOLID, size, outside)
+    kept = project_into_silhouettes(points, normals, covered > SURFACE_SOLID, size, outside)
     return points[kept], normals[kept], colors[kept], size
 
 
-def pull_inside(
+def project_into_silhouettes(
     points: Float[Tensor, "P 3"],
     normals: Float[Tensor, "P 3"],
     solid: Bool[Tensor, " P"],
@@ -130,7 +131,7 @@ def pull_inside(
     far = torch.from_numpy(far).to(points) / size
     amid = (far > HOLE).cpu().numpy()
     near, _ = KDTree(spares[amid]).query(spares, workers=-1)
-    kept[spare] = (far > BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
+    kept[spare] = (far > SURFACE_BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
     return kept
 
 
@@ -148,7 +149,7 @@ def _points_of_view(
     points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
     points = points.view(height, width, 3)
     normals, cosines = normals_towards(points, camera.positions.to(points))
-    reliable = (cosines > GRAZING) & (covered > COVERED) & (own > SOLID / 2)
+    reliable = (cosines > SURFACE_GRAZING) & (covered > COVERED) & (own > SURFACE_SOLID / 2)
     sizes = depths / camera.Ks[0, 0, 0].to(depths)
     points, normals = points[reliable], normals[reliable]
     return points, normals, view.image[reliable], sizes[reliable], covered[reliable]
@@ -175,7 +176,7 @@ def _look_up(
     return inside, values[y, x]
 
 
-def pool_points(
+def average_in_voxels(
     size: float, points: Float[Tensor, "P 3"], *others: Float[Tensor, "P 3"]
 ) -> list[Float[Tensor, "C 3"]]:
     """The means of the points, and of their other values, in each cube of a grid."""
@@ -193,7 +194,7 @@ def project_to_planes(
 ) -> tuple[Float[Tensor, "L 3"], Float[Tensor, "L 3"]]:
     """Some points moved onto the planes of their neighbours, and the normals of the planes."""
     coordinates = points.double().cpu().numpy()
-    count = min(PLANE, len(points))
+    count = min(SURFACE_PLANE, len(points))
     _, near = KDTree(coordinates).query(coordinates[rows.cpu().numpy()], k=count, workers=-1)
     near = torch.from_numpy(near).to(rows).view(len(rows), -1)
     smooth = F.normalize(normals[near].mean(dim=1), dim=1)
@@ -201,7 +202,9 @@ def project_to_planes(
     return points[rows] - above * smooth, smooth
 
 
-def thin(points: Float[Tensor, "P 3"], distance: float, *, seed: int) -> Int[Tensor, " L"]:
+def poisson_disk_sample(
+    points: Float[Tensor, "P 3"], distance: float, *, seed: int
+) -> Int[Tensor, " L"]:
     """Choose points of which no two are closer than a distance, as many as fit, in random order."""
     places = points.double().cpu().numpy()
     place_in_order = np.random.default_rng(seed).permutation(len(places))

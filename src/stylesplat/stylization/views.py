@@ -24,14 +24,14 @@ from stylesplat.rendering.weights import (
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop, project
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.stylization.config import Stage
 from stylesplat.stylization.painting import Painting, PaintSetup
 
 SURVEY_SIZE = 160  # longer side of the renders that find boxes, in pixels
-STRAY = 0.002  # share of the covered pixels that a box may leave out on each side
-MARGIN = 12  # pixels around a box at most: farther ones move a deep feature by less than 1 %
+BOX_STRAY = 0.002  # share of the covered pixels that a box may leave out on each side
+BOX_MARGIN = 12  # pixels around a box at most: farther ones move a deep feature by less than 1 %
 MIN_CELLS = 16  # views with fewer features of the object are skipped
 VISITS = 5  # steps per view at least: preparing a view takes as long as a step
 VISITS_OF_WINDOWS = 2  # fewer, as it takes many windows to cover the object
@@ -46,7 +46,7 @@ R = TypeVar("R")
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class ObjectBox:
     """Where an object lies in one camera's image, at full size: x and y, in pixels."""
 
     camera: Cameras
@@ -121,10 +121,10 @@ def per_view(
     return track(map_views(function, items, device), what, total=len(items))
 
 
-def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[Box]:
+def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[ObjectBox]:
     """Find the views that show an object, and where."""
 
-    def find(index: int) -> Box | None:
+    def find(index: int) -> ObjectBox | None:
         camera = cameras[index]
         small = camera.at_most(SURVEY_SIZE)
         covered = coverage(splats, small, mask) > COVERED
@@ -132,20 +132,20 @@ def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> li
             return None
         ratio = camera.sizes[0] / small.sizes[0]
         pixels = covered.nonzero().flip(1).cpu()  # x, y
-        few = int(STRAY * len(pixels))
+        few = int(BOX_STRAY * len(pixels))
         ordered = pixels.sort(dim=0).values
         low, high = ordered[few], ordered[len(ordered) - 1 - few] + 1
-        return Box(camera, low * ratio, high * ratio, (pixels + 0.5) * ratio)
+        return ObjectBox(camera, low * ratio, high * ratio, (pixels + 0.5) * ratio)
 
     found = per_view(find, range(len(cameras)), "looking for the object", splats.device)
     return [box for box in found if box is not None]
 
 
-def typical_length(boxes: Sequence[Box]) -> float:
+def typical_length(boxes: Sequence[ObjectBox]) -> float:
     return median(box.length for box in boxes)
 
 
-def require_boxes(setup: PaintSetup, painting: Painting) -> list[Box]:
+def require_boxes(setup: PaintSetup, painting: Painting) -> list[ObjectBox]:
     """Find the views to optimise on that show the object; refuse it if none does."""
     boxes = find_boxes(setup.splats, setup.cameras, painting.mask)
     if not boxes:
@@ -159,7 +159,7 @@ def require_boxes(setup: PaintSetup, painting: Painting) -> list[Box]:
 def object_views(
     setup: PaintSetup,
     painting: Painting,
-    boxes: Sequence[Box],
+    boxes: Sequence[ObjectBox],
     zoom: float,
     *,
     max_memory: float = 0.0,
@@ -173,11 +173,11 @@ def object_views(
     cells = setup.network.cells(painting.config.block)
     views, used, full = list[ObjectView](), 0, False
     # what features depend on around a box
-    margins = min(MARGIN, cells.before), min(MARGIN, cells.size - cells.before)
+    margins = min(BOX_MARGIN, cells.before), min(BOX_MARGIN, cells.size - cells.before)
     is_linear = max_memory > 0 or splats.device.type != "cpu"
     rows, places = mask.nonzero()[:, 0], mask.cumsum(dim=0) - 1
 
-    def prepare(box: Box) -> tuple[Cameras, Tensor, Contributions | None]:
+    def prepare(box: ObjectBox) -> tuple[Cameras, Tensor, Contributions | None]:
         camera, inside = crop_to_box(box, zoom, margins)
         camera = camera.to(splats.device)  # not in every step
         kept = is_linear and not full
@@ -214,7 +214,7 @@ def object_views(
 def stage_views(
     setup: PaintSetup,
     painting: Painting,
-    boxes: Sequence[Box],
+    boxes: Sequence[ObjectBox],
     stage: Stage,
     generator: torch.Generator,
     surface: Surface | None = None,
@@ -222,7 +222,7 @@ def stage_views(
     """The views or windows of a stage; a stage of few steps needs few of them."""
     zoom = stage.length / typical_length(boxes)
     if stage.window is None:
-        boxes = evenly(boxes, math.ceil(stage.steps / VISITS))
+        boxes = evenly_spaced(boxes, math.ceil(stage.steps / VISITS))
     else:
         count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
         boxes = windows(boxes, stage.window / zoom, count, generator, surface)
@@ -232,7 +232,7 @@ def stage_views(
 def whole_views(
     setup: PaintSetup,
     painting: Painting,
-    boxes: Sequence[Box],
+    boxes: Sequence[ObjectBox],
     stage: Stage,
     least: int,
     views: Sequence[ObjectView] = (),
@@ -245,19 +245,19 @@ def whole_views(
     if stage.window is None:
         views = views or stage_views(setup, painting, boxes, stage, torch.Generator())
         if len(views) >= least:
-            return evenly(views, WHOLE_VIEWS), stage.length
+            return evenly_spaced(views, WHOLE_VIEWS), stage.length
     length = min(stage.length, WHOLE_LENGTH)
-    few, zoom = evenly(boxes, WHOLE_VIEWS), length / typical_length(boxes)
+    few, zoom = evenly_spaced(boxes, WHOLE_VIEWS), length / typical_length(boxes)
     return object_views(setup, painting, few, zoom, max_memory=math.inf), length
 
 
 def windows(
-    boxes: Sequence[Box],
+    boxes: Sequence[ObjectBox],
     side: float,
     count: int,
     generator: torch.Generator,
     surface: Surface | None = None,
-) -> list[Box]:
+) -> list[ObjectBox]:
     """Square windows in boxes around random pixels of the object, equally many in each box.
 
     With its surface they are around random places of that, each in a view that it faces: as many
@@ -290,7 +290,7 @@ def windows(
 
 
 def crop_to_box(
-    box: Box, zoom: float, margins: tuple[int, int]
+    box: ObjectBox, zoom: float, margins: tuple[int, int]
 ) -> tuple[Cameras, Bool[Tensor, "H W"]]:
     """The camera of a box, with margins before and behind, and the mask of the box's pixels."""
     camera = box.camera.downscale(1 / zoom)
@@ -304,7 +304,9 @@ def crop_to_box(
     return cropped, inside
 
 
-def box_cameras(boxes: Sequence[Box], length: float, count: int, margin: int = 1) -> list[Cameras]:
+def box_cameras(
+    boxes: Sequence[ObjectBox], length: float, count: int, margin: int = 1
+) -> list[Cameras]:
     """At most `count` cameras cropped to boxes, in which the object is this long, in pixels."""
     zoom = length / typical_length(boxes)
-    return [crop_to_box(box, zoom, (margin, margin))[0] for box in evenly(boxes, count)]
+    return [crop_to_box(box, zoom, (margin, margin))[0] for box in evenly_spaced(boxes, count)]

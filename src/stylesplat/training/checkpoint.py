@@ -12,15 +12,15 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import reason
-from stylesplat.io.tensors import CLASSIFIER, GAUSSIANS, IDENTITIES, Declared, check_tensors
+from stylesplat.io.tensors import GAUSSIANS, IDENTITIES, TENSOR_CLASSIFIER, Declared, check_tensors
 from stylesplat.progress import say
 from stylesplat.training.adam import Moments
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.state import State
 
 FREE = {"max_memory"}  # settings that a run may be continued without: the result is the same
-LENGTH = {"steps", "max_seconds"}  # may differ too, if the run takes no more steps
-REMEDY = "The same settings and photos continue it; `--restart` begins anew."
+CHECKPOINT_LENGTH = {"steps", "max_seconds"}  # may differ too, if the run takes no more steps
+CHECKPOINT_REMEDY = "The same settings and photos continue it; `--restart` begins anew."
 CHECKPOINT_SECONDS = 60.0
 
 
@@ -90,7 +90,9 @@ def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: boo
             "`--restart` begins anew."
         ) from error
     if state is None:
-        raise StyleSplatError(f"Cannot continue from {path}: it is of {changed}. {REMEDY}")
+        raise StyleSplatError(
+            f"Cannot continue from {path}: it is of {changed}. {CHECKPOINT_REMEDY}"
+        )
     return state
 
 
@@ -99,7 +101,7 @@ def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool
     # A setting that an older version did not have was what is the default now.
     saved, wanted = asdict(TrainConfig()) | content["config"], asdict(checkpoint.config)
     over = finish or checkpoint.config.progress(content["counts"][1], content["seconds"]) >= 1
-    free = FREE | LENGTH if over else FREE
+    free = FREE | CHECKPOINT_LENGTH if over else FREE
     settings = [n for n, value in wanted.items() if n not in free and saved[n] != value]
     changed = [f"a run with another {', '.join(settings)}"] if settings else []
     if content["capture"] != checkpoint.capture:
@@ -110,7 +112,7 @@ def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool
 def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
     """The state in a checkpoint; raises a ValueError or a KeyError if it cannot be one."""
     params, ids, config = content["params"], tuple(content["ids"]), checkpoint.config
-    declared = GAUSSIANS | ({"identities": IDENTITIES} | CLASSIFIER if ids else {})
+    declared = GAUSSIANS | ({"identities": IDENTITIES} | TENSOR_CLASSIFIER if ids else {})
     corrects = {"on": True, "off": False}.get(config.color_correction, "color_maps" in params)
     if corrects:  # `auto` left this open
         declared |= {"color_maps": Declared(("photos", 3, 4))}

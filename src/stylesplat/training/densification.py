@@ -28,7 +28,7 @@ MAX_COPIES = 51  # of one Gaussian at a time (official)
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
 NOISE_RATE = 5000.0  # official: 80, 5e5 times the rate of the means, at an extent of 8
 NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
-OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
+DENSE_OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
 DECLARED = GAUSSIANS | {"identities": IDENTITIES}
@@ -165,7 +165,7 @@ def add_noise_cpu(params: Params, noise: Float[Tensor, "N 3"], rate: float) -> N
 def _add_noise(arrays, rate):
     means, quats, scales, opacities, noise = arrays
     for i in numba.prange(means.shape[0]):
-        if opacities[i] > OPAQUE:
+        if opacities[i] > DENSE_OPAQUE:
             continue
         opacity = 1 / (1 + exp(-opacities[i]))
         step = rate / (1 + exp(-NOISE_SHARPNESS * (DEAD_OPACITY - opacity)))

@@ -18,13 +18,13 @@ from stylesplat.scene.projection import is_in_image, project
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb, sh_bases
 from stylesplat.training.views import TrainingView
 
-OPACITY = 0.1  # of every first Gaussian (official)
-NEIGHBORS = 3  # their mean distance is the first radius (official)
+FIRST_OPACITY = 0.1  # of every first Gaussian (official)
+FIRST_NEIGHBORS = 3  # their mean distance is the first radius (official)
 # A photo's colour, which is an average, is within this of 95 % of the colours that COLMAP gives the
 # points of the fox and the desk, and of 10 % where all are black or white
-SAME_COLOR = 0.1
+FIRST_SAME_COLOR = 0.1
 MEDIAN_OF = 16  # views at most, which bounds the memory
-OPAQUE = 0.99  # opacity from which on a transparent photo's colours are its own
+FIRST_OPAQUE = 0.99  # opacity from which on a transparent photo's colours are its own
 UNKNOWN = 0.5  # grey
 RANDOM_POINTS = 20_000  # where a capture has no points
 MIN_VIEWS = 0.3  # share of the cameras that see a random point
@@ -58,7 +58,7 @@ def first_splats(
         means=points,
         quats=torch.nn.functional.normalize(torch.randn(n, 4, generator=generator), dim=-1),
         scales=neighbor_distances(points).log()[:, None].repeat(1, 3),
-        opacities=torch.full((n,), log(OPACITY / (1 - OPACITY))),
+        opacities=torch.full((n,), log(FIRST_OPACITY / (1 - FIRST_OPACITY))),
         sh0=sh0_from_rgb(colors)[:, None],
         shN=torch.zeros(n, sh_bases(sh_degree) - 1, 3),
         world_offset=capture.world_offset,
@@ -80,7 +80,7 @@ def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
     if len(points) < 2:
         return torch.ones(len(points))
     array = points.numpy()
-    count = min(NEIGHBORS, len(array) - 1)
+    count = min(FIRST_NEIGHBORS, len(array) - 1)
     distances = KDTree(array).query(array, k=count + 1)[0][:, 1:]  # 0 is the point itself
     typical = float(np.median(distances)) or 1.0
     return torch.from_numpy(distances.mean(axis=1).clip(1e-3 * typical)).float()
@@ -91,7 +91,7 @@ def _points(
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
     """Points and their colours, which are NaN where they are not known."""
     colors = None
-    if capture.points is not None and len(capture.points) > NEIGHBORS:
+    if capture.points is not None and len(capture.points) > FIRST_NEIGHBORS:
         points, colors = capture.points.float(), capture.point_colors
     else:
         points = commonly_visible_points(capture.cameras, RANDOM_POINTS, generator)
@@ -127,7 +127,7 @@ def photo_colors(
         slots = slots.where(slots < MEDIAN_OF, drawn)
         taken = slots < MEDIAN_OF
         kept[slots[taken], rows[taken]] = shown[taken]
-    seen, wrong = counts > 0, ~(closest <= SAME_COLOR)
+    seen, wrong = counts > 0, ~(closest <= FIRST_SAME_COLOR)
     count = int((seen & wrong & ~colors.isnan().any(dim=1)).sum())
     if 2 * count > len(points):
         say(
@@ -148,7 +148,7 @@ def _shown(
     x, y = x.clamp(max=width - 1), y.clamp(max=height - 1)
     used = torch.ones_like(rows, dtype=torch.bool)
     if view.alpha is not None:
-        used &= view.alpha[y, x, 0] > OPAQUE
+        used &= view.alpha[y, x, 0] > FIRST_OPAQUE
     if view.valid is not None:
         used &= view.valid[y, x]
     rows, x, y = rows[used], x[used], y[used]

@@ -18,7 +18,7 @@ from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats
 SHARPNESS = 12.0  # logits of a Gaussian that all pixels agree on; half of them leave 0.5
 REPULSIONS = 200  # steps in which the codes of more than 16 classes move apart
 DOUBT = 0.01  # probability of all other classes together, for a label that is known
-MANY = 2048  # classes beyond which they stay where chance put them
+LIFT_MANY = 2048  # classes beyond which they stay where chance put them
 
 
 @torch.no_grad()
@@ -124,10 +124,10 @@ def labelled(splats: Splats, labels: Int[Tensor, " N"]) -> Splats:
             f"There are {len(labels):,} labels for {len(splats):,} Gaussians. Give one for each."
         )
     ids, classes = torch.cat([labels.new_zeros(1), labels.cpu()]).unique(return_inverse=True)
-    if ids[0] < 0 or ids[-1] > MAX_ID or not 1 < len(ids) <= MANY:
+    if ids[0] < 0 or ids[-1] > MAX_ID or not 1 < len(ids) <= LIFT_MANY:
         raise StyleSplatError(
             f"There are {len(ids) - 1:,} objects in labels from {int(ids[0])} to {int(ids[-1])}. "
-            f"Label 1 to {MANY - 1:,} objects with 1 to {MAX_ID}, and all else with 0."
+            f"Label 1 to {LIFT_MANY - 1:,} objects with 1 to {MAX_ID}, and all else with 0."
         )
     codes, classifier = _decoder(tuple(ids.tolist()))
     return _with_identities(splats, classifier, codes[classes[1:]], None)
@@ -140,7 +140,7 @@ def class_codes(count: int) -> Float[Tensor, "K 16"]:
     generator = torch.Generator().manual_seed(0)
     codes = torch.randn(count, IDENTITY_SIZE, generator=generator)
     codes = torch.nn.functional.normalize(codes, dim=1)
-    if count > MANY:
+    if count > LIFT_MANY:
         return codes
     for _ in range(REPULSIONS):
         closeness = (codes @ codes.T).fill_diagonal_(-1)

@@ -13,7 +13,7 @@ import torch.distributed as dist
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, counted
+from stylesplat.errors import StyleSplatError, count_noun
 from stylesplat.interrupts import held_signals
 from stylesplat.progress import Task, say, task
 from stylesplat.rendering.render import pick_device
@@ -35,10 +35,12 @@ from stylesplat.training.step import exchange_gradients, train_step
 from stylesplat.training.views import TrainingViews, learned_ids, split_views
 
 MOST_AT_ONCE = 4  # photos of a round on the CPU, unless the settings say otherwise
-SMOOTHING = 0.98  # per step, of the loss and PSNR shown: single photos differ a lot
+TRAINING_SMOOTHING = 0.98  # per step, of the loss and PSNR shown: single photos differ a lot
 GPU_STEPS = 10  # between reports, each of which waits for the GPU; a CPU has done the step anyway
 GPU_SECONDS = 1.0  # but slow steps are reported one by one
-PATIENCE = timedelta(days=7)  # of processes for each other: torchrun ends all when one fails
+TRAINING_PATIENCE = timedelta(
+    days=7
+)  # of processes for each other: torchrun ends all when one fails
 ESTIMATE_ROUNDS = 10  # of the copy
 # A run shorter than so many copies gets no estimate, which would cost over 10 %
 ESTIMATE_LEAST = 20
@@ -195,11 +197,11 @@ def torchrun(device: str) -> Iterator[tuple[int, int]]:
         )
     if count > (gpus := torch.cuda.device_count()):
         raise StyleSplatError(
-            f"There are {count} processes for {counted(gpus, 'GPU')}. Give torchrun "
+            f"There are {count} processes for {count_noun(gpus, 'GPU')}. Give torchrun "
             f"`--nproc-per-node {gpus}`."
         )
     torch.cuda.set_device(number)
-    dist.init_process_group("nccl", timeout=PATIENCE)
+    dist.init_process_group("nccl", timeout=TRAINING_PATIENCE)
     try:
         yield rank_and_processes()
     finally:
@@ -290,7 +292,7 @@ def finished(state: State) -> State:
             "with a lower means_rate, and check the poses."
         )
     if lost:
-        say(f"{counted(lost, 'Gaussian')} ran away beyond all bounds, and were left out.")
+        say(f"{count_noun(lost, 'Gaussian')} ran away beyond all bounds, and were left out.")
     return kept
 
 
@@ -331,7 +333,7 @@ class ProgressMeter:
 
     def report(self, state: State, means: Float[Tensor, "2"]) -> None:
         """Show the progress and smoothed means, and start new means."""
-        kept = SMOOTHING ** (state.step - self._step)
+        kept = TRAINING_SMOOTHING ** (state.step - self._step)
         self._smooth = means if self._smooth is None else self._smooth.lerp(means, 1 - kept)
         loss, psnr = self._smooth.tolist()
         self._bar.note(f"loss {loss:.4f}, PSNR {psnr:.2f} dB, {len(state.splats):,} Gaussians")
@@ -388,7 +390,7 @@ def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
         factor = round(max(width, height) / FIRST_LOOK_SIZE) * capture.downscale
         smaller = f" --downscale {factor:g}" if factor > capture.downscale else ""
         advice = f" `{FIRST_LOOK}{smaller}` gives a first look."
-    photos = f"{counted(len(run.rows), 'photo')} of {width}x{height}"
+    photos = f"{count_noun(len(run.rows), 'photo')} of {width}x{height}"
     say(
         f"{photos}, at most {config.max_gaussians:,} Gaussians: {config.steps:,} steps take "
         f"about {_duration(seconds)} on this machine.{quality}{advice}"

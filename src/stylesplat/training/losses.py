@@ -19,9 +19,9 @@ from stylesplat.scene.splats import Classifier
 
 DSSIM_WEIGHT = 0.2
 NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val
-MAX_POINTS = 200_000  # Gaussian Grouping's reg3d_max_points
+LOSS_MAX_POINTS = 200_000  # Gaussian Grouping's reg3d_max_points
 NO_CLASS = -1  # of pixels that are not to be learned from
-DISTANCES_AT_ONCE = 2**26  # 256 MB of them
+LOSS_DISTANCES_AT_ONCE = 2**26  # 256 MB of them
 
 
 def photometric_loss(
@@ -94,7 +94,7 @@ def sample_neighbors(
     count: int,
     generator: torch.Generator,
     *,
-    max_points: int = MAX_POINTS,
+    max_points: int = LOSS_MAX_POINTS,
 ) -> tuple[Int[Tensor, " S"], Int[Tensor, "S k"]]:
     """Rows of random points and of their nearest neighbours.
 
@@ -126,7 +126,7 @@ def nearest_neighbors(
         own[~own.any(axis=1), -1] = True  # of twins at one place, it itself may not be among them
         return torch.from_numpy(found[~own].reshape(len(found), count))
     found = []
-    for some in sample.split(max(1, DISTANCES_AT_ONCE // len(means))):
+    for some in sample.split(max(1, LOSS_DISTANCES_AT_ONCE // len(means))):
         # Not by a matrix product, which rounds small distances away
         mode = "donot_use_mm_for_euclid_dist"
         distances = torch.cdist(means[some], means, compute_mode=mode)

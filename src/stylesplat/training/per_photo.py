@@ -25,14 +25,14 @@ from stylesplat.training.state import PER_PHOTO, State, TrainingRun
 from stylesplat.training.views import TrainingView
 
 # First learning rates: a gain of 1.6 in light is a change of 0.24, and half a degree is 0.009
-RATES = {"color_maps": 5e-3, "pose_shifts": 2e-3}
+PER_PHOTO_RATES = {"color_maps": 5e-3, "pose_shifts": 2e-3}
 WEIGHTS = {"color_maps": 0.01, "pose_shifts": 1.0}  # of their squares, which the loss adds
 DECAY = 0.1  # last rate over the first
 BLOWN_OUT = 0.99  # of a photo's channel: the photo does not contain how bright the scene was
 FIT_PRIOR = 1e-4  # pull towards no change, over the mean square of what is fitted with
 # Spread of the logarithms of gains from which on photos differ: real photos of fixed exposure have
 # 0.05, exposures of 0.6 to 1.6 in light 0.12 to 0.15, red and blue 0.3 off in turn 0.15
-VARIED = 0.09
+PER_PHOTO_VARIED = 0.09
 
 
 def initial_photo_params(
@@ -55,7 +55,9 @@ def initial_photo_params(
         photos = ((_valid_photo(view), view.camera) for view in views)
         gains = photo_gains(points, photos).nan_to_num()
     if wanted == "auto":
-        if gains.std(dim=0, correction=0).max() < VARIED:  # of the channel that differs most
+        if (
+            gains.std(dim=0, correction=0).max() < PER_PHOTO_VARIED
+        ):  # of the channel that differs most
             return first
         say(
             "The photos differ in exposure or white balance. Training learns these differences "
@@ -95,7 +97,7 @@ def step_photo(run: TrainingRun, state: State) -> None:
         {name: tensors[name][own] for name in names}
         for tensors in (state.moments.first, state.moments.second)
     )
-    rates = {name: RATES[name] * DECAY ** run.progress(state) for name in names}
+    rates = {name: PER_PHOTO_RATES[name] * DECAY ** run.progress(state) for name in names}
     visit = state.step // len(run.rows) + 1  # each photo comes once before any comes again
     adam_step(params, Moments(first, second), rates, visit)
     with torch.no_grad():

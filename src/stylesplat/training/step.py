@@ -32,11 +32,11 @@ from stylesplat.training.state import (
     State,
     TrainingRun,
 )
-from stylesplat.training.views import AHEAD
+from stylesplat.training.views import VIEW_AHEAD
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
-RATES = {
+STEP_RATES = {
     "quats": 1e-3,
     "scales": 5e-3,
     "opacities": 5e-2,
@@ -45,7 +45,7 @@ RATES = {
 }
 NEIGHBOR_EVERY = 5  # identity steps between uses of the 3D loss (Gaussian Grouping)
 NEIGHBOR_SAMPLES = 1000
-NEIGHBORS = 5
+STEP_NEIGHBORS = 5
 
 
 def train_step(run: TrainingRun, state: State) -> tuple[State, Float[Tensor, "2"]]:
@@ -79,7 +79,7 @@ def photo_gradients(run: TrainingRun, state: State, step: int) -> PhotoGradients
     params, progress, row = state.params, run.progress(state), run.row(step)
     place = run.rows.index(row)  # in the `PER_PHOTO` tensors
     view = run.views(row, config.photo_downscale(progress, run.cameras[row].size))
-    later = run.row(step + AHEAD * run.processes)
+    later = run.row(step + VIEW_AHEAD * run.processes)
     run.views.expect(later, config.photo_downscale(progress, run.cameras[later].size))
     learns_identities = run.is_due(config.identity_every, state.step)
     classes = view.classes if learns_identities else None
@@ -152,9 +152,9 @@ def _identity_losses(
     pixels, targets = (each.flatten(0, 1) for each in view)
     loss = identity_loss(pixels, targets, splats.classifier)
     compares = run.is_due(run.config.identity_every * NEIGHBOR_EVERY, state.step)
-    if compares and len(splats) > NEIGHBORS:
+    if compares and len(splats) > STEP_NEIGHBORS:
         means, count = splats.means.detach(), min(NEIGHBOR_SAMPLES, len(splats))
-        sample, neighbors = sample_neighbors(means, count, NEIGHBORS, generator)
+        sample, neighbors = sample_neighbors(means, count, STEP_NEIGHBORS, generator)
         own, others = take_rows(splats.identities, sample), take_rows(splats.identities, neighbors)
         loss = loss + neighbor_loss(own, others, splats.classifier)
     return loss
@@ -213,7 +213,7 @@ def _means_unit(run: TrainingRun, state: State) -> float:
 def learning_rates(config: TrainConfig, unit: float) -> dict[str, float]:
     """The learning rate of each tensor; `unit` is of length and decays."""
     classifier = dict.fromkeys(CLASSIFIER, config.classifier_rate)
-    return RATES | classifier | {"means": config.means_rate * unit, "shN": config.bands_rate}
+    return STEP_RATES | classifier | {"means": config.means_rate * unit, "shN": config.bands_rate}
 
 
 def densify(run: TrainingRun, state: State, photos: Sequence[PhotoGradients]) -> State:

@@ -11,16 +11,18 @@ import torch
 from jaxtyping import Bool, Float, Integer, UInt8
 from torch import Tensor
 
-from stylesplat.errors import some
+from stylesplat.errors import join_names
 from stylesplat.progress import say, track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, ids_of, resize_labels, shrink_mask
 from stylesplat.scene.sequences import GIB, Cache
 from stylesplat.training.config import TrainConfig
 
-KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
-AHEAD = 4  # photos decoded in advance for a GPU, by as many threads: each takes up to two steps
-COARSER = 1.25  # what half the size takes in addition to the whole, while both are kept
+VIEW_KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
+VIEW_AHEAD = (
+    4  # photos decoded in advance for a GPU, by as many threads: each takes up to two steps
+)
+VIEW_COARSER = 1.25  # what half the size takes in addition to the whole, while both are kept
 
 
 class TrainingView(NamedTuple):
@@ -38,7 +40,7 @@ class TrainingView(NamedTuple):
     """The pixels to learn from; None if they are all."""
 
 
-class Pixels(NamedTuple):
+class PhotoPixels(NamedTuple):
     """The same as it is kept, in bytes: 255 is white, and opaque."""
 
     photo: UInt8[Tensor, "H W 3"]
@@ -82,13 +84,13 @@ class TrainingViews:
         max_memory: float | None = None,
     ) -> None:
         """`ids` are the label ids of the classes; `max_memory` is that of `TrainConfig`."""
-        room = int((KEPT[device.type] if max_memory is None else max_memory) * GIB)
+        room = int((VIEW_KEPT[device.type] if max_memory is None else max_memory) * GIB)
         self._capture, self._ids, self._device = capture, ids, device
         self._cache: Cache[tuple[int, int]] = Cache(room)
-        self._all_fit = COARSER * sum(_bytes(capture, row, ids) for row in rows) <= room
+        self._all_fit = VIEW_COARSER * sum(_bytes(capture, row, ids) for row in rows) <= room
         self._latest, self._lock = 1, Lock()
-        self._pool = ThreadPoolExecutor(AHEAD, "photo") if device.type == "cuda" else None
-        self._expected: dict[tuple[int, int], Future[Pixels]] = {}
+        self._pool = ThreadPoolExecutor(VIEW_AHEAD, "photo") if device.type == "cuda" else None
+        self._expected: dict[tuple[int, int], Future[PhotoPixels]] = {}
 
     def __call__(self, row: int, factor: int) -> TrainingView:
         """The view of a row of the capture, at a downscale."""
@@ -101,7 +103,7 @@ class TrainingViews:
         """Begin to load a view on a thread, if it goes to a GPU; of too many drop the oldest."""
         if self._pool is None or (row, factor) in self._expected:
             return
-        while len(self._expected) >= AHEAD:
+        while len(self._expected) >= VIEW_AHEAD:
             self._expected.pop(next(iter(self._expected))).cancel()
         self._expected[row, factor] = self._pool.submit(self._pixels, row, factor)
 
@@ -110,7 +112,7 @@ class TrainingViews:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
-    def _pixels(self, row: int, factor: int) -> Pixels:
+    def _pixels(self, row: int, factor: int) -> PhotoPixels:
         """The pixels of a view, pinned for a GPU."""
         with self._lock:  # threads ask at the same time
             if factor != self._latest:
@@ -120,10 +122,12 @@ class TrainingViews:
         if self._pool is None:
             return pixels
         photo, *others = pixels
-        return Pixels(photo.pin_memory(), *(None if t is None else t.pin_memory() for t in others))
+        return PhotoPixels(
+            photo.pin_memory(), *(None if t is None else t.pin_memory() for t in others)
+        )
 
-    def _kept(self, row: int, factor: int) -> Pixels:
-        def make() -> Pixels:
+    def _kept(self, row: int, factor: int) -> PhotoPixels:
+        def make() -> PhotoPixels:
             if factor == 1:
                 return _read(self._capture, row, self._ids)
             whole = self._kept(row, 1) if self._all_fit else _read(self._capture, row, self._ids)
@@ -139,16 +143,16 @@ def _bytes(capture: Capture, row: int, ids: tuple[int, ...]) -> int:
     return width * height * (3 + others + (class_type(len(ids)).itemsize if ids else 0))
 
 
-def _read(capture: Capture, row: int, ids: tuple[int, ...]) -> Pixels:
+def _read(capture: Capture, row: int, ids: tuple[int, ...]) -> PhotoPixels:
     labels = capture.labels(row) if ids else None
     classes = None
     if labels is not None:  # all of them are among the ids, which ascend
         known = torch.tensor(ids, dtype=torch.int32)
         classes = torch.searchsorted(known, labels.int(), out_int32=True).to(class_type(len(ids)))
-    return Pixels(capture.photos[row], capture.alpha(row), classes, capture.valid(row))
+    return PhotoPixels(capture.photos[row], capture.alpha(row), classes, capture.valid(row))
 
 
-def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
+def _resized(pixels: PhotoPixels, size: tuple[int, int]) -> PhotoPixels:
     """The averages of what each pixel covers; of classes the nearest."""
     photo, alpha = (
         None if t is None else cv2.resize(t.numpy(), size, interpolation=cv2.INTER_AREA)
@@ -156,12 +160,12 @@ def _resized(pixels: Pixels, size: tuple[int, int]) -> Pixels:
     )
     classes = None if pixels.classes is None else resize_labels(pixels.classes, size[::-1])
     valid = None if pixels.valid is None else shrink_mask(pixels.valid, size[::-1])
-    return Pixels(
+    return PhotoPixels(
         torch.from_numpy(photo), None if alpha is None else torch.from_numpy(alpha), classes, valid
     )
 
 
-def _on(device: torch.device, camera: Cameras, pixels: Pixels) -> TrainingView:
+def _on(device: torch.device, camera: Cameras, pixels: PhotoPixels) -> TrainingView:
     """The pixels on the device, where they become floats; nothing waits for it."""
     photo, alpha, classes, valid = (
         None if t is None else t.to(device, non_blocking=True) for t in pixels
@@ -191,8 +195,8 @@ def learned_ids(capture: Capture, rows: Sequence[int]) -> tuple[int, ...]:
     if unseen:
         names = capture.object_names
         ids = sorted(set().union(*unseen.values()))
-        objects = some([f"{id} ({names[id]})" if id in names else str(id) for id in ids])
-        photos = some([capture.cameras.names[row] for row in unseen])
+        objects = join_names([f"{id} ({names[id]})" if id in names else str(id) for id in ids])
+        photos = join_names([capture.cameras.names[row] for row in unseen])
         say(
             f"Only held-out photos show object {objects}, so training does not learn it: "
             f"{photos}. Use `--test-every 0` to train on all photos, or another value to hold out "

@@ -67,7 +67,7 @@ def adjust(
     return replace(scene, metrics={"train": scene.metrics.get("train", {})})
 
 
-BACKGROUND = "background"
+RECOLOR_BACKGROUND = "background"
 PICTURE_SIDE = 256.0  # pixels of the picture whose colours are matched
 
 
@@ -114,7 +114,7 @@ def recolor(
 def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) -> Scene:
     check_name_or_id(name)
     known = {*scene.objects, *scene.painted_objects}
-    is_background = name == BACKGROUND and name not in known
+    is_background = name == RECOLOR_BACKGROUND and name not in known
     mask = background_of(scene) if is_background else find_object(scene, name)
     if not mask.any():
         raise StyleSplatError(f"Cannot recolor {name}: it has no Gaussians. Select it again.")

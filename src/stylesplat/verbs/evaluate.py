@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, counted, one_line
+from stylesplat.errors import StyleSplatError, count_noun, noun_repr
 from stylesplat.evaluation.changes import largest_stain, measure_changes
 from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
 from stylesplat.evaluation.style import measure_look, measure_style
@@ -26,18 +26,18 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.frames import with_poses_of
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.scene import Scene, shared_views
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import Precision, StyleConfig, without_retired
 from stylesplat.stylization.painting import Painting, load_network, paint_setup
 from stylesplat.stylization.style import Style, digest
-from stylesplat.stylization.views import Box, find_boxes
+from stylesplat.stylization.views import ObjectBox, find_boxes
 from stylesplat.training.config import TrainConfig
 from stylesplat.verbs.stylize import flat_metrics
 
-VIEWS = 4  # by default
-VISIBLE = 8  # levels of 255 in a channel: smaller differences are hard to see
-LONGEST = 960  # pixels of a picture's side
+EVALUATE_VIEWS = 4  # by default
+EVALUATE_VISIBLE = 8  # levels of 255 in a channel: smaller differences are hard to see
+EVALUATE_LONGEST = 960  # pixels of a picture's side
 COMPARISON = "stylesplat-comparison-1"
 
 
@@ -54,7 +54,7 @@ class Comparison:
 
     def __repr__(self) -> str:
         names = ", ".join(each.name for each in self.scenes)
-        return one_line(self, names, counted(len(self.views), "view"))
+        return noun_repr(self, names, count_noun(len(self.views), "view"))
 
     def summary(self) -> dict[str, Any]:
         """All but the pictures as plain values, for JSON."""
@@ -73,7 +73,7 @@ def compare(
     scenes: Mapping[str, Scene],
     captures: Mapping[str, Capture] | None = None,
     *,
-    views: int = VIEWS,
+    views: int = EVALUATE_VIEWS,
     device: str = "auto",
 ) -> Comparison:
     """Put scenes of the same photos side by side.
@@ -94,7 +94,7 @@ def compare(
     """
     if len(scenes) < 2:
         raise StyleSplatError(f"Expected at least two scenes to compare, got {len(scenes)}.")
-    names = tuple(evenly(shared_views(scenes), max(1, views)))
+    names = tuple(evenly_spaced(shared_views(scenes), max(1, views)))
     (first, one), *others = scenes.items()
     notes = [
         f"{name} holds out other photos than {first}: their numbers are of different photos."
@@ -110,7 +110,7 @@ def compare(
             notes.append(f"{name} has no numbers: {error}")
         cameras = scene.cameras[[*map(scene.cameras.names.index, names)]]
         splats = scene.splats.to(pick_device(device))
-        each = (render_pictures(splats, camera.at_most(LONGEST)) for camera in cameras)
+        each = (render_pictures(splats, camera.at_most(EVALUATE_LONGEST)) for camera in cameras)
         pictures = tuple(picture for (picture,) in each)
         base = found[0] if found else None
         differences = metric_differences(metrics, base.metrics if base else metrics)
@@ -136,7 +136,7 @@ def picture_differences(
         "mean_difference": fmean(float(gap.mean()) for gap in gaps),
         "largest_difference": max(float(gap.max()) for gap in gaps),
         "changed_share": fmean(
-            float((gap.amax(dim=-1) > VISIBLE / 255).float().mean()) for gap in gaps
+            float((gap.amax(dim=-1) > EVALUATE_VISIBLE / 255).float().mean()) for gap in gaps
         ),
         "ssim_lost": fmean(max(0.0, 1 - float(ssim(a, b))) for a, b in pairs),
     }
@@ -233,7 +233,7 @@ def _closeness(
     base: Splats,
     styled: Splats,
     views: Cameras,
-    boxes: Sequence[Box],
+    boxes: Sequence[ObjectBox],
 ) -> dict[str, float]:
     """Measure how close an object is to its style, if the style and its network are at hand."""
     try:

@@ -7,19 +7,19 @@ import torch
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.figures.web_page import SUFFIX, write_page
-from stylesplat.io.atomic import atomic_folder, changing, refuse_file
+from stylesplat.figures.web_page import WEB_SUFFIX, write_page
+from stylesplat.io.atomic import atomic_folder, locked_folder, refuse_file
 from stylesplat.io.gaussian_lists import LISTS, SIDECAR, STATE, write_objects
 from stylesplat.io.splats.splat_files import row_order, write_splats
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.options import check_arguments
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.virtual_cameras import has_no_photos
+from stylesplat.scene.virtual_cameras import has_rendered_views
 from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import cut_out, every_part, listed_objects, part_mask
 
-KINDS = {SUFFIX: "a page", LISTS: "a list of objects"}
+EXPORT_KINDS = {WEB_SUFFIX: "a page", LISTS: "a list of objects"}
 IDLE = {  # options without an effect
     "a page": ("selected", "sidecar", "spz_version"),
     "a list of objects": ("without", "selected", "sidecar", "sh_degree", "spz_version"),
@@ -75,7 +75,7 @@ def export(
             left to write.
     """
     path = Path(path)
-    kind = "a mesh" if mesh else KINDS.get(path.suffix.lower())
+    kind = "a mesh" if mesh else EXPORT_KINDS.get(path.suffix.lower())
     given = {"without": without, "selected": selected, "sidecar": sidecar}
     given |= {"sh_degree": sh_degree is not None, "spz_version": spz_version is not None}
     for name in IDLE.get(kind or "", ()):
@@ -85,7 +85,7 @@ def export(
     if kind == "a list of objects":
         refuse_file(path, overwrite=overwrite)
         listed = listed_objects(_scene(what), objects)
-        with changing(path):
+        with locked_folder(path):
             write_objects(listed, path)
         return len(listed.objects)
     if mesh is not None:
@@ -105,7 +105,7 @@ def export(
         part, listed = cut_out(_scene(what), mask), listed and listed.ordered(rows)
         besides = {name: column[rows] for name, column in besides.items()}
     splats = part if isinstance(part, Splats) else part.splats
-    with changing(path):
+    with locked_folder(path):
         if kind == "a page":
             write_page(part, path, overwrite=overwrite, sh_degree=sh_degree)
         else:
@@ -134,14 +134,14 @@ def _export_mesh(
         splats = what
     else:
         what = _scene(what)
-        photos = None if has_no_photos(what) else what.working_views()[0]
+        photos = None if has_rendered_views(what) else what.working_views()[0]
         mask = part_mask(what, objects, without)
         splats = what.splats[what.to_splats(mask)]
         painted = [each for each in what.layers if [each.object] == [*objects]]
         if painted and painted[0].is_shown:
             paint = painted[0], what.base[mask]
     mesh = make_mesh(splats, photos, config, name=name, paint=paint)
-    with changing(path):
+    with locked_folder(path):
         write_mesh(mesh, path, splats.world_offset)
     return len(mesh.faces)
 

@@ -17,7 +17,7 @@ from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import with_poses_of
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.virtual_cameras import has_no_photos
+from stylesplat.scene.virtual_cameras import has_rendered_views
 from stylesplat.selection.choose import SHAPING
 from stylesplat.selection.labels import object_ids
 from stylesplat.selection.objects import relabel
@@ -167,7 +167,7 @@ def mask(
     masks = mask_source(method, **drawn, **given, progress=progress)
     if not isinstance(capture, Scene):
         return masks.mask(capture, device)
-    if not has_no_photos(capture):
+    if not has_rendered_views(capture):
         raise StyleSplatError(
             "This scene was made from photos. Mask those, and train or import again; or name what "
             "it has with `select`."

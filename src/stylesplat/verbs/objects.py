@@ -6,7 +6,7 @@ from typing import Any
 from jaxtyping import Bool
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief, pasted
+from stylesplat.errors import StyleSplatError, shell_command, shorten
 from stylesplat.options import check_arguments
 from stylesplat.progress import say, track
 from stylesplat.scene.content import Extent, content_of, extent_of
@@ -78,7 +78,7 @@ def rename(scene: Scene, old: str, new: str) -> Scene:
     require_named(scene, old)
     check_name(new)
     if new == old:
-        raise StyleSplatError(f"{brief(old)!r} is called so already. Choose another name.")
+        raise StyleSplatError(f"{shorten(old)!r} is called so already. Choose another name.")
     if new in scene.objects or new in scene.painted_objects:
         raise StyleSplatError(
             f"Cannot rename {old!r}: something else is called {new!r}. Choose another name, or "
@@ -118,7 +118,7 @@ def delete(scene: Scene, name: str) -> Scene:
     require_named(scene, name)
     if name in scene.painted_objects:
         options = ("--object", name, "--undo", "-o", "OTHER")
-        way = pasted("adjust", scene.path or "SCENE", *options)
+        way = shell_command("adjust", scene.path or "SCENE", *options)
         say(f"{name} stays painted. `{way}` takes that back.")
     part, objects = scene.objects[name], dict(scene.objects)
     del objects[name]

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from stylesplat.errors import StyleSplatError, counted, one_line, some
+from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 from stylesplat.figures.pictures import render_pictures
 from stylesplat.io.images import ViewPicture
 from stylesplat.options import check_arguments
@@ -14,7 +14,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.virtual_cameras import (
-    has_no_photos,
+    has_rendered_views,
     orbit_around,
     orbit_cameras,
     zoom_to_content,
@@ -38,7 +38,7 @@ class Views:
     """What each sees, on the CPU: an image, or the ids of labels, or depths."""
 
     def __repr__(self) -> str:
-        return one_line(self, counted(len(self), "picture"), some(self.names))
+        return noun_repr(self, count_noun(len(self), "picture"), join_names(self.names))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -142,7 +142,7 @@ def orbit(
     """
     count = FRAMES if frames is None else frames
     picked = None if around is None else scene.to_splats(find_object(scene, around))
-    if has_no_photos(scene):
+    if has_rendered_views(scene):
         views = scene.cameras if size is None else scene.cameras.resize(*size)
         return orbit_around(content_of(scene.splats, picked), views, count)
     content = None if picked is None else content_of(scene.splats, picked)

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from jaxtyping import Bool
 
-from stylesplat.errors import StyleSplatError, printable, some
+from stylesplat.errors import StyleSplatError, join_names, printable
 from stylesplat.figures.capture_picture import capture_picture
-from stylesplat.io.atomic import atomic_folder, changing, partial_of, refuse_occupied
+from stylesplat.io.atomic import atomic_folder, locked_folder, progress_path, refuse_occupied
 from stylesplat.io.captures.capture_folder import (
     OBJECT_MASK,
     SFM_FILE,
@@ -29,7 +29,7 @@ from stylesplat.io.captures.capture_folder import (
 )
 from stylesplat.io.captures.colmap import ModelFigures, read_figures
 from stylesplat.io.captures.colmap_library import pycolmap
-from stylesplat.io.files import inside
+from stylesplat.io.files import resolve_within
 from stylesplat.io.images import image_sizes, write_image
 from stylesplat.io.kinds import refuse_other_than_photos
 from stylesplat.io.label_maps import DrawnLabels
@@ -49,8 +49,8 @@ from stylesplat.structure_from_motion import diagnostics
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.diagnostics import CaptureReport, Finding, two_motions
 from stylesplat.structure_from_motion.earlier_capture import source_digest
-from stylesplat.structure_from_motion.image_measures import SIDE
-from stylesplat.structure_from_motion.object_features import Box, Masks, cut_out_mask
+from stylesplat.structure_from_motion.image_measures import MEASURE_SIDE
+from stylesplat.structure_from_motion.object_features import MaskReaders, PhotoBox, cut_out_mask
 from stylesplat.structure_from_motion.photos import PreparedPhotos
 from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct, write_colmap
@@ -123,7 +123,7 @@ def _on_reconstruction(capture: Capture, figures: ModelFigures | None) -> list[F
     return [*found, diagnostics.diagnose_points(0 if points is None else len(points))]
 
 
-PICTURE = "check.jpg"  # of cameras and points, in the capture
+SFM_PICTURE = "check.jpg"  # of cameras and points, in the capture
 LISTED = 8  # photos that a line names
 
 
@@ -186,9 +186,9 @@ def sfm(
         raise StyleSplatError(
             f"{source} lies inside of {output}, which would be replaced. Choose another folder."
         )
-    work = partial_of(output) / "sfm"
+    work = progress_path(output) / "sfm"
     photos = work / "prepared"
-    with changing(output):
+    with locked_folder(output):
         refuse_occupied(output, marker=SFM_FILE, overwrite=overwrite)
         digest = source_digest(source)
         prepared = prepare(source, photos, frames=frames)
@@ -217,7 +217,7 @@ def sfm(
     for what, reasons in (("Left out", record.left_out), ("Not posed", record.unregistered)):
         for why in dict.fromkeys(reasons.values()):
             names = [name for name, other in reasons.items() if other == why]
-            say(f"{what}: {some(names, LISTED)}: {why}.")
+            say(f"{what}: {join_names(names, LISTED)}: {why}.")
     if why := two_motions(found.numbers["pairs_with_two_motions"]):
         say(why)
     for line in advices(report, known={"posed"}):
@@ -225,7 +225,9 @@ def sfm(
     return load(output)
 
 
-def _masks_of(source: Path, prepared: PreparedPhotos, masks: Path | str | None) -> Masks | None:
+def _masks_of(
+    source: Path, prepared: PreparedPhotos, masks: Path | str | None
+) -> MaskReaders | None:
     """What to find features in, by photo; None where that is everything."""
     origins = prepared.origins
     if masks is not None:
@@ -233,7 +235,9 @@ def _masks_of(source: Path, prepared: PreparedPhotos, masks: Path | str | None) 
         drawn = {name: found[own] for name, own in origins.items() if own in found}
         return {name: partial(_shown, each) for name, each in drawn.items()}
     if prepared.cut_outs:
-        return {name: partial(cut_out_mask, inside(source, origins[name])) for name in origins}
+        return {
+            name: partial(cut_out_mask, resolve_within(source, origins[name])) for name in origins
+        }
     return None
 
 
@@ -241,7 +245,7 @@ def _shown(drawn: DrawnLabels) -> Bool[np.ndarray, "H W"]:
     return drawn.read().numpy() != BACKGROUND
 
 
-def _place_box(box: Places, photos: Path, prepared: PreparedPhotos) -> tuple[str, Box]:
+def _place_box(box: Places, photos: Path, prepared: PreparedPhotos) -> tuple[str, PhotoBox]:
     """The name that the photo of a box has in the capture, and the box."""
     placed = BOX.parse_all(box, "box")
     if len(placed) != 1:
@@ -253,7 +257,7 @@ def _place_box(box: Places, photos: Path, prepared: PreparedPhotos) -> tuple[str
             f"The photo {view} is left out: {prepared.left_out[view]}. Draw the box in another."
         )
     name = prepared.names[find_name(view, own)]
-    return name, check_box(corners, image_sizes(inside(photos, name))[1], view)
+    return name, check_box(corners, image_sizes(resolve_within(photos, name))[1], view)
 
 
 def _record(
@@ -297,9 +301,9 @@ def _record(
 def _checked(folder: Path, output: Path) -> CaptureReport:
     """Check the new capture, and write a picture of its cameras and points into it."""
     files = open_capture(folder)
-    capture = files.at(files.cameras.shrink_to(SIDE))
+    capture = files.at(files.cameras.shrink_to(MEASURE_SIDE))
     report = check(capture)
-    write_image(capture_picture(replace(capture, path=output), report), folder / PICTURE)
+    write_image(capture_picture(replace(capture, path=output), report), folder / SFM_PICTURE)
     return report
 
 

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, counted, one_line
+from stylesplat.errors import StyleSplatError, count_noun, noun_repr
 from stylesplat.figures.best_views import close_up
 from stylesplat.figures.grid import GridPicture, Row, draw_grid
 from stylesplat.figures.pictures import to_uint8
@@ -26,7 +26,7 @@ from stylesplat.stylization.painting import Painting, check_paintings
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.stylize import stylize
 
-CELL = 512  # pixels along a cell: strokes of a normal painting can be told apart
+SHEET_CELL = 512  # pixels along a cell: strokes of a normal painting can be told apart
 FIELDS = {"stroke_size": "scale"}  # options of `stylize` that settings call otherwise
 
 
@@ -45,7 +45,9 @@ class StyleSheet:
 
     def __repr__(self) -> str:
         height, width, _ = self.picture.shape
-        return one_line(self, counted(self.cells, "cell"), f"{width}x{height}", f"from {self.view}")
+        return noun_repr(
+            self, count_noun(self.cells, "cell"), f"{width}x{height}", f"from {self.view}"
+        )
 
 
 @check_arguments
@@ -98,7 +100,7 @@ def sheet(
     check_paintings(jobs[:1])
     splats = scene.splats.to(pick_device(device))
     cameras = scene.cameras if view is None else scene.cameras[scene.cameras.index(view)]
-    camera = close_up(splats, cameras, scene.to_splats(mask).to(splats.device), side=CELL)
+    camera = close_up(splats, cameras, scene.to_splats(mask).to(splats.device), side=SHEET_CELL)
     # The paint that the object has stays in its place of the stack, without a message about it
     bare = replace(scene.with_strengths({name: 0.0}), path=scene.path)
     how = {"features": features, "weights": weights, "device": device, "measured": False}

@@ -31,7 +31,7 @@ from stylesplat.stylization.painting import (
     plan_paintings,
 )
 from stylesplat.stylization.style import Recipe, Style, as_recipe
-from stylesplat.stylization.views import Box
+from stylesplat.stylization.views import ObjectBox
 from stylesplat.verbs.adjust import recolor
 
 SetupOf = Callable[[Splats, Painting], PaintSetup]
@@ -129,7 +129,7 @@ def stylize(
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
     seconds, precision = dict[str, float](), ""
-    surveys = dict[str, Sequence[Box]]()
+    surveys = dict[str, Sequence[ObjectBox]]()
     for number, painting in enumerate(paintings):
         scene = _recolored(scene, recipe, number)
         began = time.perf_counter()
@@ -184,7 +184,7 @@ def _measure(
     setup_of: SetupOf,
     paintings: Sequence[Painting],
     scene: Scene,
-    surveys: Mapping[str, Sequence[Box]],
+    surveys: Mapping[str, Sequence[ObjectBox]],
 ) -> dict[str, Any]:
     """Compare the painted objects with the scene before, as flat metrics."""
     names = [painting.name for painting in paintings]

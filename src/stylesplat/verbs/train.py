@@ -15,7 +15,7 @@ from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.sequences import evenly
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.objects import with_names
 from stylesplat.training.config import (
@@ -32,8 +32,8 @@ from stylesplat.training.loop import fit, rank_and_processes
 from stylesplat.training.per_photo import with_refined_cameras
 from stylesplat.training.views import learned_ids, split_views
 
-COMPARED = 8  # photos trained on that are compared with their renders
-LIBRARIES = ("stylesplat", "torch", "numba")
+TRAIN_COMPARED = 8  # photos trained on that are compared with their renders
+TRAIN_LIBRARIES = ("stylesplat", "torch", "numba")
 
 
 @check_arguments
@@ -119,7 +119,7 @@ def train(
         capture=capture.path and capture.path.resolve(),
         info={
             "settings": asdict(config) | {"segment": segment, "device": torch_device.type},
-            "libraries": {name: version(name) for name in LIBRARIES},
+            "libraries": {name: version(name) for name in TRAIN_LIBRARIES},
         }
         | ({"fits": fits.names} if fits.names else {}),
         metrics=metrics
@@ -138,7 +138,7 @@ def _train_psnr(
 ) -> float:
     """Of some photos trained on, whose cameras are refined already."""
     unlabelled, fits = replace(splats, identities=None, classifier=None), replace(fits, pose=False)
-    some = evenly(rows, COMPARED)
+    some = evenly_spaced(rows, TRAIN_COMPARED)
     return evaluate_views(unlabelled, capture, some, fits=fits, background=background)["psnr"]
 
 

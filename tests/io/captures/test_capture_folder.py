@@ -15,7 +15,7 @@ from capture_files import HEIGHT, PINHOLE, WIDTH, save_noise
 from still_life.nerfstudio import write_transforms
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
-from stylesplat.io.label_maps import NAMES, write_label_map, write_names
+from stylesplat.io.label_maps import LABEL_MAPS_NAMES, write_label_map, write_names
 
 MakeCapture = Callable[..., Path]
 FISHEYE = ("OPENCV_FISHEYE", (60.0, 62.0, 31.0, 25.0, 0.04, -0.01, 0.003, -0.001))
@@ -95,9 +95,9 @@ def test_objects_are_called_what_lies_beside_their_label_maps(
     found, given = load(folder), load(folder, masks=mine, downscale=2.0)
     assert found.object_names == {5: "vase"} and given.object_names == {700: "cup"}
     assert [None if m is None else int(m.max()) for m in found.label_maps or ()] == [None, 5, None]
-    (mine / NAMES).unlink()
+    (mine / LABEL_MAPS_NAMES).unlink()
     assert load(folder, masks=mine).object_names == {}
-    (folder / "object_mask" / NAMES).write_text("damaged")
+    (folder / "object_mask" / LABEL_MAPS_NAMES).write_text("damaged")
     assert load(folder, masks=False).object_names == {}
     with pytest.raises(StyleSplatError, match=r"Cannot read .*names\.json"):
         load(folder)

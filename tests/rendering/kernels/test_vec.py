@@ -12,10 +12,12 @@ A, B = NUMBERS[:16], NUMBERS[16:32]
 
 @numba.njit
 def arithmetic(a, out):
-    x, y = vec.load(a, 0), vec.load(a, 16)
-    vec.store(out, 0, vec.fma(x, y, x - y) / (y * y + 1.0))
-    vec.store(out, 16, vec.select(vec.greater(x, y), vec.minimum(x, 0.25), vec.maximum(y, -1.0)))
-    vec.store(out, 32, vec.fma(vec.rows(), 10.0, vec.columns() * 2.0))
+    x, y = vec.load_vec(a, 0), vec.load_vec(a, 16)
+    vec.store_vec(out, 0, vec.fma(x, y, x - y) / (y * y + 1.0))
+    vec.store_vec(
+        out, 16, vec.select(vec.greater(x, y), vec.minimum(x, 0.25), vec.maximum(y, -1.0))
+    )
+    vec.store_vec(out, 32, vec.fma(vec.rows(), 10.0, vec.columns() * 2.0))
     return vec.bits(vec.both(vec.greater_equal(x, y), vec.greater(x, np.float32(0))))
 
 
@@ -33,7 +35,7 @@ def test_arithmetic_and_masks():
 @numba.njit
 def exponential(a, out):
     for i in range(0, a.shape[0], 16):
-        vec.store(out, i, vec.exp_of_eighth(vec.load(a, i)))
+        vec.store_vec(out, i, vec.exp_of_eighth(vec.load_vec(a, i)))
 
 
 def test_exp_is_accurate_on_its_range():
@@ -45,8 +47,8 @@ def test_exp_is_accurate_on_its_range():
 
 @numba.njit
 def lane_sums(a, out, channels):
-    x, y = vec.load(a, 0), vec.load(a, 16)
-    moments = vec.add_moments(vec.zeros((0,) * 6), vec.load(a, 32), x, y)
+    x, y = vec.load_vec(a, 0), vec.load_vec(a, 16)
+    moments = vec.add_moments(vec.zeros((0,) * 6), vec.load_vec(a, 32), x, y)
     vec.add_lane_sums(out, 0, moments, vec.load_vecs(a, 0, channels))
 
 
@@ -63,9 +65,9 @@ def test_lane_sums_add_to_what_is_there():
 @numba.njit
 def channel_products(a, row, out, channels):
     x = vec.load_vecs(a, 0, channels)
-    vec.store(out, 0, vec.dot_row(x, row, 1))
-    grown = vec.add_scaled_row(vec.zeros(channels), vec.load(a, 32), row, 0)
-    vec.store_vecs(out, 16, vec.add_products(grown, vec.load(a, 48), x))
+    vec.store_vec(out, 0, vec.dot_row(x, row, 1))
+    grown = vec.add_scaled_row(vec.zeros(channels), vec.load_vec(a, 32), row, 0)
+    vec.store_vecs(out, 16, vec.add_products(grown, vec.load_vec(a, 48), x))
 
 
 def test_channel_products():
@@ -80,8 +82,8 @@ def test_channel_products():
 @numba.njit
 def through_halves(a, halves, out):
     for i in range(0, a.shape[0], 16):
-        vec.store_halves(halves, i, vec.load(a, i))
-        vec.store(out, i, vec.load_halves(halves, i))
+        vec.store_halves(halves, i, vec.load_vec(a, i))
+        vec.store_vec(out, i, vec.load_halves(halves, i))
 
 
 def test_halves_are_numpys():

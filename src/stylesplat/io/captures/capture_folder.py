@@ -15,12 +15,12 @@ from jaxtyping import Float, Int, UInt8
 from msgspec import Meta
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, counted, one_line, some
+from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 from stylesplat.io.captures.colmap import read_colmap
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.llff import read_llff
 from stylesplat.io.captures.photo_names import photo_files, photo_places
-from stylesplat.io.captures.photos import OPAQUE, Photo, check_masks, fit_photo, valid_pixels
+from stylesplat.io.captures.photos import PHOTO_OPAQUE, Photo, check_masks, fit_photo, valid_pixels
 from stylesplat.io.captures.posed_files import (
     PosedFiles,
     drop_bad_points,
@@ -30,7 +30,7 @@ from stylesplat.io.captures.posed_files import (
 )
 from stylesplat.io.captures.transforms import read_transforms
 from stylesplat.io.json_yaml import FilePath, read_json_as, write_json
-from stylesplat.io.kinds import find_poses, wrong_kind
+from stylesplat.io.kinds import find_poses, wrong_kind_error
 from stylesplat.io.label_maps import (
     DrawnLabels,
     FoundMasks,
@@ -43,22 +43,22 @@ from stylesplat.progress import say, track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import Outliers, find_outliers
-from stylesplat.scene.sequences import Cache, Lazy, evenly
+from stylesplat.scene.sequences import Cache, Lazy, evenly_spaced
 from stylesplat.scene.world_offset import ORIGIN, Offset, announced
 
 SFM_FILE = "sfm.json"
-FORMAT = 1
+CAPTURE_FORMAT = 1
 MAX_PHOTOS = 1_000_000
-Text = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]  # in one line
-Reasons = Annotated[dict[Text, Text], Meta(max_length=MAX_PHOTOS)]
+OneLine = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]  # in one line
+Reasons = Annotated[dict[OneLine, OneLine], Meta(max_length=MAX_PHOTOS)]
 Count = Annotated[int, Meta(ge=0, le=MAX_PHOTOS)]
 
 
 class SfmRecord(msgspec.Struct, kw_only=True):
-    format: Annotated[int, Meta(ge=1, le=FORMAT)] = FORMAT
+    format: Annotated[int, Meta(ge=1, le=CAPTURE_FORMAT)] = CAPTURE_FORMAT
     source: FilePath
     """The folder of photos, or the video."""
-    digest: Text
+    digest: OneLine
     """Hash of the names and sizes of its files."""
     given: Count
     """Number of photos in the source, or of frames taken from the video."""
@@ -73,11 +73,11 @@ class SfmRecord(msgspec.Struct, kw_only=True):
     """The world's axes, origin and unit."""
     settings: dict[str, Any]
     numbers: dict[str, Any]
-    libraries: dict[str, Text]
+    libraries: dict[str, OneLine]
 
     def __repr__(self) -> str:
-        found = f"{self.registered:,} of {counted(self.given, 'photo')} with a pose"
-        return one_line(self, found, self.source)
+        found = f"{self.registered:,} of {count_noun(self.given, 'photo')} with a pose"
+        return noun_repr(self, found, self.source)
 
 
 def read_sfm(folder: Path) -> SfmRecord | None:
@@ -93,12 +93,12 @@ def write_sfm(record: SfmRecord, folder: Path) -> None:
 
 
 OBJECT_MASK = "object_mask"  # the folder of label maps inside a capture
-EXACT = "object_mask_exact"  # label maps to measure with, where the others contain mistakes
+CAPTURE_EXACT = "object_mask_exact"  # label maps to measure with, where the others contain mistakes
 CUT_OUT_SAMPLE = 5  # photos with an alpha channel that are decoded: most channels are opaque
 CUT_OUT_NAMES = {1: "object"}  # what a cut-out shows, by label id
 CACHE_BYTES = 2**27  # the photo decoded last, so that its colours and alpha are decoded once
 
-Masks = Path | str | Literal[False] | None
+MaskSource = Path | str | Literal[False] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ class CaptureFiles:
         return match_label_maps(self.masks, self.cameras.names)
 
 
-def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
+def open_capture(path: Path | str, *, masks: MaskSource = None) -> CaptureFiles:
     """Read the headers of a capture; `masks` is described at `load`.
 
     Raises a StyleSplatError if the folder is no capture, or a file of it is missing, damaged or
@@ -179,7 +179,7 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     if others:
         count = len(others) + len(posed.names) + len(posed.missing)
         say(
-            f"Without a pose, so left out: {some(others)} "
+            f"Without a pose, so left out: {join_names(others)} "
             f"({len(others)} of the {count} photos in {folder})."
         )
     posed = drop_missing(posed, folder)
@@ -191,7 +191,8 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
     stored = [name for name, photo in zip(posed.names, photos, strict=True) if photo.as_stored]
     if stored:
         say(
-            f"Used as stored, not as their EXIF rotation shows them: {some(stored)} ({len(stored)} "
+            f"Used as stored, not as their EXIF rotation shows them: {join_names(stored)} "
+            f"({len(stored)} "
             f"of the {len(photos)} photos in {folder}). Poses, boxes and label maps belong to the "
             "stored pixels."
         )
@@ -213,7 +214,7 @@ def open_capture(path: Path | str, *, masks: Masks = None) -> CaptureFiles:
         point_colors = None if point_colors is None else point_colors[near_points]
     if masks is None and (folder / OBJECT_MASK).is_dir():
         masks = folder / OBJECT_MASK
-    with_alpha = evenly([photo for photo in photos if photo.has_alpha()], CUT_OUT_SAMPLE)
+    with_alpha = evenly_spaced([photo for photo in photos if photo.has_alpha()], CUT_OUT_SAMPLE)
     return CaptureFiles(
         path=folder,
         cameras=cameras,
@@ -233,9 +234,9 @@ def _read_poses(folder: Path) -> PosedFiles:
     """The poses of a capture; a message names those that are there in other forms or places."""
     found = find_poses(folder)
     if not found:
-        raise wrong_kind(folder, "capture")
+        raise wrong_kind_error(folder, "capture")
     used, *others = (
-        (poses, some(path.relative_to(folder).as_posix() for path in poses.paths))
+        (poses, join_names(path.relative_to(folder).as_posix() for path in poses.paths))
         for poses in found
     )
     if others:
@@ -252,10 +253,10 @@ def _read_poses(folder: Path) -> PosedFiles:
 
 def exact_masks(folder: Path) -> Path | None:
     """The label maps of a capture to measure with, if it has some; a message says so."""
-    if not (folder / EXACT).is_dir():
+    if not (folder / CAPTURE_EXACT).is_dir():
         return None
-    say(f"Objects are compared with {folder / EXACT}, the exact label maps.")
-    return folder / EXACT
+    say(f"Objects are compared with {folder / CAPTURE_EXACT}, the exact label maps.")
+    return folder / CAPTURE_EXACT
 
 
 def unposed_photos(folder: Path, posed: Collection[str]) -> tuple[dict[str, str], int]:
@@ -337,13 +338,13 @@ def _opaque_maps(alphas: Lazy[UInt8[Tensor, "H W"] | None]) -> Lazy[Int[Tensor, 
 
     def labels(row: int) -> Int[Tensor, "H W"] | None:
         alpha = alphas[row]
-        return None if alpha is None else (alpha >= OPAQUE).int()
+        return None if alpha is None else (alpha >= PHOTO_OPAQUE).int()
 
     return Lazy([partial(labels, row) for row in range(len(alphas))])
 
 
 @check_arguments
-def load(path: Path | str, *, downscale: float = 1.0, masks: Masks = None) -> Capture:
+def load(path: Path | str, *, downscale: float = 1.0, masks: MaskSource = None) -> Capture:
     """Read a capture: photos with a COLMAP reconstruction, `transforms.json`, or LLFF's poses.
 
     Only the headers of the photos are read now; photos are decoded and undistorted on each access.

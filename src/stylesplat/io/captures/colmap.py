@@ -12,7 +12,7 @@ from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, some, within
+from stylesplat.errors import StyleSplatError, error_context, join_names
 from stylesplat.io.captures.colmap_files import (
     CameraRecord,
     ImageRecord,
@@ -62,13 +62,13 @@ def read_colmap(folder: Path, models: Sequence[Path]) -> PosedFiles:
             "Run the reconstruction again."
         )
     if not found.names:
-        names = some(sorted(image.name for image in model.images))
+        names = join_names(sorted(image.name for image in model.images))
         raise StyleSplatError(
             f"{folder} has none of the {len(model.images)} photos that {model.folder} poses: "
             f"{names}. Put them into its folder images, or give the folder that holds both."
         )
     if found.renamed:
-        pairs = some(f"{old} is {new}" for old, new in found.renamed.items())
+        pairs = join_names(f"{old} is {new}" for old, new in found.renamed.items())
         say(f"Photos that are called otherwise in {model.folder}: {pairs}.")
     images = sorted(
         (image for image in model.images if image.name in found.names),
@@ -108,7 +108,7 @@ def _largest(folder: Path, models: Sequence[Path]) -> _Model:
         others = (f"{m.folder.name} ({len(m.photos.names)})" for m in read if m is not best)
         say(
             f"Of the {len(read)} models in {best.folder.parent}, {best.folder.name} is used, which "
-            f"poses most photos ({len(best.photos.names)}); left out: {some(others)}."
+            f"poses most photos ({len(best.photos.names)}); left out: {join_names(others)}."
         )
     return best
 
@@ -119,16 +119,16 @@ def _read_model(folder: Path, path: Path) -> _Model:
     cameras, images = read_camera_records(files["cameras"]), read_image_records(files["images"])
     lost = [image for image in images if image.camera_id not in cameras]
     if lost:
-        ids = some(sorted({image.camera_id for image in lost}))
+        ids = join_names(sorted({image.camera_id for image in lost}))
         fault = f"{files['cameras']} has no camera {ids}"
         if len(lost) == len(images):
             raise StyleSplatError(f"{fault}, which all images have. Copy it again.")
-        say(f"{fault}, so left out: {some(image.name for image in lost)}.")
+        say(f"{fault}, so left out: {join_names(image.name for image in lost)}.")
     images = [image for image in images if image.camera_id in cameras]
     first = {image.name: image for image in reversed(images)}
     if len(first) < len(images):
         again = (name for name, n in Counter(i.name for i in images).items() if n > 1)
-        say(f"Posed more than once in {path}, so by the first pose: {some(again)}.")
+        say(f"Posed more than once in {path}, so by the first pose: {join_names(again)}.")
         images = [*reversed(first.values())]
     return _Model(files, cameras, images, find_photos(folder, sorted(first), path))
 
@@ -139,7 +139,7 @@ def _lenses(model: _Model) -> dict[int, Lens]:
     found = (image for image in model.images if image.name in model.photos.names)
     for id in sorted({image.camera_id for image in found}):
         camera = model.cameras[id]
-        with within(f"Camera {id} in {model.files['cameras']}"):
+        with error_context(f"Camera {id} in {model.files['cameras']}"):
             lenses[id] = Lens.create(camera.model, camera.width, camera.height, camera.params)
     return lenses
 

@@ -21,7 +21,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from stylesplat.errors import StyleSplatError, some
+from stylesplat.errors import StyleSplatError, join_names
 from stylesplat.io.files import is_file, is_there, open_binary, reading, require_regular
 from stylesplat.progress import say
 
@@ -29,11 +29,11 @@ Record = TypeVar("Record")
 PointRow = tuple[Iterable[float | int], Callable[[], Iterable[int]]]
 """Id, position, colour and error of a point, eight numbers; and what reads its images' ids."""
 
-REMEDY = "Copy it again."
+COLMAP_REMEDY = "Copy it again."
 BINARY, TEXT = ".bin", ".txt"
-GREY = 128  # of a point without a colour
+COLMAP_GREY = 128  # of a point without a colour
 UTF16 = (b"\xff\xfe", b"\xfe\xff")  # what text in 16 bits starts with
-NUMBERS = re.compile(r"[-+.\d\seEnaifNAIF]*")  # a line of 2D points, perhaps with nan or inf
+COLMAP_NUMBERS = re.compile(r"[-+.\d\seEnaifNAIF]*")  # a line of 2D points, perhaps with nan or inf
 
 
 class CameraRecord(NamedTuple):
@@ -77,7 +77,7 @@ def model_files(sparse: Path) -> dict[str, Path]:
     for kind in ("cameras", "images"):
         if kind not in found:
             raise StyleSplatError(
-                f"{sparse} has no {kind}.bin or {kind}.txt with the others. {REMEDY}"
+                f"{sparse} has no {kind}.bin or {kind}.txt with the others. {COLMAP_REMEDY}"
             )
     return found
 
@@ -122,7 +122,7 @@ def _colors(
     grey = np.count_nonzero(np.isfinite(means[unknown]).all(axis=1))
     if grey:
         say(f"{grey:,} of the {len(means):,} points in {path} have no colour and start grey.")
-    colors = np.where(unknown[:, None], GREY, colors)
+    colors = np.where(unknown[:, None], COLMAP_GREY, colors)
     known = colors[~unknown]
     if known.size and known.max() <= 1 and (known % 1).any():
         colors[~unknown] *= 255
@@ -134,7 +134,7 @@ def _colors(
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """The lines that are neither empty nor comments, with their numbers."""
-    with open_binary(path) as file, reading(path, REMEDY):
+    with open_binary(path) as file, reading(path, COLMAP_REMEDY):
         encoding = "utf-16" if file.read(2) in UTF16 else "utf-8-sig"
         file.seek(0)
         text = TextIOWrapper(file, encoding, errors="surrogateescape")
@@ -150,7 +150,7 @@ def _whole(path: Path, what: str, records: Iterable[Record | int]) -> list[Recor
     for record in records:
         bad.append(record) if isinstance(record, int) else found.append(record)
     if bad:
-        say(f"Lines of {path} that hold no {what}, so left out: {some(bad)}.")
+        say(f"Lines of {path} that hold no {what}, so left out: {join_names(bad)}.")
     return found
 
 
@@ -168,7 +168,7 @@ def _parse_images(lines: Iterable[tuple[int, str]]) -> Iterator[ImageRecord | in
         record = _parse_image(line)
         if record is not None:
             yield record
-        elif not (after_pose and NUMBERS.fullmatch(line)):
+        elif not (after_pose and COLMAP_NUMBERS.fullmatch(line)):
             yield number
         after_pose = record is not None
 
@@ -180,7 +180,9 @@ def _parse_image(line: str) -> ImageRecord | None:
     id, *pose, camera_id = map(_number, fields[:9])
     if not (id.is_integer() and camera_id.is_integer()):
         return None
-    if NUMBERS.fullmatch(line) and len(line.split()) % 3 == 0:  # 2D points: x, y and an id each
+    if (
+        COLMAP_NUMBERS.fullmatch(line) and len(line.split()) % 3 == 0
+    ):  # 2D points: x, y and an id each
         return None
     return ImageRecord(int(id), tuple(pose), int(camera_id), fields[9])
 
@@ -229,7 +231,8 @@ def check_complete(sparse: Path) -> None:
 def binary_records(path: Path) -> Iterator[bytes]:
     """The records of a file. Raises a StyleSplatError if they do not end where the file does."""
     damaged = StyleSplatError(
-        f"{path} is truncated or damaged: its records do not end where the file does. {REMEDY}"
+        f"{path} is truncated or damaged: its records do not end where the file does. "
+        f"{COLMAP_REMEDY}"
     )
     with open_binary(path) as file:
         try:

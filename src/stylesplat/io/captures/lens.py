@@ -11,13 +11,13 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.images import row_bands
 
 if TYPE_CHECKING:  # else each command would load it
     from stylesplat.io.captures.colmap_library import pycolmap
 
-MAX_SIDE = 2**20  # pixels; COLMAP walks along the border of what it undistorts
+LENS_MAX_SIDE = 2**20  # pixels; COLMAP walks along the border of what it undistorts
 # Sampling maps are made and cached by bands of rows. A pixel takes about 100 bytes while one is
 # made and 8 after that: less than half a GiB, and one for all that are cached
 MAPS_CACHED = 32
@@ -44,7 +44,7 @@ class Lens:
         """Convert a camera. Raises a StyleSplatError for numbers that no perspective lens has."""
         name, size = camera.model_name, (camera.width, camera.height)
         sane = camera.verify_params() and all(abs(x) <= MAX_PARAM for x in camera.params)
-        if not sane or not 1 <= min(size) <= max(size) <= MAX_SIDE:
+        if not sane or not 1 <= min(size) <= max(size) <= LENS_MAX_SIDE:
             raise StyleSplatError(f"A {name} camera has impossible numbers. Pose the photos again.")
         if not camera.is_perspective():
             raise StyleSplatError(
@@ -62,10 +62,11 @@ class Lens:
         known = {*pycolmap.CameraModelId.__members__} - {"INVALID"}
         if model not in known:
             raise StyleSplatError(
-                f"There is no camera model {brief(model)}. Convert it to one of COLMAP's, such as "
+                f"There is no camera model {shorten(model)}. Convert it to one of COLMAP's, such "
+                "as "
                 "OPENCV."
             )
-        if not 1 <= min(width, height) <= max(width, height) <= MAX_SIDE:
+        if not 1 <= min(width, height) <= max(width, height) <= LENS_MAX_SIDE:
             raise StyleSplatError(
                 f"A photo cannot have {width}x{height} pixels. Pose the photos again."
             )

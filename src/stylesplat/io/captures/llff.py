@@ -14,8 +14,10 @@ from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.files import reading
 from stylesplat.io.kinds import PHOTOS, POSES_BOUNDS
 
-ROW = 17  # numbers: 3 rows of [rotation | position | height, width, focal length], and two depths
-AGAIN = "Pose the photos again."
+LLFF_ROW = (
+    17  # numbers: 3 rows of [rotation | position | height, width, focal length], and two depths
+)
+LLFF_AGAIN = "Pose the photos again."
 
 
 def read_llff(folder: Path) -> PosedFiles:
@@ -24,12 +26,13 @@ def read_llff(folder: Path) -> PosedFiles:
     Sizes and focal lengths are those of the photos in `images`; reduced ones have their shape.
     """
     path = folder / POSES_BOUNDS
-    with reading(path, AGAIN):
+    with reading(path, LLFF_AGAIN):
         rows = np.load(path, allow_pickle=False)
-    if rows.ndim != 2 or rows.shape[1] != ROW or not len(rows):
+    if rows.ndim != 2 or rows.shape[1] != LLFF_ROW or not len(rows):
         raise StyleSplatError(
-            f"{path} has numbers of the shape {rows.shape}, not [photos, {ROW}] as LLFF writes. "
-            f"{AGAIN}"
+            f"{path} has numbers of the shape {rows.shape}, not [photos, {LLFF_ROW}] as LLFF "
+            "writes. "
+            f"{LLFF_AGAIN}"
         )
     photos = _photos(folder, len(rows))
     matrices = torch.from_numpy(rows[:, :15].astype(np.float64)).view(-1, 3, 5)
@@ -61,7 +64,7 @@ def _photos(folder: Path, count: int) -> list[Path]:
 
 def _lens(height: float, width: float, focal: float) -> Lens:
     if not all(map(np.isfinite, (height, width, focal))) or min(height, width) < 1:
-        raise StyleSplatError(f"A camera of {POSES_BOUNDS} has impossible numbers. {AGAIN}")
+        raise StyleSplatError(f"A camera of {POSES_BOUNDS} has impossible numbers. {LLFF_AGAIN}")
     width, height = round(width), round(height)
     return Lens.create("PINHOLE", width, height, [focal, focal, width / 2, height / 2])
 

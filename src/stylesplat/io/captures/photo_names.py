@@ -10,14 +10,22 @@ from itertools import takewhile
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import NamedTuple
 
-from stylesplat.errors import brief
+from stylesplat.errors import shorten
 from stylesplat.io.captures.posed_files import leaves
 from stylesplat.io.files import is_file
 from stylesplat.io.kinds import NO_PHOTOS, PHOTOS
 from stylesplat.progress import say
 
 # Where photos lie in a capture, the usual places first
-PLACES = ("images", "images_*", "input", "dense/images", "dense/*/images", "colmap/images", ".")
+NAME_PLACES = (
+    "images",
+    "images_*",
+    "input",
+    "dense/images",
+    "dense/*/images",
+    "colmap/images",
+    ".",
+)
 
 
 @dataclass(frozen=True)
@@ -71,7 +79,7 @@ def find_photos(folder: Path, names: Sequence[str], model: Path) -> FoundPhotos:
 
 def photo_places(folder: Path) -> list[Path]:
     """The folders in a capture that may hold its photos: the usual one first, itself last."""
-    found = (path for place in PLACES for path in _sorted(folder, place))
+    found = (path for place in NAME_PLACES for path in _sorted(folder, place))
     return [path for path in found if path.is_dir()]
 
 
@@ -184,7 +192,7 @@ def find_files(
     if moved:
         say(
             f"{len(moved)} of {len(found)} {what} lead elsewhere, such as "
-            f"{brief(next(iter(moved)))}: read within {folder}."
+            f"{shorten(next(iter(moved)))}: read within {folder}."
         )
     dropped = Counter(match.dropped for match in moved.values()).most_common(1)
     expected = partial(_expected, folder, dropped=dropped[0][0] if dropped else 0)

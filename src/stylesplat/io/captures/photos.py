@@ -18,20 +18,20 @@ from stylesplat.io.images import (
     TURNS,
     UPRIGHT,
     WHITE,
-    composite,
     decode,
     decoding,
+    flatten_alpha,
     image_sizes,
     open_image,
     orientation,
     pixels_of,
 )
-from stylesplat.io.mask_pictures import HALF, LOSSY
+from stylesplat.io.mask_pictures import LOSSY, MASK_HALF
 from stylesplat.progress import say, track
 from stylesplat.scene.capture import resize_labels, shrink_mask
 from stylesplat.scene.sequences import Lazy
 
-OPAQUE = 128  # smallest alpha of a pixel that shows something
+PHOTO_OPAQUE = 128  # smallest alpha of a pixel that shows something
 BLACK = 0
 
 
@@ -57,7 +57,7 @@ class Photo:
         """The same, with alpha as a fourth channel if the file has transparency."""
         with decoding(self.path):
             # Over black, so that averages are free of colours that nobody sees
-            pixels = composite(decode(self.path, upright=self.upright), BLACK)
+            pixels = flatten_alpha(decode(self.path, upright=self.upright), BLACK)
             pixels = self.lens.undistort(pixels)
             if pixels.shape[1::-1] != self.size:
                 pixels = cv2.resize(pixels, self.size, interpolation=cv2.INTER_AREA)
@@ -66,7 +66,7 @@ class Photo:
     def is_cut_out(self) -> bool:
         """Whether the file has transparent pixels; decodes it only if it has an alpha channel."""
         return self.has_alpha() and bool(
-            (decode(self.path, upright=self.upright)[:, :, 3:] < OPAQUE).any()
+            (decode(self.path, upright=self.upright)[:, :, 3:] < PHOTO_OPAQUE).any()
         )
 
     def has_alpha(self) -> bool:
@@ -125,8 +125,8 @@ def read_small(path: Path, side: int) -> SmallPhoto:
         if image.format == "JPEG" and scale < 1:  # decoded at a fraction of its size, which is fast
             image.draft("L", (round(size[0] * scale), round(size[1] * scale)))
         pixels = pixels_of(image)
-        transparent = float((pixels[..., 3:] < OPAQUE).mean()) if pixels.shape[2] > 3 else 0.0
-        grey = cv2.cvtColor(composite(pixels, WHITE)[..., :3], cv2.COLOR_RGB2GRAY)
+        transparent = float((pixels[..., 3:] < PHOTO_OPAQUE).mean()) if pixels.shape[2] > 3 else 0.0
+        grey = cv2.cvtColor(flatten_alpha(pixels, WHITE)[..., :3], cv2.COLOR_RGB2GRAY)
     if scale < 1:
         small = tuple(max(1, round(length * scale)) for length in size)
         grey = cv2.resize(grey, small, interpolation=cv2.INTER_AREA)
@@ -188,7 +188,7 @@ def check_masks(masks: Sequence[Path | None], photos: Sequence[Photo]) -> None:
 def _read(path: Path) -> Bool[Tensor, "H W"]:
     """Where a mask is not 0: its alpha channel if that varies, else its colours or grey."""
     with open_image(path) as image:
-        least = HALF if image.format in LOSSY else 1  # whose black is not exactly 0
+        least = MASK_HALF if image.format in LOSSY else 1  # whose black is not exactly 0
         if image.has_transparency_data:
             alpha = np.asarray(image.convert("RGBA"))[..., 3]
             if alpha.min() != alpha.max():

@@ -14,10 +14,10 @@ import torch
 from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.errors import StyleSplatError, join_names, shorten
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.files import is_there
-from stylesplat.io.json_yaml import MAX_NAME
+from stylesplat.io.json_yaml import JSON_MAX_NAME
 from stylesplat.io.ply import read_ply_table
 from stylesplat.progress import say
 from stylesplat.scene.cameras import are_rigid
@@ -59,13 +59,14 @@ class PosedFiles:
             check_path(name)
             if leaves(name):
                 raise StyleSplatError(
-                    f"The photo {brief(name)!r} has a name that leaves the folder of the photos. "
+                    f"The photo {shorten(name)!r} has a name that leaves the folder of the photos. "
                     "Pose the photos again, under names without '..' that are not absolute."
                 )
         for name, count in Counter(map(PurePosixPath, self.names)).items():
             if count > 1:
                 raise StyleSplatError(
-                    f"The photo {brief(str(name))!r} is posed {count} times. Keep one of its poses."
+                    f"The photo {shorten(str(name))!r} is posed {count} times. Keep one of its "
+                    "poses."
                 )
 
 
@@ -117,10 +118,10 @@ def _keep_existing(
     if 2 * sum(to_train) < len(to_train) + len(posed.missing):
         raise StyleSplatError(
             f"Only {count - len(missing)} of the {count} {photos} in {folder} are there. "
-            f"Missing: {some(missing)}. Put them back, or pose the photos again."
+            f"Missing: {join_names(missing)}. Put them back, or pose the photos again."
         )
     of = f"{len(missing)} of the {count} {photos} in {folder}"
-    say(f"Missing, so left out: {some(missing)} ({of}).")
+    say(f"Missing, so left out: {join_names(missing)} ({of}).")
     return replace(_only(posed, there), missing=())
 
 
@@ -133,7 +134,7 @@ def drop_bad_poses(posed: PosedFiles, folder: Path) -> PosedFiles:
     said = f"{len(bad)} of the {len(good)} poses in {folder} are NaN or no rotation and shift"
     if 2 * len(bad) > len(good):
         raise StyleSplatError(f"{said}, the first that of {bad[0]}. Pose the photos again.")
-    say(f"{said}, so left out: {some(bad)}.")
+    say(f"{said}, so left out: {join_names(bad)}.")
     return _only(posed, good)
 
 
@@ -176,11 +177,11 @@ def _only(posed: PosedFiles, kept: Sequence[bool]) -> PosedFiles:
 
 def check_path(text: str) -> None:
     encoded = text.encode(errors="surrogatepass")
-    too_long = len(encoded) > MAX_NAME or max(map(len, encoded.split(b"/"))) > MAX_PART
+    too_long = len(encoded) > JSON_MAX_NAME or max(map(len, encoded.split(b"/"))) > MAX_PART
     if too_long or UNUSABLE.search(text):
         fault = "is too long for a file" if too_long else "has characters that no file name has"
         raise StyleSplatError(
-            f"The photo's name {brief(text)!r} {fault}. Rename the photo, and pose again."
+            f"The photo's name {shorten(text)!r} {fault}. Rename the photo, and pose again."
         )
 
 
@@ -196,7 +197,7 @@ XYZ = ("x", "y", "z")
 RGB = ("red", "green", "blue")
 OTHER_RGB = (("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")  # of a file of splats
-GREY = 128
+POSED_GREY = 128
 DEEP = 257  # 16-bit colours over 8-bit ones
 
 
@@ -227,7 +228,7 @@ def read_points(path: Path) -> SparsePoints | None:
     colors = _colors(table, columns)
     if colors is None:
         say(f"The points in {path} have no colours, so they start grey.")
-        colors = np.full(means.shape, GREY, np.uint8)
+        colors = np.full(means.shape, POSED_GREY, np.uint8)
     means, colors = (torch.from_numpy(each[finite]) for each in (means, colors))
     return SparsePoints(means, colors) if len(means) else None
 
@@ -246,4 +247,4 @@ def _colors(
         values *= 255 if np.nanmax(values, initial=0) <= 1 else 1
     elif np.nanmax(values, initial=0) > 255:
         values /= DEEP
-    return np.nan_to_num(values, nan=GREY).round().clip(0, 255).astype(np.uint8)
+    return np.nan_to_num(values, nan=POSED_GREY).round().clip(0, 255).astype(np.uint8)

@@ -11,22 +11,22 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief, some
-from stylesplat.io.captures.lens import MAX_SIDE, Lens
+from stylesplat.errors import StyleSplatError, join_names, shorten
+from stylesplat.io.captures.lens import LENS_MAX_SIDE, Lens
 from stylesplat.io.captures.photo_names import find_files
 from stylesplat.io.captures.posed_files import PosedFiles, SparsePoints, check_path, read_points
 from stylesplat.io.files import is_file, reason
 from stylesplat.io.images import image_sizes
-from stylesplat.io.json_yaml import fitting, read_json
+from stylesplat.io.json_yaml import convert_checked, read_json
 from stylesplat.io.kinds import SPLIT_TRANSFORMS, SPLITS, TRANSFORMS
 from stylesplat.progress import say
 
-EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp")  # tried where a name has none
-POINTS = "points3d.ply"  # of INRIA's code and BlenderNeRF, beside split files
+TRANSFORMS_EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp")  # tried where a name has none
+TRANSFORMS_POINTS = "points3d.ply"  # of INRIA's code and BlenderNeRF, beside split files
 FISHEYE = "OPENCV_FISHEYE"
 FRAME_MODELS = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 LENS_KEYS = ("latlong", "equirectangular", "orthographic", "ftheta_p0")  # instant-ngp's others
-AGAIN = "Pose the photos again."
+TRANSFORMS_AGAIN = "Pose the photos again."
 # Camera axes in x right, y down, z ahead. OpenGL's are x right, y up, z back; keys of instant-ngp
 # and NeuS2 declare Mitsuba's (x left, y up, z ahead) and OpenCV's
 OPENGL_AXES, MITSUBA_AXES, OPENCV_AXES = (
@@ -44,10 +44,10 @@ NEUTRAL = {
     *("enable_depth_loading", "enable_ray_loading", "envmap_resolution"),
 }
 
-Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-Side = Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)]  # some programs write 1920.0
-Row = Annotated[list[float], msgspec.Meta(min_length=4, max_length=4)]  # which may be NaN
-Pose = Annotated[list[Row], msgspec.Meta(min_length=3, max_length=4)]
+PoseNumber = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+CameraSide = Annotated[float, msgspec.Meta(ge=1, le=LENS_MAX_SIDE)]  # some programs write 1920.0
+MatrixRow = Annotated[list[float], msgspec.Meta(min_length=4, max_length=4)]  # which may be NaN
+Pose = Annotated[list[MatrixRow], msgspec.Meta(min_length=3, max_length=4)]
 
 
 class _Frame(msgspec.Struct):
@@ -55,20 +55,20 @@ class _Frame(msgspec.Struct):
 
     file_path: str
     transform_matrix: Pose
-    w: Side | None = None
-    h: Side | None = None
-    fl_x: Number | None = None
-    fl_y: Number | None = None
-    camera_angle_x: Number | None = None
-    camera_angle_y: Number | None = None
-    cx: Number | None = None
-    cy: Number | None = None
-    k1: Number = 0.0
-    k2: Number = 0.0
-    k3: Number = 0.0
-    k4: Number = 0.0
-    p1: Number = 0.0
-    p2: Number = 0.0
+    w: CameraSide | None = None
+    h: CameraSide | None = None
+    fl_x: PoseNumber | None = None
+    fl_y: PoseNumber | None = None
+    camera_angle_x: PoseNumber | None = None
+    camera_angle_y: PoseNumber | None = None
+    cx: PoseNumber | None = None
+    cy: PoseNumber | None = None
+    k1: PoseNumber = 0.0
+    k2: PoseNumber = 0.0
+    k3: PoseNumber = 0.0
+    k4: PoseNumber = 0.0
+    p1: PoseNumber = 0.0
+    p2: PoseNumber = 0.0
     camera_model: str | None = None
     is_fisheye: bool = False
     mask_path: str | None = None
@@ -150,15 +150,18 @@ def _files(folder: Path) -> list[Path]:
 def _read_file(path: Path) -> tuple[list[_Posed], dict[str, _Split], str | None]:
     """The frames of a file, the photos by what they are for, and the name of the points."""
     folder, content = path.parent, read_json(path)
-    whole = fitting(content, _Transforms, f"{path} is malformed", AGAIN)
+    whole = convert_checked(content, _Transforms, f"{path} is malformed", TRANSFORMS_AGAIN)
     merged = [content | frame for frame in whole.frames]
-    frames = [fitting(each, _Frame, f"A frame of {path} is malformed", AGAIN) for each in merged]
+    frames = [
+        convert_checked(each, _Frame, f"A frame of {path} is malformed", TRANSFORMS_AGAIN)
+        for each in merged
+    ]
     for frame in frames:
         check_path(frame.file_path)
         check_path(frame.mask_path or "")
     _say_unused(path, content, merged)
     names = [frame.file_path for frame in frames]
-    photos = find_files(folder, names, f"photos of {path.name}", suffixes=EXTENSIONS)
+    photos = find_files(folder, names, f"photos of {path.name}", suffixes=TRANSFORMS_EXTENSIONS)
     masks = [frame.mask_path for frame in frames if frame.mask_path]
     found = dict(zip(masks, find_files(folder, masks, f"masks of {path.name}"), strict=True))
     posed = [
@@ -168,7 +171,7 @@ def _read_file(path: Path) -> tuple[list[_Posed], dict[str, _Split], str | None]
     splits = dict[str, _Split]()
     for split, file in zip(SPLITS, SPLIT_TRANSFORMS, strict=True):
         names = getattr(whole, f"{split}_filenames")
-        listed = find_files(folder, names, f"{split}_filenames", suffixes=EXTENSIONS)
+        listed = find_files(folder, names, f"{split}_filenames", suffixes=TRANSFORMS_EXTENSIONS)
         if path.name == file:
             splits[split] = _Split({*map(_place, photos)}, file)
         elif names:
@@ -190,7 +193,7 @@ def _say_unused(
     known = {*used, *NEUTRAL, *MITSUBA_KEYS, OPENCV_KEY, *LENS_KEYS}
     others = [key for key in keys if key not in known]
     if others:
-        say(f"{path.name} has keys that are not used: {some(others, most=len(others))}.")
+        say(f"{path.name} has keys that are not used: {join_names(others, most=len(others))}.")
 
 
 def _axes(content: Mapping[str, Any]) -> Float[Tensor, "4"]:
@@ -260,13 +263,15 @@ def _read_lens(posed: _Posed) -> Lens | None:
     named = frame.camera_model or (FISHEYE if frame.is_fisheye else "OPENCV")
     if named not in (FISHEYE, *FRAME_MODELS):
         raise StyleSplatError(
-            f"{path} has cameras of the model {brief(named)}, which is unknown. Use one of "
+            f"{path} has cameras of the model {shorten(named)}, which is unknown. Use one of "
             f"{', '.join((*FRAME_MODELS, FISHEYE))}."
         )
     try:
         return _lens(frame, photo, named)
     except (ValueError, RuntimeError, ArithmeticError) as error:
-        raise StyleSplatError(f"{path} is malformed: {reason(error)}. {AGAIN}") from error
+        raise StyleSplatError(
+            f"{path} is malformed: {reason(error)}. {TRANSFORMS_AGAIN}"
+        ) from error
 
 
 def _lens(frame: _Frame, photo: Path, model: str) -> Lens:
@@ -308,7 +313,7 @@ def _focal(focal: float | None, angle: float | None, side: int, axis: str) -> fl
 def _read_points(folder: Path, name: str | None) -> SparsePoints | None:
     if name is not None:
         return read_points(find_files(folder, [name], "ply_file_paths")[0])
-    if is_file(folder / POINTS):
-        say(f"The points are those of {POINTS}.")
-        return read_points(folder / POINTS)
+    if is_file(folder / TRANSFORMS_POINTS):
+        say(f"The points are those of {TRANSFORMS_POINTS}.")
+        return read_points(folder / TRANSFORMS_POINTS)
     return None

@@ -10,11 +10,16 @@ from torch import Tensor
 
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.ply import VERTEX, PlyHeader, Table, read_header, read_ply
-from stylesplat.io.splats.packing import LARGEST, NEAR, from_smallest_three, morton_order
+from stylesplat.io.splats.packing import (
+    PACKED_LARGEST,
+    PACKED_NEAR,
+    from_smallest_three,
+    morton_order,
+)
 from stylesplat.io.splats.splat_ply import BANDS, MARK, REST, is_antialiased
 from stylesplat.scene.splats import Splats, sh0_from_rgb
 
-CHUNK = 256  # Gaussians that share their bounds
+COMPRESSED_CHUNK = 256  # Gaussians that share their bounds
 CHUNKS, HIGHER = "chunk", "sh"  # elements beside the vertices
 PACKED = tuple(f"packed_{name}" for name in ("position", "rotation", "scale", "color"))
 TYPES = ("f4", "u4", "u1")  # of the properties that the format has
@@ -34,7 +39,7 @@ def read_compressed_ply(path: Path | str) -> Splats:
     _check_elements(read_header(path))
     header, tables = read_ply(path, (CHUNKS, VERTEX, HIGHER))
     vertices, chunks = tables[VERTEX], tables[CHUNKS]
-    chunk = np.arange(len(vertices)) // CHUNK
+    chunk = np.arange(len(vertices)) // COMPRESSED_CHUNK
     places, turns, sizes, colors = (np.array(vertices[name], np.int64) for name in PACKED)
 
     def between(shares: Float[np.ndarray, "N 3"], kind: str, names: str) -> Float[Tensor, "N 3"]:
@@ -47,9 +52,9 @@ def read_compressed_ply(path: Path | str) -> Splats:
     rgb = between(rgba[:, :3], "", "rgb") if colored else torch.from_numpy(rgba[:, :3])
     return Splats(
         means=between(_shares(places, 11, 10, 11), "", "xyz"),
-        quats=from_smallest_three(largest, (others * LARGEST).float()),
+        quats=from_smallest_three(largest, (others * PACKED_LARGEST).float()),
         scales=between(_shares(sizes, 11, 10, 11), "scale_", "xyz").float(),
-        opacities=torch.from_numpy(rgba[:, 3]).clamp(NEAR, 1 - NEAR).logit().float(),
+        opacities=torch.from_numpy(rgba[:, 3]).clamp(PACKED_NEAR, 1 - PACKED_NEAR).logit().float(),
         sh0=sh0_from_rgb(rgb)[:, None].float(),
         shN=_higher_bands(tables.get(HIGHER), len(vertices)),
         antialiased=is_antialiased(path, header.comments),
@@ -90,7 +95,9 @@ def _check_elements(header: PlyHeader) -> None:
     ):
         raise ValueError("its header has properties of other types than this format")
     vertices, bands = elements[VERTEX].rows, elements.get(HIGHER)
-    if elements[CHUNKS].rows != -(-vertices // CHUNK) or (bands and bands.rows != vertices):
+    if elements[CHUNKS].rows != -(-vertices // COMPRESSED_CHUNK) or (
+        bands and bands.rows != vertices
+    ):
         raise ValueError("its numbers of chunks and vertices do not fit")
     columns = len(bands.columns) if bands else 0
     if columns not in [3 * each for each in BANDS]:

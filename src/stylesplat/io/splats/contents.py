@@ -11,34 +11,35 @@ from typing import Literal
 
 import numpy as np
 
-from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.errors import StyleSplatError, join_names, shorten
 from stylesplat.io.files import open_binary, read_bytes
 from stylesplat.io.kinds import SOG_META, SPLATS
 from stylesplat.io.ply import BOM
-from stylesplat.io.ply import MAGIC as PLY
-from stylesplat.io.splats.dot_splat import MAGIC as KSPLAT
-from stylesplat.io.splats.dot_splat import ROW
-from stylesplat.io.splats.gltf_file import MAGIC as GLB
+from stylesplat.io.ply import PLY_MAGIC as PLY
+from stylesplat.io.splats.dot_splat import DOT_SPLAT_MAGIC as KSPLAT
+from stylesplat.io.splats.dot_splat import DOT_SPLAT_ROW
+from stylesplat.io.splats.gltf_file import GLB_MAGIC as GLB
 from stylesplat.io.splats.sog import ZIP
 from stylesplat.io.splats.spz import MAGIC as SPZ
 from stylesplat.io.tensors import LARGEST_LOG, LARGEST_POSITION
 
 Format = Literal["PLY", "SPZ", "SOG", "glTF", ".ksplat", ".splat"]
-FORMATS: dict[str, Format] = {  # by what a name ends in
+CONTENT_FORMATS: dict[str, Format] = {  # by what a name ends in
     **{".ply": "PLY", ".spz": "SPZ", ".sog": "SOG", ".glb": "glTF", ".gltf": "glTF"},
     **{".ksplat": ".ksplat", ".splat": ".splat", SOG_META: "SOG"},
 }
 JSONS = (".gltf", SOG_META)  # names of formats that are JSON
-HEAD = 1 << 12  # bytes that are looked at
+CONTENT_HEAD = 1 << 12  # bytes that are looked at
 ROWS = 64  # of a .splat
-ROUNDING = 0.1  # of the length of a quaternion whose components are bytes
+CONTENT_ROUNDING = 0.1  # of the length of a quaternion whose components are bytes
 MAX_CHARACTER = 4  # bytes of one in UTF-8, of which the last may be cut
-SHOWN = 40  # characters of a text in a message
+CONTENT_SHOWN = 40  # characters of a text in a message
 POINTER = b"version https://git-lfs.github.com/spec/"
 PAGES = (b"<!doctype html", b"<html", b"<head", b"<?xml", b"<!--")
 UNPACK = "Unpack it, and give the file of splats in it"
 OTHER = f"Give a file of splats ({', '.join(SPLATS)})"
-OTHERS = {  # what files begin with that are no splats: 3 bytes at least, as a .splat has any
+# What files begin with that are no splats: 3 bytes at least, as a .splat has any
+CONTENT_OTHERS = {
     b"\x1f\x8b\x08": ("a gzip archive", UNPACK),
     b"7z\xbc\xaf": ("a 7z archive", UNPACK),
     b"Rar!": ("a RAR archive", UNPACK),
@@ -59,7 +60,7 @@ OTHERS = {  # what files begin with that are no splats: 3 bytes at least, as a .
 
 def named_format(path: Path) -> Format | None:
     """The format that a file's name stands for."""
-    return FORMATS.get(SOG_META if path.name == SOG_META else path.suffix.lower())
+    return CONTENT_FORMATS.get(SOG_META if path.name == SOG_META else path.suffix.lower())
 
 
 def format_of(path: Path) -> Format:
@@ -68,13 +69,13 @@ def format_of(path: Path) -> Format:
     A `.ksplat` or `.splat` has no sure mark: a file of that name is one unless it is known to be
     something else, and any file is a .splat whose rows can be one.
     """
-    head, name = read_bytes(path, first=HEAD), path.suffix.lower()
+    head, name = read_bytes(path, first=CONTENT_HEAD), path.suffix.lower()
     found = _marked(head, path)
     if found is not None:
         return found
     other = _something_else(head, path)
     if other is None and name in (".ksplat", ".splat"):
-        return FORMATS[name]
+        return CONTENT_FORMATS[name]
     if other is None and _has_splat_rows(path):
         return ".splat"
     what, remedy = other or ("of no format of splats that is known here", OTHER)
@@ -104,7 +105,7 @@ def _marked(head: bytes, path: Path) -> Format | None:
 
 def _something_else(head: bytes, path: Path) -> tuple[str, str] | None:
     """What a file is instead of splats, and what to do with it."""
-    start = head.removeprefix(BOM).lstrip()[:SHOWN].lower()
+    start = head.removeprefix(BOM).lstrip()[:CONTENT_SHOWN].lower()
     if not head:
         return "empty", "Copy or download it again"
     if not any(head) and not np.frombuffer(read_bytes(path), np.uint8).any():
@@ -114,15 +115,19 @@ def _something_else(head: bytes, path: Path) -> tuple[str, str] | None:
     if start.startswith(PAGES):
         return "a page of HTML or XML, as failed downloads leave it", "Download the file itself"
     if head.startswith(ZIP):
-        inner = some(_members(path)) or "nothing that can be read"
+        inner = join_names(_members(path)) or "nothing that can be read"
         return f"a ZIP archive of {inner}, and no SOG, which has a {SOG_META}", UNPACK
-    for magic, what in OTHERS.items():
+    for magic, what in CONTENT_OTHERS.items():
         if head.startswith(magic):
             return what
     with suppress(UnicodeDecodeError):
-        text = head[: len(head) - MAX_CHARACTER].decode() if len(head) == HEAD else head.decode()
+        text = (
+            head[: len(head) - MAX_CHARACTER].decode()
+            if len(head) == CONTENT_HEAD
+            else head.decode()
+        )
         if not re.search(r"[\x00-\x08\x0e-\x1f]", text):
-            return f"text, which begins {brief(text.strip()[:SHOWN])!r}", OTHER
+            return f"text, which begins {shorten(text.strip()[:CONTENT_SHOWN])!r}", OTHER
     return None
 
 
@@ -143,15 +148,15 @@ def _members(path: Path) -> list[str]:
 
 def _has_splat_rows(path: Path) -> bool:
     """Whether a file can be a .splat: places, sizes and unit quaternions are where they should."""
-    content = read_bytes(path, first=ROWS * ROW.itemsize)
-    if path.stat().st_size % ROW.itemsize or not content:
+    content = read_bytes(path, first=ROWS * DOT_SPLAT_ROW.itemsize)
+    if path.stat().st_size % DOT_SPLAT_ROW.itemsize or not content:
         return False
-    rows = np.frombuffer(content, ROW)
+    rows = np.frombuffer(content, DOT_SPLAT_ROW)
     with np.errstate(invalid="ignore"):
         places, sizes = np.abs(rows["mean"]), rows["scale"]
         lengths = np.linalg.norm(rows["quat"] / 128 - 1, axis=1)
         return bool(
-            (np.abs(lengths - 1) < ROUNDING).all()
+            (np.abs(lengths - 1) < CONTENT_ROUNDING).all()
             and (places <= LARGEST_POSITION).all()
             and (sizes >= 0).all()
             and (sizes <= math.exp(LARGEST_LOG)).all()

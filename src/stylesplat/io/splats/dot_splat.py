@@ -17,20 +17,22 @@ from torch import Tensor
 
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
-from stylesplat.io.splats.packing import SMALLEST, unit_quats
+from stylesplat.io.splats.packing import PACKED_SMALLEST, unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, of_degree
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 
-ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+DOT_SPLAT_ROW = np.dtype(
+    [("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)]
+)
 HALF_STEP = 0.5 / 255  # an opacity of 0 or 1 has no logit
 
 
 def read_dot_splat(path: Path | str) -> Splats:
     content = read_bytes(path)
-    if len(content) % ROW.itemsize:
-        fault = f"its {len(content)} bytes are no whole number of rows of {ROW.itemsize}"
+    if len(content) % DOT_SPLAT_ROW.itemsize:
+        fault = f"its {len(content)} bytes are no whole number of rows of {DOT_SPLAT_ROW.itemsize}"
         raise ValueError(f"{fault}: it is cut off, or no .splat")
-    rows = np.frombuffer(content, ROW)
+    rows = np.frombuffer(content, DOT_SPLAT_ROW)
     sh0, opacities = from_rgba(rows["rgba"])
     codes = to_floats(rows["quat"])
     quats = ((codes - 128) / 128).where(codes.any(dim=1, keepdim=True), 0.0)  # of rows of zeros
@@ -56,9 +58,9 @@ def write_dot_splat(splats: Splats, path: Path | str) -> None:
     """Write a .splat file, the largest and most opaque Gaussians first."""
     alphas, order = torch.sigmoid(splats.opacities), dot_splat_order(splats)
     colors = rgb_from_sh0(splats.sh0[:, 0])
-    rows = np.empty(len(splats), ROW)
+    rows = np.empty(len(splats), DOT_SPLAT_ROW)
     rows["mean"] = splats.means[order].numpy()
-    rows["scale"] = splats.scales[order].exp().clamp(min=SMALLEST).numpy()
+    rows["scale"] = splats.scales[order].exp().clamp(min=PACKED_SMALLEST).numpy()
     rows["rgba"] = _bytes(255 * torch.cat([colors, alphas[:, None]], dim=1))[order]
     rows["quat"] = _bytes(128 + 128 * unit_quats(splats.quats))[order]
     with atomic_path(path) as draft:
@@ -79,14 +81,14 @@ def to_floats(values: Shaped[np.ndarray, "*B"]) -> Float[Tensor, "*B"]:
     return torch.from_numpy(np.array(values, np.float32))
 
 
-MAGIC = b"\0\1\0\0"  # version 0.1, and what is 0; no .splat begins at x = 4e-43
+DOT_SPLAT_MAGIC = b"\0\1\0\0"  # version 0.1, and what is 0; no .splat begins at x = 4e-43
 # Version, sections, Gaussians, level of compression, bounds of higher bands in bytes
-HEADER = struct.Struct("<2B2xI8xIH14x2f4052x")
+DOT_SPLAT_HEADER = struct.Struct("<2B2xI8xIH14x2f4052x")
 # Gaussians, those of a full bucket, buckets, side of a bucket, bytes of a bucket, half the range of
 # a compressed coordinate, full buckets, others, degree of colour
 SECTION = struct.Struct("<4xIIIfH2xI4xIIH982x")
 # By level of compression: kinds of a position, of scales and rotation, of higher bands
-LEVELS = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))
+DOT_SPLAT_LEVELS = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))
 HALF_RANGE = 32767  # of a compressed position, where the section names none
 SH_RANGE = 1.5  # of higher bands in bytes, where the header names none
 
@@ -94,15 +96,15 @@ SH_RANGE = 1.5  # of higher bands in bytes, where the header names none
 def read_ksplat(path: Path | str) -> Splats:
     """Read all sections, one after the other, with the bands that the richest of them has."""
     content = read_bytes(path)
-    major, minor, sections, count, level, *bounds = HEADER.unpack_from(content)
+    major, minor, sections, count, level, *bounds = DOT_SPLAT_HEADER.unpack_from(content)
     if major == minor == 0:
         raise ValueError("it is of version 0.0, or no .ksplat")
-    if level >= len(LEVELS):
+    if level >= len(DOT_SPLAT_LEVELS):
         raise ValueError(f"its level of compression is {level}, not 0 to 2")
-    start = HEADER.size + sections * SECTION.size
+    start = DOT_SPLAT_HEADER.size + sections * SECTION.size
     parts = list[Splats]()
     for index in range(sections):
-        section = SECTION.unpack_from(content, HEADER.size + index * SECTION.size)
+        section = SECTION.unpack_from(content, DOT_SPLAT_HEADER.size + index * SECTION.size)
         part, start = _read_section(content, start, section, level, bounds)
         parts.append(part)
     total = sum(map(len, parts))
@@ -119,7 +121,7 @@ def _read_section(
     count, bucket_size, buckets, block, storage, half, full, partial, degree = section
     if degree >= len(BANDS):
         raise ValueError(f"it has colours of degree {degree}, not 0 to 3")
-    place, size, band = LEVELS[level]
+    place, size, band = DOT_SPLAT_LEVELS[level]
     dtype = np.dtype(
         [("mean", place, 3), ("scale", size, 3), ("quat", size, 4), ("rgba", "u1", 4)]
         + [(f"band{each}", band, (3, 2 * each + 1)) for each in range(1, degree + 1)]

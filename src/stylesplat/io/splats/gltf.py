@@ -21,16 +21,16 @@ from jaxtyping import Float, Shaped
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.splats.gltf_file import (
     BYTE,
     DISPLAYED,
     FLOAT,
-    KINDS,
+    GLB_KINDS,
+    GLB_VERSION,
     SHORT,
     SPLATTING,
-    VERSION,
     Gltf,
     Node,
     Primitive,
@@ -42,28 +42,28 @@ from stylesplat.io.splats.gltf_file import (
     open_gltf,
     padded_json,
 )
-from stylesplat.io.splats.packing import SMALLEST, unit_quats
+from stylesplat.io.splats.packing import PACKED_SMALLEST, unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, of_degree, refuse_faulty
-from stylesplat.io.splats.spz import LARGEST_RATIO, OWN_AXES, pack_spz, unpack_spz
+from stylesplat.io.splats.spz import OWN_AXES, SPZ_LARGEST_RATIO, pack_spz, unpack_spz
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.scene.world_offset import Offset
 
 SPZ = (f"{SPLATTING}_compression_spz_2", f"{SPLATTING}_compression_spz")  # now, and before
-SMALLEST_ROW = 12  # bytes of a Gaussian whose attributes all share three numbers
+GLTF_SMALLEST_ROW = 12  # bytes of a Gaussian whose attributes all share three numbers
 OF_FIRST_DRAFT = re.compile(r"splat-transform v?(\d+)\.(\d+)")
 FIRST_LINEAR = (2, 7)  # version of splat-transform, June 2026
 MOST_NEGATIVE = 0.5  # share of scales, beyond which they are logarithms: a unit is large for splats
-DRAFT = "release candidate of April 2026: linear scales"  # of the extension, that we write
-LARGEST = 1 - 2.0**-25  # of an opacity: 1 has no logit, and float32 has no number between
+GLTF_DRAFT = "release candidate of April 2026: linear scales"  # of the extension, that we write
+GLTF_LARGEST = 1 - 2.0**-25  # of an opacity: 1 has no logit, and float32 has no number between
 # glTF's x left, y up, z forward to our (COLMAP's) x right, y down, z forward, and back
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 HALF_TURN_XYZW = [0.0, 0.0, 1.0, 0.0]
 VERSION_INSIDE = 2  # of SPZ, which the extension is named after
-TOLERANCE = 1e-3  # of a rotation times its transpose; files round to about six digits
+GLTF_TOLERANCE = 1e-3  # of a rotation times its transpose; files round to about six digits
 EXACT_WITHIN = 1e-6  # of quarter turns and of scale 1, which are then taken as exact
-POINTS = 0  # the mode of a primitive that is drawn as points
+GLTF_POINTS = 0  # the mode of a primitive that is drawn as points
 KINDS_OF = {torch.float32: FLOAT, torch.uint16: SHORT, torch.uint8: BYTE}
 VERTICES = 34962  # the target of a view that holds attributes
 MAX_SIZE = 2**32 - 1  # bytes of a GLB
@@ -85,8 +85,8 @@ def read_gltf(path: Path | str) -> Splats:
             part = move_splats(replace(part, means=part.means.double()), frame)
         parts.append(part)
         count += len(part)
-        ratio = 1 if _spz_view(primitive) is None else LARGEST_RATIO
-        if count * SMALLEST_ROW > gltf.size * ratio:
+        ratio = 1 if _spz_view(primitive) is None else SPZ_LARGEST_RATIO
+        if count * GLTF_SMALLEST_ROW > gltf.size * ratio:
             raise ValueError(f"it shows {count} Gaussians, which {gltf.size} bytes cannot hold")
     degree = max(part.sh_degree for part in parts)
     return Splats.cat([of_degree(part, degree) for part in parts])
@@ -97,17 +97,17 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
     splatting = primitive.extensions.splatting
     assert splatting is not None
     if splatting.kernel != "ellipse":
-        raise ValueError(f"its splats are no ellipses, but {brief(splatting.kernel)!r}")
+        raise ValueError(f"its splats are no ellipses, but {shorten(splatting.kernel)!r}")
     if splatting.color_space != DISPLAYED:
         say(
-            f"{gltf.path} has its colours in {brief(splatting.color_space)!r}: they are read as "
+            f"{gltf.path} has its colours in {shorten(splatting.color_space)!r}: they are read as "
             f"{DISPLAYED}, so they may look darker."
         )
     known = Splatting()
     for name in ("projection", "sorting_method"):
         value = getattr(splatting, name)
         if value != getattr(known, name):
-            say(f"{gltf.path} asks for the {name.replace('_', ' ')} {brief(value)!r}: left out.")
+            say(f"{gltf.path} asks for the {name.replace('_', ' ')} {shorten(value)!r}: left out.")
     view = _spz_view(primitive)
     if view is not None:  # its numbers are in the axes of the primitive, unlike those of a `.spz`
         splats, axes = unpack_spz(bytes(gltf.view(view, "SPZ")[0]), gltf.path)
@@ -138,7 +138,10 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
         means=means,
         quats=quats[:, [3, 0, 1, 2]],
         scales=_log_scales(gltf, scales),
-        opacities=opacities.clamp(SMALLEST, LARGEST).logit().where(~impossible, math.nan).float(),
+        opacities=opacities.clamp(PACKED_SMALLEST, GLTF_LARGEST)
+        .logit()
+        .where(~impossible, math.nan)
+        .float(),
         sh0=column(first, 3)[:, None],
         shN=shN,
     )
@@ -236,7 +239,7 @@ def _frame(matrix: Float[np.ndarray, "4 4"]) -> Frame | None:
         scale = float(np.cbrt(np.linalg.det(linear)))
         rotation = linear / scale
         error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if not (scale > 0 and error < TOLERANCE and np.isfinite(matrix).all()):
+    if not (scale > 0 and error < GLTF_TOLERANCE and np.isfinite(matrix).all()):
         fault = "a node mirrors, shears or stretches its splats"
         raise ValueError(f"{fault}. Apply the transforms of its nodes where you made it")
     u, _, vt = np.linalg.svd(HALF_TURN @ rotation)
@@ -314,7 +317,7 @@ def _columns(splats: Splats, path: Path) -> dict[str, Shaped[Tensor, "N D"]]:
         "POSITION": splats.means,
         "COLOR_0": (points * 65535).round_().to(torch.uint16),
         attribute("ROTATION"): unit_quats(splats.quats)[:, [1, 2, 3, 0]],
-        attribute("SCALE"): splats.scales.exp().clamp_(min=SMALLEST),
+        attribute("SCALE"): splats.scales.exp().clamp_(min=PACKED_SMALLEST),
         attribute("OPACITY"): opacities,
         **dict(zip(harmonics(splats.sh_degree), bands, strict=True)),
     }
@@ -346,7 +349,7 @@ def _document(
         ]
     accessors: list[dict[str, Any]] = [
         {"componentType": KINDS_OF[column.dtype], "count": len(column)}
-        | {"type": KINDS[column.shape[1]]}
+        | {"type": GLB_KINDS[column.shape[1]]}
         | ({} if spz else {"bufferView": index})
         for index, column in enumerate(columns.values())
     ]
@@ -361,7 +364,7 @@ def _document(
     }
     primitive = {
         "attributes": {name: index for index, name in enumerate(columns)},
-        "mode": POINTS,
+        "mode": GLTF_POINTS,
         "extensions": {SPLATTING: splatting},
     }
     if spz:
@@ -369,9 +372,9 @@ def _document(
     names = [SPLATTING, SPZ[0]] if spz else [SPLATTING]
     document = {
         "asset": {
-            "version": f"{VERSION}.0",
+            "version": f"{GLB_VERSION}.0",
             "generator": "StyleSplat",
-            "extras": {SPLATTING: DRAFT},
+            "extras": {SPLATTING: GLTF_DRAFT},
         },
         "extensionsUsed": names,
         **({"extensionsRequired": names} if spz else {}),

@@ -19,23 +19,23 @@ import numpy as np
 from jaxtyping import Float
 from msgspec import Meta, Struct
 
-from stylesplat.errors import StyleSplatError, brief
-from stylesplat.io.files import inside, read_bytes
+from stylesplat.errors import StyleSplatError, shorten
+from stylesplat.io.files import read_bytes, resolve_within
 from stylesplat.io.ply import BOM
 
 T = TypeVar("T")
 
 SPLATTING = "KHR_gaussian_splatting"
 DISPLAYED = "srgb_rec709_display"  # the colour space of all our splats
-MAGIC = b"glTF"
-HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file
-CHUNK = struct.Struct("<I4s")  # bytes of the chunk, kind
+GLB_MAGIC = b"glTF"
+GLB_HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file
+GLB_CHUNK = struct.Struct("<I4s")  # bytes of the chunk, kind
 JSON, BINARY = b"JSON", b"BIN\0"
-VERSION = 2
+GLB_VERSION = 2
 MAX_COMMAS = 2**20  # in the JSON, which may take 200 bytes of memory for each; buffers have one
 FLOAT, SHORT, BYTE = 5126, 5123, 5121
 COMPONENTS = {5120: "i1", BYTE: "u1", 5122: "<i2", SHORT: "<u2", FLOAT: "<f4"}
-KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+GLB_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 EMBEDDED = re.compile(r"data:[\w.+-]*/?[\w.+-]*;base64,")
 ELSEWHERE = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:|[/\\]")  # a scheme, a drive, or a root
 
@@ -53,13 +53,15 @@ def padded_json(document: dict[str, Any]) -> bytes:
 
 def glb_size(text: bytes, size: int) -> int:
     """Bytes of a GLB with this JSON, and so many bytes in its binary chunk."""
-    return HEADER.size + 2 * CHUNK.size + len(text) + size
+    return GLB_HEADER.size + 2 * GLB_CHUNK.size + len(text) + size
 
 
 def glb_head(text: bytes, size: int) -> bytes:
     """What such a GLB begins with, before the bytes of its binary chunk."""
-    head = HEADER.pack(MAGIC, VERSION, glb_size(text, size)) + CHUNK.pack(len(text), JSON)
-    return head + text + CHUNK.pack(size, BINARY)
+    head = GLB_HEADER.pack(GLB_MAGIC, GLB_VERSION, glb_size(text, size)) + GLB_CHUNK.pack(
+        len(text), JSON
+    )
+    return head + text + GLB_CHUNK.pack(size, BINARY)
 
 
 class _Part(Struct, frozen=True, rename="camel"):
@@ -160,7 +162,7 @@ class Gltf:
             raise ValueError(f"its splats have no {name}")
         index = primitive.attributes[name]
         accessor = _part(self.document.accessors, index, f"accessor of {name}")
-        if accessor.component_type not in COMPONENTS or accessor.type != KINDS[width]:
+        if accessor.component_type not in COMPONENTS or accessor.type != GLB_KINDS[width]:
             kind = f"{accessor.type!r:.20} of {accessor.component_type}"
             raise ValueError(f"the rows of {name} have the wrong type: {kind}")
         if accessor.sparse is not None or accessor.buffer_view is None:
@@ -184,7 +186,7 @@ class Gltf:
         view = _part(self.document.buffer_views, index, f"view of {name}")
         packed = next((each for each in view.extensions if "compression" in each), None)
         if packed is not None:
-            fault = f"the rows of {name} are compressed ({brief(packed)}), which is not read here"
+            fault = f"the rows of {name} are compressed ({shorten(packed)}), which is not read here"
             raise ValueError(f"{fault}. Export it without compression")
         content, end = self._buffer(view.buffer), view.byte_offset + view.byte_length
         if end > len(content):
@@ -216,9 +218,9 @@ class Gltf:
         try:
             if ELSEWHERE.match(name):
                 raise ValueError(name)
-            file = inside(self.path.parent, name)
+            file = resolve_within(self.path.parent, name)
         except (StyleSplatError, OSError, ValueError) as error:
-            fault = f"its buffer {brief(uri)!r} lies outside its folder, where nothing is read"
+            fault = f"its buffer {shorten(uri)!r} lies outside its folder, where nothing is read"
             raise ValueError(fault) from error
         return read_bytes(file)
 
@@ -243,27 +245,27 @@ def harmonics(degree: int) -> list[str]:
 def open_gltf(path: Path) -> Gltf:
     """Open a `.glb` or `.gltf` file; its header and JSON are checked, its buffers are not read."""
     content = read_bytes(path)
-    text, binary = _chunks(content) if content.startswith(MAGIC) else (content, None)
+    text, binary = _chunks(content) if content.startswith(GLB_MAGIC) else (content, None)
     text = text.removeprefix(BOM)
     commas = text.count(b",")
     if commas > MAX_COMMAS:
         raise ValueError(f"its JSON has {commas} parts, more than {MAX_COMMAS}")
     document = msgspec.json.decode(text, type=Document)
     version = document.asset.get("version")
-    if str(version).partition(".")[0] != str(VERSION):
-        raise ValueError(f"it is of version {version!r:.20}, not {VERSION}.0")
+    if str(version).partition(".")[0] != str(GLB_VERSION):
+        raise ValueError(f"it is of version {version!r:.20}, not {GLB_VERSION}.0")
     return Gltf(path, document, binary)
 
 
 def _chunks(content: bytes) -> tuple[bytes, memoryview | None]:
     """The JSON of a GLB, and its binary chunk if it has one."""
-    _, version, announced = HEADER.unpack_from(content)
-    if version != VERSION:
-        raise ValueError(f"it is a GLB of version {version}, not {VERSION}")
-    chunks, rest = {}, memoryview(content)[HEADER.size : announced]
-    while len(rest) >= CHUNK.size and len(chunks) < 2:
-        size, kind = CHUNK.unpack_from(rest)
-        rest = rest[CHUNK.size :]
+    _, version, announced = GLB_HEADER.unpack_from(content)
+    if version != GLB_VERSION:
+        raise ValueError(f"it is a GLB of version {version}, not {GLB_VERSION}")
+    chunks, rest = {}, memoryview(content)[GLB_HEADER.size : announced]
+    while len(rest) >= GLB_CHUNK.size and len(chunks) < 2:
+        size, kind = GLB_CHUNK.unpack_from(rest)
+        rest = rest[GLB_CHUNK.size :]
         if size > len(rest):
             raise ValueError(f"a chunk should have {size} bytes, but {len(rest)} are left")
         chunks.setdefault(kind, rest[:size])

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from stylesplat.progress import track
 
-SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
-NEAR = 1e-6  # of an opacity to 0 and 1, which have no logit; splat-transform's bound for SOG
+PACKED_SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
+PACKED_NEAR = 1e-6  # of an opacity to 0 and 1, which have no logit; splat-transform's bound for SOG
 MORTON_BITS = 21  # of each coordinate: three of them fill a signed integer of 64 bits
 # Shifts and masks that spread the bits of a coordinate three apart
 SPREADS = (
@@ -22,19 +22,21 @@ SPREADS = (
     (4, 0x10C30C30C30C30C3),
     (2, 0x1249249249249249),
 )
-LARGEST = 0.5**0.5  # bound of a component of a unit quaternion that is not its largest
-OTHERS = torch.tensor([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # components but the largest
+PACKED_LARGEST = 0.5**0.5  # bound of a component of a unit quaternion that is not its largest
+PACKED_OTHERS = torch.tensor(
+    [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]
+)  # components but the largest
 CODEBOOK_SIZE = 256  # values that a byte can name
 QUANTILES = 2**14  # of the sorted numbers, for the first guess of a codebook
 LLOYD_ROUNDS = 20  # more change little
 FIRST_CLUSTERS = 256  # at most, of the first of two levels: as many as one of them may have
-SAMPLE = 2**15  # rows that the first level is fitted to
+PACKED_SAMPLE = 2**15  # rows that the first level is fitted to
 MAX_DISTANCES = 2**25  # between rows and centres that are in memory together
 KMEANS_ROUNDS = 3  # more change little
 
 Rows = Float[np.ndarray, "M D"]
 Centres = Float[np.ndarray, "E D"]
-Labels = Int[np.ndarray, " M"]
+LabelRows = Int[np.ndarray, " M"]
 
 
 def morton_order(means: Float[Tensor, "N 3"]) -> Int[Tensor, " N"]:
@@ -55,18 +57,18 @@ def unit_quats(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:
 
 
 def smallest_three(quats: Float[Tensor, "N 4"]) -> tuple[Int[Tensor, " N"], Float[Tensor, "N 3"]]:
-    """The index of the largest component of each rotation, and the others in +-`LARGEST`."""
+    """The index of the largest component of each rotation, and the others in +-`PACKED_LARGEST`."""
     quats = unit_quats(quats)
     largest = quats.abs().argmax(dim=1)
     quats = quats * quats.gather(1, largest[:, None]).sign()
-    return largest, quats.gather(1, OTHERS[largest])
+    return largest, quats.gather(1, PACKED_OTHERS[largest])
 
 
 def from_smallest_three(
     largest: Int[Tensor, " N"], others: Float[Tensor, "N 3"]
 ) -> Float[Tensor, "N 4"]:
     """The unit quaternions, wxyz, of which `smallest_three` gave the components."""
-    quats = torch.zeros(len(largest), 4).scatter(1, OTHERS[largest], others)
+    quats = torch.zeros(len(largest), 4).scatter(1, PACKED_OTHERS[largest], others)
     missing = (1 - others.square().sum(dim=1)).clamp(min=0).sqrt()
     return quats.scatter(1, largest[:, None], missing[:, None])
 
@@ -101,7 +103,7 @@ def encode(
     return np.searchsorted((codebook[1:] + codebook[:-1]) / 2, numbers).astype(np.uint8)
 
 
-def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
+def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, LabelRows]:
     """At most `most` centres for float32 rows, and the centre of each row.
 
     K-means within each cluster of k-means (Gray 1984), into the more clusters the larger the
@@ -118,7 +120,7 @@ def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
         found[filled] = inner + 1
         return np.concatenate([np.zeros_like(rows[:1]), centres]), found
     count = min(FIRST_CLUSTERS, math.isqrt(most))
-    sample = np.random.default_rng(0).permutation(len(rows))[:SAMPLE]
+    sample = np.random.default_rng(0).permutation(len(rows))[:PACKED_SAMPLE]
     labels, distances = vq(rows, kmeans(rows[sample], count)[0])
     sizes, errors = np.bincount(labels), np.bincount(labels, distances**2)
     counts = np.minimum(sizes, 1)
@@ -138,7 +140,7 @@ def tree_kmeans(rows: Rows, most: int) -> tuple[Centres, Labels]:
     return np.concatenate(centres), found
 
 
-def kmeans(rows: Rows, count: int, *, rounds: int = KMEANS_ROUNDS) -> tuple[Centres, Labels]:
+def kmeans(rows: Rows, count: int, *, rounds: int = KMEANS_ROUNDS) -> tuple[Centres, LabelRows]:
     """At most `count` centres that have rows, and the centre of each row."""
     with warnings.catch_warnings(action="ignore"):  # of equal rows, which leave centres empty
         chosen = np.random.default_rng(0).permutation(len(rows))[:count]

@@ -20,15 +20,15 @@ from msgspec import Meta
 from PIL import Image
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief
+from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import inside, read_bytes, reason
+from stylesplat.io.files import read_bytes, reason, resolve_within
 from stylesplat.io.json_yaml import PhotoName, json_object, strict_json
 from stylesplat.io.kinds import SOG_META
 from stylesplat.io.splats.packing import (
     CODEBOOK_SIZE,
-    LARGEST,
-    NEAR,
+    PACKED_LARGEST,
+    PACKED_NEAR,
     encode,
     fit_codebook,
     from_smallest_three,
@@ -40,33 +40,35 @@ from stylesplat.io.splats.splat_ply import BANDS, refuse_faulty
 from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 
-VERSION = 2
+SOG_VERSION = 2
 PALETTE = 2**16  # entries: two bytes name one
 PALETTE_COLUMNS = 64  # entries in a row of the palette's picture
-MOST = 2**28  # Gaussians: WebP has sides of 14 bits
-FARTHEST = 30.0  # logarithm of a position, which float32 holds
+SOG_MOST = 2**28  # Gaussians: WebP has sides of 14 bits
+SOG_FARTHEST = 30.0  # logarithm of a position, which float32 holds
 FIRST_TAG = 252  # alpha of a rotation whose first component is largest; 255 if it is the last
-OPAQUE = 255  # alpha where it has no meaning
-BLOCK = 4  # sides are multiples of it, as splat-transform's
+SOG_OPAQUE = 255  # alpha where it has no meaning
+SOG_BLOCK = 4  # sides are multiples of it, as splat-transform's
 MOST_PER_BYTE = 4  # Gaussians; real files need several bytes for one
-SMALL = 2**16  # Gaussians that are allowed whatever the file's size
-SPARE = 2  # pixels for a Gaussian; SMALL more are allowed
+SOG_SMALL = 2**16  # Gaussians that are allowed whatever the file's size
+SOG_SPARE = 2  # pixels for a Gaussian; SMALL more are allowed
 MAX_META = 2**20  # bytes; three codebooks have 20,000
 ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others cannot be unpacked within bounds
 MAX_GROWTH = 4  # of what is unpacked: pictures are compressed already
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # of every entry, so that the same splats make the same file
 WEBP_HEADER = 2**12  # bytes at the start of a WebP picture, which name the kind of its pixels
-MAX_SIDE = 2**14 - 1  # of a WebP picture
+SOG_MAX_SIDE = 2**14 - 1  # of a WebP picture
 ZIP = (b"PK\3\4", b"PK\5\6")  # the second of an empty one
 ANTIALIASED = "antialiased"
 MODELS = ("default", ANTIALIASED, "2dgs")  # of splat-transform; flat scales are what makes the last
 Reader = Callable[[str], bytes]
 """Reads a file of the SOG by its name."""
-Texels = UInt8[np.ndarray, "M D"]
-Logarithm = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
+SogTexels = UInt8[np.ndarray, "M D"]
+Logarithm = Annotated[float, Meta(ge=-SOG_FARTHEST, le=SOG_FARTHEST)]
 Corner = tuple[Logarithm, Logarithm, Logarithm]
-Number = Annotated[float, Meta(ge=-1e30, le=1e30)]  # float32 holds it; `check_splats` does the rest
-Codebook = Annotated[tuple[Number | None, ...], Meta(min_length=1, max_length=CODEBOOK_SIZE)]
+SogNumber = Annotated[
+    float, Meta(ge=-1e30, le=1e30)
+]  # float32 holds it; `check_splats` does the rest
+Codebook = Annotated[tuple[SogNumber | None, ...], Meta(min_length=1, max_length=CODEBOOK_SIZE)]
 """Values of bytes; the first may be null, where splat-transform had no number for it."""
 
 
@@ -108,7 +110,7 @@ class _Meta(msgspec.Struct):
     """The meta.json, as far as it is used."""
 
     version: Literal[2]
-    count: Annotated[int, Meta(ge=0, le=MOST)]
+    count: Annotated[int, Meta(ge=0, le=SOG_MOST)]
     means: _Means
     scales: _Coded
     quats: _Quats
@@ -131,13 +133,13 @@ def read_sog(path: Path | str) -> Splats:
     member = _bundle_reader(path) if bundled else _folder_reader(path)
     content = json_object(member(SOG_META), path)
     version = content.get("version", 1)
-    if version != VERSION:
-        raise ValueError(f"it is SOG of version {version!s:.20}, only {VERSION} is read here")
+    if version != SOG_VERSION:
+        raise ValueError(f"it is SOG of version {version!s:.20}, only {SOG_VERSION} is read here")
     meta = msgspec.convert(content, _Meta)
     parts = (meta.means, meta.quats, meta.scales, meta.sh0, meta.shN)
     files = {name: member(name) for part in parts if part for name in part.files}
     if meta.model not in (None, *MODELS):
-        say(f"{path} is of the model {brief(str(meta.model))!r}, which is unknown: left out.")
+        say(f"{path} is of the model {shorten(str(meta.model))!r}, which is unknown: left out.")
     marked = meta.antialias is True or meta.model == ANTIALIASED
     return replace(_decode(meta, files, path), antialiased=marked)
 
@@ -145,15 +147,15 @@ def read_sog(path: Path | str) -> Splats:
 def _decode(meta: _Meta, files: Mapping[str, bytes], path: Path) -> Splats:
     """Splats from the pictures, which are decoded once their sizes are known to fit."""
     count, stored = meta.count, sum(map(len, files.values()))
-    if count > max(MOST_PER_BYTE * stored, SMALL):
+    if count > max(MOST_PER_BYTE * stored, SOG_SMALL):
         raise ValueError(
             f"it claims {count} Gaussians, more than {stored} bytes of pictures can hold"
         )
     size = _open_webp(files, meta.means.files[0]).size
-    if not count <= size[0] * size[1] <= SPARE * count + SMALL:
+    if not count <= size[0] * size[1] <= SOG_SPARE * count + SOG_SMALL:
         raise ValueError(f"it has pictures of {size[0] * size[1]} pixels for {count} Gaussians")
 
-    def rows(name: str) -> Texels:
+    def rows(name: str) -> SogTexels:
         return _webp_pixels(files, name, size)[:count]
 
     low, high = (rows(name)[:, :3].astype(np.float64) for name in meta.means.files)
@@ -174,9 +176,9 @@ def _decode(meta: _Meta, files: Mapping[str, bytes], path: Path) -> Splats:
         shN = _palette(meta.shN, files, path, labels)
     return Splats(
         means=torch.from_numpy(np.sign(logs) * np.expm1(np.abs(logs))),
-        quats=from_smallest_three(largest, others * LARGEST),
+        quats=from_smallest_three(largest, others * PACKED_LARGEST),
         scales=_look_up(rows(meta.scales.files[0])[:, :3], meta.scales.codebook),
-        opacities=alphas.clamp(NEAR, 1 - NEAR).logit(),
+        opacities=alphas.clamp(PACKED_NEAR, 1 - PACKED_NEAR).logit(),
         sh0=_look_up(colors[:, None, :3], meta.sh0.codebook),
         shN=shN,
     )
@@ -227,9 +229,9 @@ def write_sog(splats: Splats, path: Path | str) -> None:
     """
     path, count = Path(path), len(splats)
     refuse_faulty(splats, path)
-    width = max(1, math.ceil(math.sqrt(count) / BLOCK)) * BLOCK
-    height = max(1, math.ceil(count / width / BLOCK)) * BLOCK
-    if width > MAX_SIDE:
+    width = max(1, math.ceil(math.sqrt(count) / SOG_BLOCK)) * SOG_BLOCK
+    height = max(1, math.ceil(count / width / SOG_BLOCK)) * SOG_BLOCK
+    if width > SOG_MAX_SIDE:
         raise StyleSplatError(
             f"Cannot export to {path}: {count} Gaussians are more than its pictures can hold. "
             "Export a .ply."
@@ -237,14 +239,14 @@ def write_sog(splats: Splats, path: Path | str) -> None:
     splats = splats[morton_order(splats.means)]
     files = dict[str, bytes]()
 
-    def add(name: str, texels: Texels, width: int = width, height: int = height) -> str:
+    def add(name: str, texels: SogTexels, width: int = width, height: int = height) -> str:
         """Make a picture; missing pixels and channels are 0, alpha is opaque.
 
         `exact` keeps colours where alpha is 0. More than the least search for a small file takes
         three times as long for 2 % of the size.
         """
         pixels = np.zeros((height * width, 4), np.uint8)
-        pixels[:, 3] = OPAQUE
+        pixels[:, 3] = SOG_OPAQUE
         pixels[: len(texels), : texels.shape[1]] = texels
         file = io.BytesIO()
         picture = Image.fromarray(pixels.reshape(height, width, 4))
@@ -264,12 +266,12 @@ def write_sog(splats: Splats, path: Path | str) -> None:
     color_codes = fit_codebook(splats.sh0.numpy())
     alphas = _to_bytes(torch.sigmoid(splats.opacities))
     colors = np.column_stack([encode(splats.sh0[:, 0].numpy(), color_codes), alphas])
-    quats = np.column_stack([_to_bytes((others / LARGEST + 1) / 2), tags])
+    quats = np.column_stack([_to_bytes((others / PACKED_LARGEST + 1) / 2), tags])
     scales = encode(splats.scales.numpy(), scale_codes)
     halves = {"means_l.webp": steps & 255, "means_u.webp": steps >> 8}
     means_files = [add(name, half.astype(np.uint8)) for name, half in halves.items()]
     about: dict[str, Any] = {
-        "version": VERSION,
+        "version": SOG_VERSION,
         "asset": {"generator": "StyleSplat"},
         "count": count,
         **({"antialias": True, "model": ANTIALIASED} if splats.antialiased else {}),
@@ -307,7 +309,7 @@ def _to_bytes(shares: torch.Tensor) -> UInt8[np.ndarray, "..."]:
 
 def _folder_reader(path: Path) -> Reader:
     def member(name: str) -> bytes:
-        file = path if name == SOG_META else inside(path.parent, name)
+        file = path if name == SOG_META else resolve_within(path.parent, name)
         return read_bytes(file, most=MAX_META if name == SOG_META else None)
 
     return member
@@ -323,26 +325,26 @@ def _bundle_reader(path: Path) -> Reader:
         try:
             entry = bundle.getinfo(folder + name)
         except KeyError as error:
-            raise ValueError(f"{brief(name)!r} is not in the bundle") from error
+            raise ValueError(f"{shorten(name)!r} is not in the bundle") from error
         if entry.compress_type not in ZIP_METHODS:
-            raise ValueError(f"{brief(name)!r} has a compression that SOG does not use")
+            raise ValueError(f"{shorten(name)!r} has a compression that SOG does not use")
         if entry.file_size > (MAX_META if name == SOG_META else MAX_GROWTH * len(content)):
-            raise ValueError(f"{brief(name)!r} would unpack to {entry.file_size} bytes")
+            raise ValueError(f"{shorten(name)!r} would unpack to {entry.file_size} bytes")
         with bundle.open(entry) as file:
             return file.read(entry.file_size)  # and no more, whatever follows
 
     return member
 
 
-def _webp_pixels(files: Mapping[str, bytes], name: str, size: tuple[int, int]) -> Texels:
+def _webp_pixels(files: Mapping[str, bytes], name: str, size: tuple[int, int]) -> SogTexels:
     image = _open_webp(files, name)
     if image.size != size:
         has, due = (f"{width} x {height}" for width, height in (image.size, size))
-        raise ValueError(f"{brief(name)!r} has {has} pixels instead of {due}")
+        raise ValueError(f"{shorten(name)!r} has {has} pixels instead of {due}")
     try:
         return np.asarray(image.convert("RGBA")).reshape(-1, 4)
     except OSError as error:
-        raise ValueError(f"{brief(name)!r}: {reason(error)}") from error
+        raise ValueError(f"{shorten(name)!r}: {reason(error)}") from error
 
 
 def _open_webp(files: Mapping[str, bytes], name: str) -> Image.Image:
@@ -350,7 +352,7 @@ def _open_webp(files: Mapping[str, bytes], name: str) -> Image.Image:
     content = files[name]
     if b"VP8L" not in content[:WEBP_HEADER]:
         raise ValueError(
-            f"{brief(name)!r} is no lossless WebP picture, so its pixels are no numbers"
+            f"{shorten(name)!r} is no lossless WebP picture, so its pixels are no numbers"
         )
     with warnings.catch_warnings(action="ignore"):
         return Image.open(io.BytesIO(content), formats=("WEBP",))

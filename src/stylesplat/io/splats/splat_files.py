@@ -12,7 +12,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.atomic import refuse_file
 from stylesplat.io.files import is_there, reading
-from stylesplat.io.kinds import SOG_META, SPLATS, wrong_kind
+from stylesplat.io.kinds import SOG_META, SPLATS, wrong_kind_error
 from stylesplat.io.ply import read_header
 from stylesplat.io.splats.compressed_ply import (
     is_compressed,
@@ -27,7 +27,7 @@ from stylesplat.io.splats.dot_splat import (
     write_dot_splat,
 )
 from stylesplat.io.splats.gltf import VERSION_INSIDE, read_gltf, write_glb, write_gltf
-from stylesplat.io.splats.packing import SMALLEST, morton_order
+from stylesplat.io.splats.packing import PACKED_SMALLEST, morton_order
 from stylesplat.io.splats.sog import read_sog, write_sog
 from stylesplat.io.splats.splat_ply import (
     SMALLEST_QUAT,
@@ -44,8 +44,8 @@ from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import ORIGIN, announced, choose_offset, offset_text
 
-SURE = 30.0  # a logit: float32 has no opacity between its own and 1
-FLAT = torch.tensor(SMALLEST).log().item()  # its square, which renders take, is 0
+DRAWN_SURE = 30.0  # a logit: float32 has no opacity between its own and 1
+DRAWN_FLAT = torch.tensor(PACKED_SMALLEST).log().item()  # its square, which renders take, is 0
 
 
 def drawable(splats: Splats, path: Path) -> tuple[Splats, Int[Tensor, " M"]]:
@@ -86,13 +86,13 @@ def _without_limits(splats: Splats) -> Splats:
     An opacity of 1 or 0, a thickness of 0; and rotations whose quaternions are far from unit ones.
     """
     opacities, declared = splats.opacities, GAUSSIANS["opacities"]
-    opacities = torch.where(opacities.isinf(), SURE * opacities.sign(), opacities)
+    opacities = torch.where(opacities.isinf(), DRAWN_SURE * opacities.sign(), opacities)
     lengths = splats.quats.abs().amax(dim=1, keepdim=True)
     odd = (lengths > 0) & ~((SMALLEST_QUAT <= lengths) & (lengths <= GAUSSIANS["quats"].high))
     return replace(
         splats,
         opacities=opacities.clamp(declared.low, declared.high),
-        scales=torch.where(splats.scales < GAUSSIANS["scales"].low, FLAT, splats.scales),
+        scales=torch.where(splats.scales < GAUSSIANS["scales"].low, DRAWN_FLAT, splats.scales),
         quats=torch.where(odd & lengths.isfinite(), splats.quats / lengths, splats.quats),
     )
 
@@ -123,7 +123,7 @@ WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but pla
 }
 SPZ_INSIDE = {".glb": write_glb, ".gltf": write_gltf}  # if a version of SPZ is asked for
 UNMARKED = (".splat", ".glb", ".gltf")  # formats without a place for the anti-aliasing mark
-MAX_DEGREE = 3
+DRAWN_MAX_DEGREE = 3
 WITH_OFFSET = (".ply", ".glb", ".gltf")  # formats that hold coordinates in 64 bits
 
 
@@ -161,12 +161,12 @@ def read_drawable(path: Path | str) -> tuple[Splats, Int[Tensor, " N"], int]:
     path = Path(path)
     known = path.suffix.lower() in SPLATS or path.name == SOG_META
     if path.is_dir() or not is_there(path):
-        raise wrong_kind(path, "splat")
+        raise wrong_kind_error(path, "splat")
     with reading(path, "Export it again.", what=" as splats"):
         try:
             found = format_of(path)
         except StyleSplatError as error:
-            raise (error if known else wrong_kind(path, "splat")) from error
+            raise (error if known else wrong_kind_error(path, "splat")) from error
         if named_format(path) != found:
             say(f"{path} holds {found}, whatever its name says: it is read as that.")
         splats = READERS[found](path)
@@ -226,7 +226,7 @@ def write_splats(
             f"Use .ply, {', '.join(WRITERS)}, or .html for a page."
         )
     if sh_degree is not None:
-        check_choice(sh_degree, "degree of colour", range(MAX_DEGREE + 1))
+        check_choice(sh_degree, "degree of colour", range(DRAWN_MAX_DEGREE + 1))
     if suffix == ".splat" and sh_degree:
         raise StyleSplatError(
             f"Cannot export to {path}: a .splat has one colour per Gaussian, which is degree 0. "
@@ -247,7 +247,7 @@ def write_splats(
         refuse_file(path)
     splats = splats.detach().to("cpu")
     if sh_degree is None:
-        sh_degree = MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
+        sh_degree = DRAWN_MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
     splats = of_degree(splats, sh_degree)
     if splats.antialiased and suffix in UNMARKED and spz_version is None:
         say(

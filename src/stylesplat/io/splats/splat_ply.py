@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, brief, some
+from stylesplat.errors import StyleSplatError, join_names, shorten
 from stylesplat.io.gaussian_lists import LABEL_NAMES, STATE
 from stylesplat.io.ply import VERTEX, PlyHeader, Table, read_ply, write_ply_rows
 from stylesplat.io.tensors import GAUSSIANS, check_range
@@ -27,15 +27,15 @@ OPACITY, QUATS = ("opacity",), tuple(f"rot_{i}" for i in range(4))
 REST, RGB = "f_rest_", ("red", "green", "blue")
 FILTER = "filter_3D"  # Mip-Splatting's: the standard deviation of a blur of each Gaussian
 HARMLESS = ("alpha", STATE, *LABEL_NAMES)  # beside plain colours; what `import --labels` reads
-HALF = 2  # bytes
+SPLAT_PLY_HALF = 2  # bytes
 THICKNESS = 1e-6  # of 2D Gaussians, as 2DGS' authors have it
 PLAIN, ANTIALIASED, TWO_D = "default", "mip", "2dgs"  # modes of Brush and splat-transform
 MARK = f"SplatRenderMode: {ANTIALIASED}"
 RENDER_MODE = re.compile(r"SplatRenderMode\s*[:=]?\s*(\S+)", re.IGNORECASE)
 ANTIALIAS = re.compile(r"antialias(?:ed|ing)?\s*[:=]?\s*(0|1|true|false)$", re.IGNORECASE)
 VERTICAL = re.compile(r"vertical\s*axis\s*[:=]?\s*([+-]?)([xyz])\b", re.IGNORECASE)
-AT_ONCE = 1 << 11  # rows: half a MB, which stays in the cache while columns are copied
-REMEDY = "Remove those Gaussians, or make the file again."
+SPLAT_PLY_AT_ONCE = 1 << 11  # rows: half a MB, which stays in the cache while columns are copied
+SPLAT_PLY_REMEDY = "Remove those Gaussians, or make the file again."
 SMALLEST_QUAT = 1e-10  # of a component: squares of less vanish in float32
 
 
@@ -63,8 +63,8 @@ def parse_splat_ply(path: Path | str) -> Splats:
     splats = Splats(means, quats, scales, opacities, sh0, shN)
     columns = {name: each for name, each in _columns(splats, rest).items() if name in names}
     with np.errstate(all="ignore"):  # doubles that are too large; `drawable` finds them
-        for start in range(0, len(table), AT_ONCE):
-            part = slice(start, start + AT_ONCE)
+        for start in range(0, len(table), SPLAT_PLY_AT_ONCE):
+            part = slice(start, start + SPLAT_PLY_AT_ONCE)
             for name, column in columns.items():
                 column[part] = table[part][name]
     if SH0[0] not in names:
@@ -96,12 +96,12 @@ def _with_half_floats(table: Table) -> Table:
     """The table with splats' columns of 16 bits as what they can only be, half floats."""
     dtype, names = table.dtype, table.dtype.names or ()
     ours = {*MEANS, *SH0, *OPACITY, *SCALES, *QUATS, FILTER}
-    if MEANS[0] in names and dtype[MEANS[0]].itemsize == HALF:
+    if MEANS[0] in names and dtype[MEANS[0]].itemsize == SPLAT_PLY_HALF:
         ours |= {*RGB}
     halves = {
         name: f"{dtype[name].byteorder}f2"
         for name in names
-        if (name in ours or name.startswith(REST)) and dtype[name].itemsize == HALF
+        if (name in ours or name.startswith(REST)) and dtype[name].itemsize == SPLAT_PLY_HALF
     }
     kinds = [(name, halves.get(name, dtype[name])) for name in names]
     return table.view(np.dtype(kinds)) if halves else table
@@ -110,7 +110,7 @@ def _with_half_floats(table: Table) -> Table:
 def _plain_colors(table: Table) -> Float[Tensor, "N 3"]:
     """Colours from 0 to 1 of columns red, green and blue: floats, or integers up to 255."""
     kind = table.dtype[RGB[0]]
-    whole = 1 if kind.kind == "f" else 65535 if kind.itemsize == HALF else 255
+    whole = 1 if kind.kind == "f" else 65535 if kind.itemsize == SPLAT_PLY_HALF else 255
     columns = [np.array(table[name], np.float64) / whole for name in RGB]
     return torch.from_numpy(np.stack(columns, axis=1)).float()
 
@@ -135,7 +135,7 @@ def _say_what_is_left_out(
     elements = [each.name for each in header.elements if each.rows and each.name != VERTEX]
     for what, found in (("columns", columns), ("elements", elements)):
         if found:
-            say(f"{path} has {what} that splats do not have, left out: {some(found)}.")
+            say(f"{path} has {what} that splats do not have, left out: {join_names(found)}.")
 
 
 def is_antialiased(path: Path | str, comments: Sequence[str]) -> bool:
@@ -147,7 +147,7 @@ def is_antialiased(path: Path | str, comments: Sequence[str]) -> bool:
         elif match := ANTIALIAS.match(comment):
             mode = ANTIALIASED if match[1].lower() in ("1", "true") else PLAIN
     if mode not in (PLAIN, ANTIALIASED, TWO_D):
-        say(f"{path} asks for the render mode {brief(mode)!r}, which is unknown: left out.")
+        say(f"{path} asks for the render mode {shorten(mode)!r}, which is unknown: left out.")
     return mode == ANTIALIASED
 
 
@@ -155,7 +155,7 @@ def check_splats(splats: Splats, path: Path | str) -> Splats:
     """Return the splats of a file; raise a StyleSplatError if `splat_fault` finds one."""
     fault = splat_fault(splats)
     if fault:
-        raise StyleSplatError(f"Cannot read {path} as splats: {fault}. {REMEDY}")
+        raise StyleSplatError(f"Cannot read {path} as splats: {fault}. {SPLAT_PLY_REMEDY}")
     return splats
 
 
@@ -174,7 +174,7 @@ def refuse_faulty(splats: Splats, path: Path) -> None:
     """Raise a StyleSplatError if splats cannot be exported to a file."""
     fault = splat_fault(splats) if len(splats) else None
     if fault:
-        raise StyleSplatError(f"Cannot export to {path}: {fault}. {REMEDY}")
+        raise StyleSplatError(f"Cannot export to {path}: {fault}. {SPLAT_PLY_REMEDY}")
 
 
 def write_splat_ply(
@@ -200,8 +200,8 @@ def write_splat_ply(
     dtype = np.dtype([*numbers, *kinds])
 
     def blocks() -> Iterator[Shaped[np.ndarray, " B"]]:
-        for start in range(0, len(splats), AT_ONCE):
-            part = slice(start, start + AT_ONCE)
+        for start in range(0, len(splats), SPLAT_PLY_AT_ONCE):
+            part = slice(start, start + SPLAT_PLY_AT_ONCE)
             some = splats[part].map(lambda tensor: tensor.detach().float().cpu())
             table = np.zeros(len(some), dtype)
             for name, values in _columns(some, rest).items():
@@ -260,7 +260,7 @@ def _find_rest(dtype: np.dtype, path: Path | str) -> tuple[str, ...]:
     missing = [name for name in needed if name not in names]
     fault = f"it has no column {missing[0]}" if missing else None
     if {*OPACITY, *SCALES[:2], *QUATS} <= {*missing}:
-        fault = f"it is a cloud of points or a mesh, without Gaussians ({some(names)})"
+        fault = f"it is a cloud of points or a mesh, without Gaussians ({join_names(names)})"
     bases = len(rest) // 3 + 1
     if len(rest) % 3 or math.isqrt(bases) ** 2 != bases:
         fault = fault or f"{len(rest)} f_rest columns fit no degree"

@@ -17,12 +17,12 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.errors import StyleSplatError, check_choice, some
+from stylesplat.errors import StyleSplatError, check_choice, join_names
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.compressed_ply import to_gsply
 from stylesplat.io.splats.dot_splat import to_floats
-from stylesplat.io.splats.packing import LARGEST, NEAR, from_smallest_three
+from stylesplat.io.splats.packing import PACKED_LARGEST, PACKED_NEAR, from_smallest_three
 from stylesplat.io.splats.splat_ply import BANDS
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats
@@ -31,18 +31,18 @@ from stylesplat.scene.splats import Splats
 SPZ_VERSIONS = (4, 3, 2)  # that are written; 3 is larger by a twelfth, 2 has coarser rotations
 POSITION = 2**23 - 1  # largest fixed-point coordinate
 FRACTION = range(1, 21)  # bits behind the point; 20 resolve a millionth
-SURE = 30.0  # a logit beyond which the byte of an opacity is 0 or 255; exp(88) overflows
+SPZ_SURE = 30.0  # a logit beyond which the byte of an opacity is 0 or 255; exp(88) overflows
 COLOR_SCALE = 0.15  # of the constant band in a byte
 GZIP, MAGIC = b"\x1f\x8b", b"NGSP"
-HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, degree, fraction, flags, 0
+SPZ_HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, degree, fraction, flags, 0
 TABLE = struct.Struct("<4sIIBBBBI")  # version 4: the same, but number of streams, their table
 TABLE_HEADER = 32  # bytes of version 4's, before its records
 STREAM = struct.Struct("<QQ")  # bytes before and after compression
-RECORD = struct.Struct("<II")  # kind, bytes that follow
+SPZ_RECORD = struct.Struct("<II")  # kind, bytes that follow
 ROTATIONS = 16  # bytes of a Gaussian before its rotation: place, opacity, colour, size
-SMALLEST_ROW = 16  # bytes of a Gaussian without higher bands, before compression
-EXTENSIONS = 2**20  # bytes that may follow the Gaussians
-LARGEST_RATIO = 200  # of compression: real files reach 20, zeros 1000
+SPZ_SMALLEST_ROW = 16  # bytes of a Gaussian without higher bands, before compression
+SPZ_EXTENSIONS = 2**20  # bytes that may follow the Gaussians
+SPZ_LARGEST_RATIO = 200  # of compression: real files reach 20, zeros 1000
 HALVES, SMALLEST_THREE, TABLES = 1, 3, 4  # versions of half floats, good rotations, tables
 DEGREES = range(5)  # of colour that a file may have
 ANTIALIASED, EXTENDED = 1, 2  # flags
@@ -50,7 +50,7 @@ FLAGS = 14  # their byte
 # The record of SPZ_ADOBE_coordinate_system, and the axes of its numbers from 1 on. Letters count:
 # Niantic's library of July 2026 turns LFD, RFD, LBU and RBU by half about x from what theirs say
 AXES = 0xADBE0003
-NAMES = (
+SPZ_NAMES = (
     *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
     *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
 )
@@ -99,7 +99,7 @@ def unpack_spz(content: bytes, path: Path | str) -> tuple[Splats, str]:
         means=torch.from_numpy(_positions(places, header)),
         quats=_rotations(turns) if header.version >= SMALLEST_THREE else _coarse_rotations(turns),
         scales=to_floats(sizes) / 16 - 10,
-        opacities=(to_floats(alphas[:, 0]) / 255).clamp(NEAR, 1 - NEAR).logit(),
+        opacities=(to_floats(alphas[:, 0]) / 255).clamp(PACKED_NEAR, 1 - PACKED_NEAR).logit(),
         sh0=((to_floats(colors) / 255 - 0.5) / COLOR_SCALE)[:, None],
         shN=to_floats(bands[:, : 3 * BANDS[degree]]).sub_(128).div_(128).unflatten(1, (-1, 3))
         if degree
@@ -126,7 +126,7 @@ def pack_spz(splats: Splats, path: Path, *, version: int = SPZ_VERSIONS[0]) -> b
             f"Cannot export to {path}: the splats reach {reach:.0f} units from the origin, which "
             "SPZ cannot express. Export a .ply."
         )
-    data = to_gsply(replace(splats, opacities=splats.opacities.clamp(-SURE, SURE)))
+    data = to_gsply(replace(splats, opacities=splats.opacities.clamp(-SPZ_SURE, SPZ_SURE)))
     with TemporaryDirectory() as folder:  # gsply writes files alone
         packed = Path(folder) / "a.spz"
         gsply.write_spz(packed, data, version=max(version, 3), fractional_bits=max(bits))
@@ -151,7 +151,7 @@ def _of_version_2(unpacked: bytes, splats: Splats) -> bytes:
     Half a turn about its own axis leaves a Gaussian as it is. Of four such quaternions, that of the
     largest real part loses least.
     """
-    start = HEADER.size + ROTATIONS * len(splats)
+    start = SPZ_HEADER.size + ROTATIONS * len(splats)
     w, x, y, z = F.normalize(splats.quats, dim=1).unbind(dim=1)
     turned = [(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
     four = torch.stack([torch.stack(each, dim=1) for each in turned], dim=1)  # [N, 4, 4]
@@ -174,7 +174,7 @@ def _rotations(turns: UInt8[np.ndarray, "N 4"]) -> Float[Tensor, "N 4"]:
     """The index of the largest of x, y, z, w in two bits, then the others with their signs."""
     packed = torch.from_numpy(turns.copy().view("<u4")[:, 0].astype(np.int64))
     fields = torch.stack([packed >> shift for shift in (20, 10, 0)], dim=1)
-    others = (fields & 511) * (LARGEST / 511) * (1 - 2 * (fields >> 9 & 1))
+    others = (fields & 511) * (PACKED_LARGEST / 511) * (1 - 2 * (fields >> 9 & 1))
     return from_smallest_three(packed >> 30, others.float())[:, [3, 0, 1, 2]]
 
 
@@ -188,19 +188,19 @@ def _axes(records: bytes, path: Path | str) -> str:
     """The axes that the records of a file declare; a line names the others, which are skipped."""
     axes, skipped, start = OWN_AXES, list[str](), 0
     while start < len(records):
-        kind, size = RECORD.unpack_from(records, start)
-        start += RECORD.size + size
+        kind, size = SPZ_RECORD.unpack_from(records, start)
+        start += SPZ_RECORD.size + size
         if start > len(records):
             raise ValueError(f"its record 0x{kind:08X} ends after the file")
         if kind != AXES or size < 4:
             skipped.append(f"0x{kind:08X}")
             continue
         (number,) = struct.unpack_from("<I", records, start - size)
-        if number > len(NAMES):
+        if number > len(SPZ_NAMES):
             raise ValueError(f"it declares axes of number {number}, of which there are 16")
-        axes = NAMES[number - 1] if number else OWN_AXES
+        axes = SPZ_NAMES[number - 1] if number else OWN_AXES
     if skipped:
-        say(f"{path} has records that are not read here: {some(skipped)}.")
+        say(f"{path} has records that are not read here: {join_names(skipped)}.")
     return axes
 
 
@@ -230,23 +230,23 @@ def _sections(content: bytes) -> tuple[_Header, list[bytes], bytes]:
     A ValueError if the count does not fit the file, before memory is allocated for it.
     """
     packed = zlib.decompressobj(wbits=31) if content.startswith(GZIP) else None
-    head = packed.decompress(content, HEADER.size) if packed else content[: HEADER.size]
-    magic, *numbers = HEADER.unpack(head)
+    head = packed.decompress(content, SPZ_HEADER.size) if packed else content[: SPZ_HEADER.size]
+    magic, *numbers = SPZ_HEADER.unpack(head)
     header = _Header(*numbers)
     if magic != MAGIC:
         raise ValueError("it has no SPZ header")
     if not HALVES <= header.version <= TABLES or header.degree not in DEGREES:
         kind = f"version {header.version}, degree {header.degree}"
         raise ValueError(f"its SPZ header is of {kind}, which is not read here")
-    if header.rows * SMALLEST_ROW > LARGEST_RATIO * len(content):
+    if header.rows * SPZ_SMALLEST_ROW > SPZ_LARGEST_RATIO * len(content):
         fault = f"it claims {header.rows} Gaussians, which {len(content)} bytes cannot hold"
         raise ValueError(fault)
     sizes = [header.rows * width for width in header.widths]
     if packed is None and header.version == TABLES:
         return header, *_unpacked_streams(content, header.streams, sizes)
-    rest = content[HEADER.size :]  # without compression, as some tools write it
+    rest = content[SPZ_HEADER.size :]  # without compression, as some tools write it
     if packed is not None:
-        rest = packed.decompress(packed.unconsumed_tail, sum(sizes) + EXTENSIONS)
+        rest = packed.decompress(packed.unconsumed_tail, sum(sizes) + SPZ_EXTENSIONS)
         if not packed.eof or packed.unused_data:
             raise ValueError("it is cut off, or holds more than its header says")
     if len(rest) < sum(sizes):

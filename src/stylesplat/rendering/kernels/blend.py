@@ -144,7 +144,7 @@ def blend_block(channels, rows, ranks, entries, pixels, state):
     Returns how many entries were visited.
     """
     light = PIXELS * (len(channels) + 1)
-    transmittance, coverage = vec.load(state, light), vec.load(state, 0)
+    transmittance, coverage = vec.load_vec(state, light), vec.load_vec(state, 0)
     sums = vec.load_vecs(state, PIXELS, channels)
     pixel_x, pixel_y = pixels
     visited = 0
@@ -160,8 +160,8 @@ def blend_block(channels, rows, ranks, entries, pixels, state):
         sums = vec.add_scaled_row(sums, step.weight, row.flat, row.first + ROW_COLORS)
         if vec.bits(step.live) == 0:
             break
-    vec.store(state, light, transmittance)
-    vec.store(state, 0, coverage)
+    vec.store_vec(state, light, transmittance)
+    vec.store_vec(state, 0, coverage)
     vec.store_vecs(state, PIXELS, sums)
     return visited
 
@@ -197,7 +197,7 @@ def is_finished(channels, states):
     """Whether no pixel of the blocks of some states has light left."""
     length = state_length(channels)
     for first in range(0, states.shape[0], length):
-        if vec.bits(vec.greater(vec.load(states, first + length - PIXELS), 0)) != 0:
+        if vec.bits(vec.greater(vec.load_vec(states, first + length - PIXELS), 0)) != 0:
             return False
     return True
 
@@ -330,15 +330,15 @@ def block_gradients(geometry, row, pixels, block, totals):
         What the Gaussian contributes to the pixels, and the new totals.
     """
     state, first = block
-    step = composite_pixels(row, pixels[0], pixels[1], vec.load(state, first))
+    step = composite_pixels(row, pixels[0], pixels[1], vec.load_vec(state, first))
     weight = step.weight
     gradients = vec.load_vecs(state, first + 2 * PIXELS, geometry)
     gain = weight * vec.dot_row(gradients, row.flat, row.first + ROW_COLORS)
-    rest = vec.load(state, first + PIXELS) - gain
+    rest = vec.load_vec(state, first + PIXELS) - gain
     v_colors = vec.load_vecs(state, first + 2 * PIXELS, totals.channels)
     sums = vec.add_products(totals.channels, weight, v_colors)
-    vec.store(state, first, step.after)
-    vec.store(state, first + PIXELS, rest)
+    vec.store_vec(state, first, step.after)
+    vec.store_vec(state, first + PIXELS, rest)
     follows = vec.both(vec.both(step.counts, step.live), vec.greater_equal(MAX_ALPHA, step.raw))
     behind = step.alpha * rest * vec.reciprocal(1 - step.alpha)
     v_s = vec.select(follows, gain - behind, 0)
@@ -366,14 +366,14 @@ def entry_gradients(channels, row, blocks, origin, buffers, out):
         place = RowPlace(state, block * stride)
         weight, totals = block_gradients(geometry, row, (dx, dy), place, totals)
         if len(tail) > 0:
-            vec.store(weights, block * PIXELS, weight)
+            vec.store_vec(weights, block * PIXELS, weight)
     vec.add_lane_sums(out.flat, out.first, totals.moments, totals.channels)
     if len(tail) > 0:
         rest = vec.zeros(tail)
         while blocks != 0:
             block = vec.lowest_bit(blocks)
             blocks &= blocks - 1
-            weight = vec.load(weights, block * PIXELS)
+            weight = vec.load_vec(weights, block * PIXELS)
             at = block * stride + (2 + len(head)) * PIXELS
             rest = vec.add_products(rest, weight, vec.load_vecs(state, at, tail))
         vec.add_lane_sums(out.flat, out.first + vec.LANES, vec.zeros(NONE), rest)

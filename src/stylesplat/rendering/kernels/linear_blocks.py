@@ -91,8 +91,8 @@ def store_weights(rows, lists, picked, size, blocks, threads):
                     x, y = block_corner(corner, block)
                     pixel_x, pixel_y = block_pixels(x, y)
                     dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
-                    step = composite_pixels(row, dx, dy, vec.load(light, block * PIXELS))
-                    vec.store(light, block * PIXELS, step.after)
+                    step = composite_pixels(row, dx, dy, vec.load_vec(light, block * PIXELS))
+                    vec.store_vec(light, block * PIXELS, step.after)
                     if mine:
                         vec.store_halves(weights, pair * PIXELS, step.weight)
                         pair += 1

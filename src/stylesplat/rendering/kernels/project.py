@@ -58,8 +58,8 @@ def read_columns(array, first, count, columns, buffer):
     for lane in range(count):
         for column in range(columns):
             buffer[column * vec.LANES + lane] = array[first + lane, column]
-    x, y = vec.load(buffer, 0), vec.load(buffer, vec.LANES)
-    return x, y, vec.load(buffer, 2 * vec.LANES), vec.load(buffer, 3 * vec.LANES)
+    x, y = vec.load_vec(buffer, 0), vec.load_vec(buffer, vec.LANES)
+    return x, y, vec.load_vec(buffer, 2 * vec.LANES), vec.load_vec(buffer, 3 * vec.LANES)
 
 
 @inner
@@ -72,7 +72,7 @@ def read_gaussian(means, quats, scales, first, count, buffer):
 @inner
 def write_column(array, column, lanes, value):
     first, count, mask, buffer = lanes
-    vec.store(buffer, 0, vec.select(mask, value, 0))
+    vec.store_vec(buffer, 0, vec.select(mask, value, 0))
     for lane in range(count):
         array[first + lane, column] = buffer[lane]
 
@@ -214,17 +214,17 @@ def read_numbers(array, first, count, buffer):
     """The numbers of up to 16 rows."""
     for lane in range(count):
         buffer[lane] = array[first + lane]
-    return vec.load(buffer, 0)
+    return vec.load_vec(buffer, 0)
 
 
 @inner
 def visible_extents(opacity, count, buffer):
     """How many standard deviations out 16 Gaussians are visible; negative for faint ones."""
-    vec.store(buffer, 0, opacity)
+    vec.store_vec(buffer, 0, opacity)
     for lane in range(count):
         fade = 2 * log(max(buffer[lane], 1e-30) / MIN_ALPHA)
         buffer[lane] = min(MAX_EXTENT, sqrt(fade)) if fade >= 0 else -1
-    return vec.load(buffer, 0)
+    return vec.load_vec(buffer, 0)
 
 
 @inner
@@ -383,7 +383,7 @@ def add_view_gradient(sums, row, lanes, v_p, v_axes, mean, world_axes):
         value = v_p
         if column < 3:
             value = v_p * mean[column] + dot(v_axes, world_axes[column])
-        vec.store(buffer, 0, vec.select(mask, value, 0))
+        vec.store_vec(buffer, 0, vec.select(mask, value, 0))
         for lane in range(count):
             sums[4 * row + column, lane] += buffer[lane]
 

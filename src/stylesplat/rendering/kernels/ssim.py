@@ -17,12 +17,12 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import pad
 
-from stylesplat.imaging.similarity import C1, C2, WINDOW, ssim_window
+from stylesplat.imaging.similarity import C1, C2, SIMILARITY_WINDOW, ssim_window
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel
 
 CHANNELS = 3
-HALF = WINDOW // 2  # rows of the frame above and below
+HALF = SIMILARITY_WINDOW // 2  # rows of the frame above and below
 MARGIN = HALF * CHANNELS  # numbers of the frame at the left
 FRAME = -(-2 * MARGIN // vec.LANES) * vec.LANES  # of both ends, in whole vectors
 
@@ -49,18 +49,18 @@ def filter_columns_products(window, x, y, row, stride, out):
     for j in range(0, stride, vec.LANES):
         mean_x, mean_y = vec.zero(), vec.zero()
         xx, yy, xy = vec.zero(), vec.zero(), vec.zero()
-        for tap in range(WINDOW):
+        for tap in range(SIMILARITY_WINDOW):
             at, weight = (row + tap) * stride + j, vec.spread(window, tap)
-            u, v = vec.load(x, at), vec.load(y, at)
+            u, v = vec.load_vec(x, at), vec.load_vec(y, at)
             weighted_u, weighted_v = weight * u, weight * v
             mean_x, mean_y = mean_x + weighted_u, mean_y + weighted_v
             xx, xy = vec.fma(weighted_u, u, xx), vec.fma(weighted_u, v, xy)
             yy = vec.fma(weighted_v, v, yy)
-        vec.store(out, j, mean_x)
-        vec.store(out, stride + j, mean_y)
-        vec.store(out, 2 * stride + j, xx)
-        vec.store(out, 3 * stride + j, yy)
-        vec.store(out, 4 * stride + j, xy)
+        vec.store_vec(out, j, mean_x)
+        vec.store_vec(out, stride + j, mean_y)
+        vec.store_vec(out, 2 * stride + j, xx)
+        vec.store_vec(out, 3 * stride + j, yy)
+        vec.store_vec(out, 4 * stride + j, xy)
 
 
 @inner
@@ -68,18 +68,18 @@ def filter_columns(window, framed, row, stride, out):
     """Filter a framed image along y at one row."""
     for j in range(0, stride, vec.LANES):
         total = vec.zero()
-        for tap in range(WINDOW):
+        for tap in range(SIMILARITY_WINDOW):
             at = (row + tap) * stride + j
-            total = vec.fma(vec.load(framed, at), vec.spread(window, tap), total)
-        vec.store(out, j, total)
+            total = vec.fma(vec.load_vec(framed, at), vec.spread(window, tap), total)
+        vec.store_vec(out, j, total)
 
 
 @inner
 def filter_rows(window, row, start):
     """Filter 16 numbers of a framed row along x."""
     total = vec.zero()
-    for tap in range(WINDOW):
-        number = vec.load(row, start + tap * CHANNELS)
+    for tap in range(SIMILARITY_WINDOW):
+        number = vec.load_vec(row, start + tap * CHANNELS)
         total = vec.fma(number, vec.spread(window, tap), total)
     return total
 
@@ -122,18 +122,18 @@ def forward(pair, inside, v_maps, totals):
                     filter_rows(window, blurred, 3 * stride + j),
                     filter_rows(window, blurred, 4 * stride + j),
                 )
-                at, mask = (row + HALF) * stride + MARGIN + j, vec.load(inside, j)
-                vec.store(v_maps, at, v_mean * mask)
-                vec.store(v_maps, at + x.shape[0], v_xx * mask)
-                vec.store(v_maps, at + 2 * x.shape[0], v_xy * mask)
-                u, v = vec.load(x, at), vec.load(y, at)
+                at, mask = (row + HALF) * stride + MARGIN + j, vec.load_vec(inside, j)
+                vec.store_vec(v_maps, at, v_mean * mask)
+                vec.store_vec(v_maps, at + x.shape[0], v_xx * mask)
+                vec.store_vec(v_maps, at + 2 * x.shape[0], v_xy * mask)
+                u, v = vec.load_vec(x, at), vec.load_vec(y, at)
                 difference = vec.minimum(vec.maximum(u, 0), 1) - v
                 ssim = vec.fma(value, mask, ssim)
                 absolute = absolute + vec.absolute(u - v)
                 squared = vec.fma(difference, difference, squared)
-            vec.store(lanes, 0, ssim)
-            vec.store(lanes, vec.LANES, absolute)
-            vec.store(lanes, 2 * vec.LANES, squared)
+            vec.store_vec(lanes, 0, ssim)
+            vec.store_vec(lanes, vec.LANES, absolute)
+            vec.store_vec(lanes, 2 * vec.LANES, squared)
             for k in range(3 * vec.LANES):
                 totals[thread, k // vec.LANES] += lanes[k]
 
@@ -153,12 +153,12 @@ def backward(pair, v_maps, factors, v_x, threads):
                 filter_columns(window, v_map, row, stride, blurred[k * stride :])
             for j in range(0, stride - FRAME, vec.LANES):
                 at = (row + HALF) * stride + MARGIN + j
-                u, v = vec.load(x, at), vec.load(y, at)
+                u, v = vec.load_vec(x, at), vec.load_vec(y, at)
                 total = 2 * u * filter_rows(window, blurred, stride + j)
                 total = vec.fma(v, filter_rows(window, blurred, 2 * stride + j), total)
                 total = v_ssim * (total + filter_rows(window, blurred, j))
                 sign = vec.select(vec.greater(u, v), v_absolute, -v_absolute)
-                vec.store(gradient, j, total + vec.select(vec.equal(u, v), 0, sign))
+                vec.store_vec(gradient, j, total + vec.select(vec.equal(u, v), 0, sign))
             for j in range(n):
                 v_x[row, j] = gradient[j]
 

@@ -177,7 +177,7 @@ reciprocal = _lane_op(
 
 
 @intrinsic
-def load(typingctx, array, index):
+def load_vec(typingctx, array, index):
     """The 16 numbers of a flat float32 array that start at `index`."""
 
     def codegen(context, builder, signature, args):
@@ -211,7 +211,7 @@ def spread_row(typingctx, place, column):
 
 
 @intrinsic
-def store(typingctx, array, index, value):
+def store_vec(typingctx, array, index, value):
     """Write 16 numbers to a flat float32 array, starting at `index`."""
 
     def codegen(context, builder, signature, args):
