@@ -33,8 +33,8 @@ class Painting:
     images: tuple[Float[Tensor, "_ _ 3"], ...]
     """The style images, colours in 0..1; each feature takes the best match of all."""
     config: StyleConfig
-    protected: Bool[Tensor, " N"] | None = None
-    """Gaussians, not of the mask, that no disc of a canvas may cover."""
+    protected: Bool[Tensor, " B"] | None = None
+    """Gaussians without the canvas, not of the mask, that no disc of it may cover."""
     style: Style | None = None
     """Where the images come from, which layers record."""
     features: Network = DEFAULT_NETWORK
