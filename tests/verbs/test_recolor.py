@@ -176,7 +176,7 @@ def quick(picture: Path) -> Style:
     [
         ({}, "Nothing to recolor. Pass a --hue"),
         ({"hue": 0}, "Nothing to recolor"),
-        ({"hue": 400}, "with hue 400.0: use -360 to 360"),
+        ({"hue": 400}, "with hue 400: use -360 to 360"),
         ({"saturation": -1}, "with saturation -1"),
         ({"hue": float("nan")}, "hue nan"),
         ({"tint": "blurple"}, "no color 'blurple'"),
