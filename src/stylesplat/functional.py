@@ -22,6 +22,7 @@ from stylesplat.selection.shapes import grow as grow
 from stylesplat.selection.shapes import in_box as in_box
 from stylesplat.selection.shapes import in_sphere as in_sphere
 from stylesplat.selection.shapes import shrink as shrink
+from stylesplat.selection.shares import object_shares as object_shares
 from stylesplat.stylization.matching import nnfm_loss as nnfm_loss
 from stylesplat.stylization.painter import paint as paint
 from stylesplat.training.lifting import labelled as labelled

@@ -136,7 +136,9 @@ class Actions:
         inside = picking.region_of(shape, points, camera.size, radius)
         return picking.pick_drawn(self.session.state, camera, inside, how)
 
-    def recolor(self, names: list[m.ShortText], setting: m.ShortText, value: float | m.ShortText | None) -> Any:
+    def recolor(
+        self, names: list[m.ShortText], setting: m.ShortText, value: float | m.ShortText | None
+    ) -> Any:
         """Change a setting of objects' recolouring; `match` is the number of a style picture."""
         if setting == "match" and value is not None:
             value = str(self._style(int(value)).path)
