@@ -13,7 +13,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.options import Config, Option, options_of, with_settings
 from stylesplat.structure_from_motion.config import SfmConfig
-from stylesplat.studio_app.messages import settings_of as studio_settings
+from stylesplat.studio_app.messages import page_settings as studio_settings
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.training.config import TrainConfig

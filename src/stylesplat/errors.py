@@ -46,7 +46,7 @@ def join_names(names: Iterable[object], most: int = NAMED, *, whole: bool = Fals
     """The first names, and how many others there are; `whole` keeps long names, as paths to type.
 
     Example:
-        >>> some("abc"), some("abcde"), some("")
+        >>> join_names("abc"), join_names("abcde"), join_names("")
         ('a, b, c', 'a, b, c and 2 more', '')
     """
     several = [printable(str(name) if whole else shorten(str(name))) for name in names]

@@ -15,7 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.scene_folder import save
 from stylesplat.masks import from_model as mask_models
-from stylesplat.masks.sam import Method
+from stylesplat.masks.sam import SamMethod
 from stylesplat.masks.tracking import labels_to_masks
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.labels import render_labels
@@ -72,7 +72,9 @@ def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
     return model
 
 
-def run_model(capture: Path, method: Method, scene: Path | None, model: str | None = None) -> dict:
+def run_model(
+    capture: Path, method: SamMethod, scene: Path | None, model: str | None = None
+) -> dict:
     """`stylesplat mask CAPTURE --method METHOD`."""
     return MaskCommand(capture, method, model=model, scene=scene, device="cpu").run().values
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.masks.sam import GridProposer, Method, load_propagator, load_proposer
+from stylesplat.masks.sam import GridProposer, SamMethod, load_propagator, load_proposer
 from stylesplat.masks.tracking import VideoPropagator, split_by_logit
 
 VIDEO = ["sam2", "edgetam", "sam3"]
@@ -29,8 +29,8 @@ def noise(count: int) -> list[Tensor]:
     return list(torch.randint(0, 256, size, generator=generator, dtype=torch.uint8))
 
 
-@pytest.mark.parametrize("method", get_args(Method))
-def test_every_family_proposes_masks(method: Method, tiny_model: Models):
+@pytest.mark.parametrize("method", get_args(SamMethod))
+def test_every_family_proposes_masks(method: SamMethod, tiny_model: Models):
     proposer = load_proposer(method, str(tiny_model(method)))
     loose = {"min_iou": -1e9, "min_stability": 0.0, "max_overlap": 1.0, "points_per_side": 3}
     (photo,) = noise(1)

@@ -20,7 +20,7 @@ from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.refine import refine
 from stylesplat.meshes.repaint import repaint
 from stylesplat.meshes.surface import (
-    Surface,
+    FusedSurface,
     find_mesh_surface,
     mesh_views,
     split_nonmanifold_edges,
@@ -92,7 +92,7 @@ def test_faces_that_touch_at_an_edge_are_moved_apart():
     faces = [(0, 3, 2), (0, 2, 1), (2, 3, 1), (3, 0, 1)]  # a tetrahedron at the edge 0, 1
     faces += [(0, 5, 4), (0, 4, 1), (4, 5, 1), (5, 0, 1)]
     vertices = np.array(points, np.float32)
-    surface = Surface(vertices, np.array(faces, np.int32), np.zeros(len(points), np.float32))
+    surface = FusedSurface(vertices, np.array(faces, np.int32), np.zeros(len(points), np.float32))
     assert not trimesh.Trimesh(surface.vertices, surface.faces).is_watertight
     surface = split_nonmanifold_edges(surface)
     found = trimesh.Trimesh(surface.vertices, surface.faces)
@@ -117,7 +117,7 @@ def test_vertices_move_to_where_views_agree(mesh: TexturedMesh):
     directions = surface.vertices / np.linalg.norm(surface.vertices, axis=1, keepdims=True)
     true = np.linalg.norm(surface.vertices, axis=1)
     dents = 0.04 * RADIUS * np.sin(4 * directions[:, :1])
-    dented = Surface(
+    dented = FusedSurface(
         (surface.vertices + dents * directions).astype(np.float32),
         surface.faces.astype(np.int32),
         np.zeros(len(true), np.float32),
@@ -130,7 +130,7 @@ def test_vertices_move_to_where_views_agree(mesh: TexturedMesh):
 def test_vertices_move_to_outlines(mesh: TexturedMesh):
     grey = replace(BALL, sh0=torch.zeros_like(BALL.sh0))  # so that colours agree everywhere
     found, views = merged(mesh), mesh_views(BALL, None, length=200)
-    surface = Surface(
+    surface = FusedSurface(
         (0.93 * found.vertices).astype(np.float32),
         found.faces.astype(np.int32),
         np.zeros(len(found.vertices), np.float32),

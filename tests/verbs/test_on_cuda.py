@@ -38,7 +38,7 @@ from stylesplat.imaging.similarity import mask_iou
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.masks import from_model
 from stylesplat.masks import working_splat as quick_splat
-from stylesplat.masks.sam import FAMILIES, Method, load_propagator, load_proposer
+from stylesplat.masks.sam import FAMILIES, SamMethod, load_propagator, load_proposer
 from stylesplat.masks.tracking import labels_to_masks
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
@@ -211,8 +211,8 @@ def test_masks_of_a_model_on_a_splat_of_its_own(
     assert trained == ["cuda"]
 
 
-@pytest.mark.parametrize("method", get_args(Method))
-def test_models_of_masks(cuda: str, method: Method, tiny_model: Callable[[str], Path]):  # noqa: F811
+@pytest.mark.parametrize("method", get_args(SamMethod))
+def test_models_of_masks(cuda: str, method: SamMethod, tiny_model: Callable[[str], Path]):  # noqa: F811
     """In bfloat16 on both devices."""
     photos = [
         *torch.randint(256, (3, 40, 56, 3), generator=torch.Generator().manual_seed(0)).to(

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from stylesplat.io.captures.capture_folder import SfmRecord
 
 Drawn = dict[str, list[Any]]  # by object, places in views
-Method = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
+OfferedMethod = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
 WITHOUT_MODEL = ("files", "grabcut")  # models keep what they have found so far
 PREVIEW, RIMS = "preview.jpg", "rims.jpg"  # beside the label maps, which are PNGs
 SCENE_PREVIEW = "masks.jpg"  # in the folder of a scene
@@ -56,7 +56,7 @@ class MaskCommand(MakingCommand):
     poses, or a video, `sfm` makes a capture first, beside them; the label maps go into that one.
     Or a scene that was imported without photos: views of it are masked, as `render` draws them,
     and the objects go into the scene."""
-    method: Method | None = None
+    method: OfferedMethod | None = None
     """files takes masks of another program (--from, then the default), grabcut cuts out what the
     boxes hold (otherwise the default), and the others find all objects with that model."""
     box: UseAppendAction[tuple[str, ...]] = ()

@@ -16,7 +16,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.json_yaml import read_json, write_json
 from stylesplat.masks.repair import repair_ids
-from stylesplat.masks.sam import FAMILIES, Method, load_propagator, load_proposer
+from stylesplat.masks.sam import FAMILIES, SamMethod, load_propagator, load_proposer
 from stylesplat.masks.tracking import (
     Segmenter,
     TrackingState,
@@ -110,7 +110,7 @@ class FromModel:
     `sam` knows single photos; its masks are propagated from photo to photo by the splat.
     """
 
-    family: Method
+    family: SamMethod
     model: str | None = None
     scene: Scene | None = None
     progress: Path | None = None

@@ -12,7 +12,7 @@ from stylesplat.io.hub import find_model, load_model, load_processor
 from stylesplat.masks.tracking import VideoPropagator
 from stylesplat.scene.capture import Mask
 
-Method = Literal["sam", "sam2", "edgetam", "sam3"]
+SamMethod = Literal["sam", "sam2", "edgetam", "sam3"]
 
 # Pixels of enlarged masks that are in memory together: 64 MB as float32. 64 points at once with 3
 # masks each would be 3 GB for 4 megapixels
@@ -37,7 +37,7 @@ class SamFamily:
     video_processor: str = ""
 
 
-FAMILIES: dict[Method, SamFamily] = {
+FAMILIES: dict[SamMethod, SamFamily] = {
     "sam": SamFamily("facebook/sam-vit-base", 0.88, ("sam",)),
     "sam2": SamFamily(
         "facebook/sam2.1-hiera-tiny",
@@ -68,7 +68,7 @@ FAMILIES: dict[Method, SamFamily] = {
 
 
 def load_proposer(
-    method: Method, model: str | None = None, device: torch.device | str = "cpu"
+    method: SamMethod, model: str | None = None, device: torch.device | str = "cpu"
 ) -> "GridProposer":
     """Load a model that proposes masks; `model` is the folder or name of a checkpoint."""
     family = FAMILIES[method]
@@ -84,7 +84,7 @@ def load_proposer(
 
 
 def load_propagator(
-    method: Method, model: str | None = None, device: torch.device | str = "cpu"
+    method: SamMethod, model: str | None = None, device: torch.device | str = "cpu"
 ) -> VideoPropagator:
     """Load a model that follows objects through photos; `sam` has none. See `load_proposer`."""
     family = FAMILIES[method]

@@ -15,7 +15,7 @@ from numba import prange
 from scipy.sparse import csr_array, diags_array
 
 from stylesplat.meshes.rasterize import draw_mesh, pixel_of, projection_of
-from stylesplat.meshes.surface import MeshViews, Surface, face_normals, vertex_normals
+from stylesplat.meshes.surface import FusedSurface, MeshViews, face_normals, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED, geometry_only
@@ -44,7 +44,7 @@ FACING, FEW = 0.3, 0.1  # weights of views that show a vertex from the front, an
 
 
 @torch.no_grad()
-def refine(surface: Surface, splats: Splats, views: MeshViews) -> Surface:
+def refine(surface: FusedSurface, splats: Splats, views: MeshViews) -> FusedSurface:
     """Move vertices along their normals.
 
     By turns to where the trusted views agree most about colours, and to the outlines in them.
@@ -61,7 +61,7 @@ def refine(surface: Surface, splats: Splats, views: MeshViews) -> Surface:
     return surface
 
 
-def _moved(surface: Surface, splats: Splats, views: MeshViews, step: float) -> Surface:
+def _moved(surface: FusedSurface, splats: Splats, views: MeshViews, step: float) -> FusedSurface:
     vertices, faces, normals = surface.vertices, surface.faces, vertex_normals(surface)
     shares = np.array(REFINE_PLACES, np.float32) / 6  # [B, 3]
     points, directions = (
@@ -89,7 +89,9 @@ def _moved(surface: Surface, splats: Splats, views: MeshViews, step: float) -> S
     return _shifted(surface, shifts, around, EVEN)
 
 
-def _moved_to_outlines(surface: Surface, outlines: list[np.ndarray], views: MeshViews) -> Surface:
+def _moved_to_outlines(
+    surface: FusedSurface, outlines: list[np.ndarray], views: MeshViews
+) -> FusedSurface:
     """Vertices at an outline of the mesh moved to the splat's, less if other views show them."""
     vertices, faces, normals = surface.vertices, surface.faces, vertex_normals(surface)
     margin = REFINE_HIDDEN * float(np.ptp(vertices, axis=0).max())
@@ -109,8 +111,8 @@ def _moved_to_outlines(surface: Surface, outlines: list[np.ndarray], views: Mesh
 
 
 def _shifted(
-    surface: Surface, shifts: Float[np.ndarray, " V"], around: csr_array, times: int
-) -> Surface:
+    surface: FusedSurface, shifts: Float[np.ndarray, " V"], around: csr_array, times: int
+) -> FusedSurface:
     """Vertices moved along their normals, all averaged so many times with those around."""
     along = vertex_normals(surface).astype(float)
     for _ in range(times):
@@ -120,7 +122,7 @@ def _shifted(
 
 
 def limit_face_rotation(
-    surface: Surface, moves: Float[np.ndarray, "V 3"]
+    surface: FusedSurface, moves: Float[np.ndarray, "V 3"]
 ) -> Float[np.ndarray, "V 3"]:
     """The vertices moved; less far where a face would turn by much."""
     before = face_normals(surface.vertices, surface.faces)
@@ -147,7 +149,7 @@ def neighbor_mean_matrix(edges: np.ndarray, count: int) -> csr_array:
 
 
 def photo_inconsistency(
-    surface: Surface,
+    surface: FusedSurface,
     points: Float[np.ndarray, "P 3"],
     directions: Float[np.ndarray, "P 3"],
     offsets: Float[np.ndarray, " L"],

@@ -66,7 +66,7 @@ FUSION_SPECK = 0.05  # of the largest part's area: smaller parts are strays
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class FusedSurface:
     """Triangles, outside counterclockwise."""
 
     vertices: Float[np.ndarray, "V 3"]
@@ -139,7 +139,7 @@ def cosines_of(depth: Tensor, camera: Cameras) -> Tensor:
 
 def find_mesh_surface(
     splats: Splats, photos: Cameras | None, faces: int, name: str
-) -> tuple[Surface, float]:
+) -> tuple[FusedSurface, float]:
     """The surface of splats that are one object, and the share of it that is left open.
 
     It is fine enough to be simplified to so many faces.
@@ -160,7 +160,7 @@ def find_mesh_surface(
     ), hidden
 
 
-def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Surface:
+def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> FusedSurface:
     """The closed surface with all its parts."""
     from skimage.measure import marching_cubes
 
@@ -203,7 +203,7 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Sur
     places = vertices - 1
     points = low + (places + 0.5) * voxel
     seen = map_coordinates(support, places.T, order=1)
-    return Surface(points.astype(np.float32), faces.astype(np.int32), seen)
+    return FusedSurface(points.astype(np.float32), faces.astype(np.int32), seen)
 
 
 @no_type_check
@@ -257,7 +257,7 @@ def face_normals(
     return np.cross(other - one, third - one)
 
 
-def vertex_normals(surface: Surface) -> Float[np.ndarray, "V 3"]:
+def vertex_normals(surface: FusedSurface) -> Float[np.ndarray, "V 3"]:
     """Of length 1: the mean of the faces around, by area."""
     normals = face_normals(surface.vertices, surface.faces)
     sums = np.zeros_like(surface.vertices)
@@ -267,7 +267,7 @@ def vertex_normals(surface: Surface) -> Float[np.ndarray, "V 3"]:
     return np.where(lengths > 0, sums / np.maximum(lengths, 1e-20), [0, 0, 1]).astype(np.float32)
 
 
-def keep_large_components(surface: Surface, *, is_closed: bool) -> Surface:
+def keep_large_components(surface: FusedSurface, *, is_closed: bool) -> FusedSurface:
     """The surface without small parts, and without cavities if it is closed."""
     count = len(surface.vertices)
     ends = np.concatenate([surface.faces[:, :2], surface.faces[:, 1:]]).T
@@ -282,14 +282,14 @@ def keep_large_components(surface: Surface, *, is_closed: bool) -> Surface:
     return compact(replace(surface, faces=surface.faces[kept[owner]]))
 
 
-def compact(surface: Surface) -> Surface:
+def compact(surface: FusedSurface) -> FusedSurface:
     """The surface without vertices of no face."""
     used, faces = np.unique(surface.faces, return_inverse=True)
     faces = faces.reshape(-1, 3).astype(np.int32)
-    return Surface(surface.vertices[used], faces, surface.seen[used])
+    return FusedSurface(surface.vertices[used], faces, surface.seen[used])
 
 
-def simplify(surface: Surface, count: int) -> Surface:
+def simplify(surface: FusedSurface, count: int) -> FusedSurface:
     """The surface with at most so many faces; how well it is seen is lost."""
     from fast_simplification import simplify as collapse_edges
 
@@ -298,7 +298,7 @@ def simplify(surface: Surface, count: int) -> Surface:
     points, faces, *_ = collapse_edges(surface.vertices, surface.faces, target_count=count, agg=5)
     points, faces = np.asarray(points, np.float32), np.asarray(faces, np.int32)
     surface = split_nonmanifold_edges(
-        compact(Surface(points, faces, np.zeros(len(points), np.float32)))
+        compact(FusedSurface(points, faces, np.zeros(len(points), np.float32)))
     )
     near = KDTree(surface.vertices).query_pairs(
         FUSION_SAME * float(np.ptp(points)), output_type="ndarray"
@@ -306,7 +306,9 @@ def simplify(surface: Surface, count: int) -> Surface:
     return separate_coincident_vertices(surface, np.unique(near[:, 1]))
 
 
-def separate_coincident_vertices(surface: Surface, rows: Int[np.ndarray, " L"]) -> Surface:
+def separate_coincident_vertices(
+    surface: FusedSurface, rows: Int[np.ndarray, " L"]
+) -> FusedSurface:
     """The surface with some vertices moved into their faces."""
     points = surface.vertices.copy()
     for row in rows:
@@ -315,7 +317,7 @@ def separate_coincident_vertices(surface: Surface, rows: Int[np.ndarray, " L"]) 
     return replace(surface, vertices=points)
 
 
-def split_nonmanifold_edges(surface: Surface) -> Surface:
+def split_nonmanifold_edges(surface: FusedSurface) -> FusedSurface:
     """The surface with two faces at an edge at most: where more touch they are moved apart.
 
     One end of such an edge becomes several vertices, one for those faces around it that are
@@ -347,5 +349,5 @@ def split_nonmanifold_edges(surface: Surface) -> Surface:
         _, owner = connected_components(graph, directed=False)
         _, first, apart = np.unique(owner[: faces.size], return_index=True, return_inverse=True)
         origins, apart = faces.ravel()[first], apart.reshape(-1, 3).astype(np.int32)
-        surface = Surface(surface.vertices[origins], apart, surface.seen[origins])
+        surface = FusedSurface(surface.vertices[origins], apart, surface.seen[origins])
         surface = separate_coincident_vertices(surface, np.flatnonzero(np.isin(origins, torn)))

@@ -19,7 +19,7 @@ from stylesplat.meshes.rasterize import (
     pixel_of,
     projection_of,
 )
-from stylesplat.meshes.surface import MeshViews, Surface, vertex_normals
+from stylesplat.meshes.surface import FusedSurface, MeshViews, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import TINY_COVERAGE
@@ -70,7 +70,7 @@ def sample(
     return (upper * (1 - down) + lower * down).astype(np.float32)
 
 
-def unwrap(surface: Surface, size: int) -> TexturedMesh:
+def unwrap(surface: FusedSurface, size: int) -> TexturedMesh:
     """Lay the faces of a surface flat into a texture, which is grey."""
     import xatlas
 

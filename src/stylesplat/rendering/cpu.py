@@ -295,7 +295,7 @@ def composite(
     return image[..., : values.shape[1]]
 
 
-def store_weights(
+def store_contributions(
     tiled: Tiled, numbers: np.ndarray, size: tuple[int, int], max_bytes: float
 ) -> BlockWeights | None:
     """The weights of numbered ranks (-1 for others), unless they take more bytes."""

@@ -347,7 +347,7 @@ def contributions(
         tiled, image, _ = cpu.rasterize_to_pixels(near.projected, colors, camera.size)
         drawn = cpu.reaching(tiled) & mine.numpy()[tiled.order]
         numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
-        blocks = cpu.store_weights(tiled, numbers, camera.size, max_bytes)
+        blocks = cpu.store_contributions(tiled, numbers, camera.size, max_bytes)
         rows = near.rows[torch.from_numpy(tiled.order[drawn].astype(np.int64))]
         if blocks is not None:
             return StoredContributions(len(splats), rows, *_split(image), blocks)

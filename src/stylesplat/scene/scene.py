@@ -23,7 +23,7 @@ from stylesplat.scene.objects import SceneObject, check_name
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import Offset
 
-Which = Literal["test", "train", "all"]
+ViewSet = Literal["test", "train", "all"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,13 +136,13 @@ class Scene:
         known = known if known and known.is_below(self.base, layers) else None  # it takes memory
         return replace(self, layers=layers, path=None, composed=known)
 
-    def views(self, which: Which = "all") -> Cameras:
+    def views(self, which: ViewSet = "all") -> Cameras:
         """The cameras of the held-out (test), training or all views, at the photos' size.
 
         Raises:
             StyleSplatError: If there are none.
         """
-        check_choice(which, "set of views", get_args(Which))
+        check_choice(which, "set of views", get_args(ViewSet))
         held_out = set(self.held_out)
         rows = [
             row

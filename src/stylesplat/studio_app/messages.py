@@ -50,7 +50,7 @@ class Setting(msgspec.Struct, frozen=True):
     step: float
 
 
-def settings_of(config: type) -> tuple[Setting, ...]:
+def page_settings(config: type) -> tuple[Setting, ...]:
     """The options of a config that the page offers."""
     return tuple(
         Setting(name, each.label, each.default, each.choices, *each.slider, each.step)

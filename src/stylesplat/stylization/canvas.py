@@ -142,7 +142,7 @@ def build_surfels(
     """Lay a canvas on an object of a scene, and fade the Gaussians under it.
 
     The discs are fine enough for views in which the object is so many pixels long. Next come
-    `fit_surfels` and `confine_canvas`. Returns None if the object has no surface, as smoke has
+    `fit_surfels` and `trim_surfels`. Returns None if the object has no surface, as smoke has
     none.
     """
     views = unpainted_views(splats, mask, boxes)

@@ -101,7 +101,7 @@ def _with_masks(scene: Scene, masks: Path | str | None) -> Capture:
 
 
 Photos = TypeVar("Photos", Capture, Scene)
-Method = Literal["files", "grabcut"] | sam.Method
+MaskMethod = Literal["files", "grabcut"] | sam.SamMethod
 MaskSource = FromFiles | FromBoxes | FromModel
 
 
@@ -114,7 +114,7 @@ def mask(
     keep: Boxes | None = None,
     drop: Boxes | None = None,
     source: Path | str | None = None,
-    method: Method | None = None,
+    method: MaskMethod | None = None,
     model: str | None = None,
     scene: Scene | None = None,
     device: str = "auto",
@@ -180,13 +180,13 @@ def mask(
     return relabel(capture, masked, add=isinstance(masks, FromBoxes), device=place)
 
 
-def mask_source(method: Method | None, **given: Any) -> MaskSource:
+def mask_source(method: MaskMethod | None, **given: Any) -> MaskSource:
     """Where masks come from, by the arguments of `mask`; photos are not needed.
 
     Refuses arguments that the method does not take, and files that are missing.
     """
     method = method or ("grabcut" if given.get("source") is None else "files")
-    check_choice(method, "method", ("files", "grabcut", *get_args(sam.Method)))
+    check_choice(method, "method", ("files", "grabcut", *get_args(sam.SamMethod)))
     kinds: dict[str, type[MaskSource]] = {"files": FromFiles, "grabcut": FromBoxes}
     kind, given = kinds.get(method, FromModel), {name: v for name, v in given.items() if v}
     known = {each.name for each in fields(kind)}

@@ -22,7 +22,7 @@ from stylesplat.scene.virtual_cameras import (
 from stylesplat.selection.choose import find_object
 from stylesplat.torch_modes import steps_in_own_modes
 
-Which = Literal["test", "train", "all", "orbit"]
+RenderedViews = Literal["test", "train", "all", "orbit"]
 Names = list[str] | tuple[str, ...]
 
 FRAMES, FPS = 180, 30  # six seconds
@@ -50,7 +50,7 @@ class Views:
 @check_arguments
 def render(
     scene: Scene,
-    views: Which | Names | Cameras = "all",
+    views: RenderedViews | Names | Cameras = "all",
     *,
     what: str = "color",
     background: str | None = None,
@@ -97,7 +97,7 @@ def render(
 
 
 def cameras_of_views(
-    scene: Scene, views: Which | Names | Cameras, frames: int | None = None
+    scene: Scene, views: RenderedViews | Names | Cameras, frames: int | None = None
 ) -> Cameras:
     """The cameras of `render`'s argument `views`."""
     if frames is not None and not (isinstance(views, str) and views == "orbit"):

@@ -98,7 +98,7 @@ CUT_OUT_SAMPLE = 5  # photos with an alpha channel that are decoded: most channe
 CUT_OUT_NAMES = {1: "object"}  # what a cut-out shows, by label id
 CACHE_BYTES = 2**27  # the photo decoded last, so that its colours and alpha are decoded once
 
-MaskSource = Path | str | Literal[False] | None
+MaskFolder = Path | str | Literal[False] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ class CaptureFiles:
         return match_label_maps(self.masks, self.cameras.names)
 
 
-def open_capture(path: Path | str, *, masks: MaskSource = None) -> CaptureFiles:
+def open_capture(path: Path | str, *, masks: MaskFolder = None) -> CaptureFiles:
     """Read the headers of a capture; `masks` is described at `load`.
 
     Raises a StyleSplatError if the folder is no capture, or a file of it is missing, damaged or
@@ -344,7 +344,7 @@ def _opaque_maps(alphas: Lazy[UInt8[Tensor, "H W"] | None]) -> Lazy[Int[Tensor, 
 
 
 @check_arguments
-def load(path: Path | str, *, downscale: float = 1.0, masks: MaskSource = None) -> Capture:
+def load(path: Path | str, *, downscale: float = 1.0, masks: MaskFolder = None) -> Capture:
     """Read a capture: photos with a COLMAP reconstruction, `transforms.json`, or LLFF's poses.
 
     Only the headers of the photos are read now; photos are decoded and undistorted on each access.
