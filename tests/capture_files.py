@@ -165,7 +165,7 @@ def agreement(masked: Capture, id: int, ball: int) -> list[float]:
 
 def work_at_half_size(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut objects out of photos of half the size."""
-    monkeypatch.setattr(mask_boxes, "SIZE", HALF.size[0])
+    monkeypatch.setattr(mask_boxes, "DRAWN_BOX_SIZE", HALF.size[0])
 
 
 def fail_at_work(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -125,20 +125,20 @@ def test_signals_are_ignored_once_the_work_is_done(capsys, monkeypatch):
 
 
 START = """import pathlib, signal, sys, threading, time
-from stylesplat.interrupts import catch_signals, check, wait_until
+from stylesplat.interrupts import catch_signals, raise_if_interrupted, wait_until
 from stylesplat.progress import track
 """
 CATCH = f"{START}catch_signals()\n"
 
 ONCE = f"""{CATCH}
 signal.raise_signal(signal.SIGTERM)
-threading.Thread(target=check).start()
+threading.Thread(target=raise_if_interrupted).start()
 print("goes on")
 try:
     for _ in track(range(2), "work"):
         print("step")
 except KeyboardInterrupt as error:
-    check()
+    raise_if_interrupted()
     print(type(error).__name__)
 """
 
@@ -164,7 +164,7 @@ IGNORED = f"""{START}
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 catch_signals()
 signal.raise_signal(signal.SIGINT)
-check()
+raise_if_interrupted()
 print("goes on")
 """
 
@@ -177,7 +177,7 @@ pathlib.Path(FOLDER, "slow.py").write_text(
 )
 try:
     import slow
-    check()
+    raise_if_interrupted()
 except KeyboardInterrupt as error:
     print(type(error).__name__)
 """

@@ -48,7 +48,7 @@ def measured(
 
 @pytest.fixture(autouse=True)
 def small_measurements(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(style, "LENGTH", 24.0)
+    monkeypatch.setattr(style, "LOOK_LENGTH", 24.0)
 
 
 @pytest.fixture(scope="module")

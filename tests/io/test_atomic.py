@@ -190,7 +190,7 @@ def test_a_lock_lies_beside_and_goes(tmp_path: Path):
 def test_another_process_is_waited_for_and_then_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
 ):
-    monkeypatch.setattr(atomic, "PATIENCE", 0.1)
+    monkeypatch.setattr(atomic, "ATOMIC_PATIENCE", 0.1)
     with (
         FileLock(tmp_path / ".scene.lock"),  # another lock of the same file, as of a process
         pytest.raises(StyleSplatError, match=r"scene: another stylesplat is at work on it"),

@@ -151,7 +151,7 @@ def test_unfit_pictures_and_regions(tmp_path: Path, name: str, how: dict, messag
 
 
 def test_huge_pictures_are_scaled_down(tmp_path: Path, said: list[str], capsys, monkeypatch):
-    monkeypatch.setattr(pictures, "MAX_SIDE", 50)
+    monkeypatch.setattr(pictures, "STYLE_MAX_SIDE", 50)
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 9000)  # below it Pillow would not warn
     pixels = np.random.default_rng(0).integers(0, 256, (100, 100, 3), np.uint8)
     path = save(tmp_path / "a.png", pixels)

@@ -180,10 +180,10 @@ def test_smoke_has_no_surface():
 @pytest.mark.parametrize(
     ("settings", "fact"),
     [
-        ({"faces": 99}, "99 faces"),
+        ({"faces": 99}, "faces 99"),
         ({"texture_size": 1000}, "1000 pixels"),
         ({"texture_size": 16384}, "to 8,192"),
-        ({"texture_size": 0}, "0 pixels"),
+        ({"texture_size": 0}, "texture_size 0"),
     ],
 )
 def test_settings_out_of_range(settings: dict[str, Any], fact: str):

@@ -83,7 +83,7 @@ def test_of_some_pixels_only_what_reaches_them():
 def test_of_many_features_are_gathered_where_they_show(monkeypatch: pytest.MonkeyPatch):
     splats = walled()
     whole = render(splats, CAMERA, features=splats.identities)
-    monkeypatch.setattr(rendering, "MANY", 0)
+    monkeypatch.setattr(rendering, "VISIBLE_MANY", 0)
     image, alphas = render(splats, CAMERA, features=splats.identities)
     assert torch.equal(image, whole[0]) and torch.equal(alphas, whole[1])
 

@@ -146,7 +146,7 @@ def test_in_a_large_scene_an_object_is_looked_for_where_it_may_show(
     few = PICKED & (torch.arange(len(PLAIN)) < len(PLAIN) // 8)
     nobody = torch.zeros_like(few)
     whole = coverage(PLAIN, CAMERAS[row], few)
-    monkeypatch.setattr(weights, "LARGE", 0)
+    monkeypatch.setattr(weights, "VISIBLE_LARGE", 0)
     assert torch.equal(coverage(PLAIN, CAMERAS[row], few), whole) and whole.any()
     assert not coverage(PLAIN, CAMERAS[row], nobody).any()
 

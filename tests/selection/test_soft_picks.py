@@ -73,7 +73,7 @@ def test_what_no_view_shows_takes_after_its_neighbours():
 
 
 def test_shares_in_a_large_scene_are_those_in_the_whole(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(surveying, "LARGE", 0)
+    monkeypatch.setattr(surveying, "VISIBLE_LARGE", 0)
     found = OwnShares(SPLATS, CAMERAS)
     for _, picked in each_object(SPLATS, [*BALLS]):
         assert torch.equal(found.of(picked), object_shares(SPLATS, picked, CAMERAS))

@@ -18,7 +18,7 @@ ELSEWHERE = 100  # Gaussians that no camera sees, before all others
 @pytest.fixture
 def studio(network: FeatureNetwork, monkeypatch: pytest.MonkeyPatch) -> PaintSetup:
     """A scene that counts as large, most of which is out of sight."""
-    monkeypatch.setattr(cutting, "LARGE", 0)
+    monkeypatch.setattr(cutting, "VISIBLE_LARGE", 0)
     away = SCENE[torch.arange(ELSEWHERE)]
     away = replace(away, means=away.means + torch.tensor([0.0, 0.0, 1e4]))
     both = {name: torch.cat([away.tensors()[name], t]) for name, t in SCENE.tensors().items()}
@@ -63,7 +63,7 @@ def test_painted_as_in_the_whole_scene(
 ):
     job = target(BALL, stripes)
     cut = paint_objects(studio, [job])
-    monkeypatch.setattr(cutting, "LARGE", len(studio.splats) + 1)
+    monkeypatch.setattr(cutting, "VISIBLE_LARGE", len(studio.splats) + 1)
     whole = paint_objects(studio, [job])
     assert not torch.equal(cut.splats.sh0, studio.splats.sh0)
     assert torch.equal(cut.splats.sh0, whole.splats.sh0)

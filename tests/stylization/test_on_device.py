@@ -114,7 +114,7 @@ def test_fitting_never_waits_for_the_device(cuda: str, monkeypatch: pytest.Monke
     views = unpainted_views(splats, mask, find_boxes(splats, LARGER, mask))
     canvas, trips = replace(Canvas.without_discs(splats, mask), views=views), list[list[str]]()
     for steps in (1, 3):
-        monkeypatch.setattr(fitting, "STEPS", steps)
+        monkeypatch.setattr(fitting, "CANVAS_STEPS", steps)
         with HostTrips() as mode:
             fit_surfels(canvas, seed=0)
         trips.append(mode.found)
@@ -126,7 +126,7 @@ def test_crops_of_large_scenes(
     network: FeatureNetwork,
     monkeypatch: pytest.MonkeyPatch,
 ):
-    monkeypatch.setattr(cutting, "LARGE", 0)
+    monkeypatch.setattr(cutting, "VISIBLE_LARGE", 0)
     means = SCENE.means.clone()
     means[:ELSEWHERE, 2] += 1e4
     scene, rows = replace(SCENE, means=means), {}
