@@ -324,7 +324,7 @@ class Tab:
         until(lambda: self.page.evaluate("Boolean(window.studio)"), "the page")
         self.wait_until_idle()
 
-    def settle(self) -> None:
+    def wait_until_idle(self) -> None:
         """Wait for the picture, the map and the glow of the camera as it is."""
         now = f"String(studio.number) === {VIEW}.after && String(studio.number) === {VIEW}.map"
         until(lambda: self.page.evaluate(now), "the picture at rest")
