@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain
 from typing import NamedTuple
 
@@ -83,9 +83,9 @@ class Subject:
     def stages(self) -> list[Stage]:
         return self.painting.config.stages(typical_length(self.boxes))
 
-    @property
+    @cached_property
     def rows(self) -> Int[Tensor, " P"]:
-        """The Gaussians whose colours are optimised."""
+        """The Gaussians whose colours are optimised; on a GPU finding them waits for it."""
         return self.painting.mask.nonzero()[:, 0]
 
     def on(self, canvas: Canvas) -> "Subject":
