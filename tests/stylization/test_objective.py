@@ -17,7 +17,7 @@ from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.form import FormSurvey
 from stylesplat.stylization.matching import build_index
 from stylesplat.stylization.optimize import (
-    OPTIMIZE_SIDE,
+    LARGE_SHAPE_SIDE,
     Objective,
     content_weight,
     optimize_colors,
@@ -114,8 +114,8 @@ def test_large_shapes_stay_and_detail_is_free(objective: Objective, views: list[
     assert extra(objective, view, COLORS, COLORS) == pytest.approx(0, abs=1e-6)
     image = view.render(COLORS)
     height, width = image.shape[:2]
-    waves = torch.tensor([0.1, -0.1]).repeat(OPTIMIZE_SIDE // 2)
-    fine = waves.repeat(width // OPTIMIZE_SIDE + 1)[:width].expand(height, width)[..., None]
+    waves = torch.tensor([0.1, -0.1]).repeat(LARGE_SHAPE_SIDE // 2)
+    fine = waves.repeat(width // LARGE_SHAPE_SIDE + 1)[:width].expand(height, width)[..., None]
 
     def change(shown: Tensor) -> float:
         style, total, _ = objective(target, shown)

@@ -38,9 +38,8 @@ from stylesplat.training.config import (
     refuse_two_lengths,
 )
 
-TRAIN_LARGE = (
-    1600  # pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
-)
+# Pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
+TRAIN_LARGE = 1600
 TRAIN_BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
 GOOD, FAIR = 27.0, 22.0  # dB of photos held out: sharp as photos are; soft, with objects in place
 ENOUGH = TrainConfig.steps  # shorter runs gain most by more steps

@@ -132,9 +132,8 @@ MEASURED_VIEWS = 4
 STAIN_VIEWS = 16  # with label maps that contain a painted object
 ERROR = 0.01  # of a view's longer side: error of an object's border in a label map
 LEAST_ERROR = 3  # pixels
-CHANGE_SOFT = (
-    2  # pixels by which a stain is thicker than that error, as the edges of splats are soft
-)
+# Pixels by which a stain is thicker than that error, as the edges of splats are soft
+CHANGE_SOFT = 2
 LEAST_AREA = 48  # pixels: smaller areas are specks
 CHANGE_MOST = 0.5  # share of the label maps in which a place has to lie beside the objects
 

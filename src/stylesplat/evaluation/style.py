@@ -36,9 +36,8 @@ MAX_FEATURES = 8192  # of an object in a view that are measured: block 1 has one
 LOOK_PLACES = 2048  # features of all pictures that are compared with the others
 LOOK_AT_ONCE = 256  # of them, as block 1 has a feature per pixel
 NOWHERE = -2.0  # below any cosine
-LOOK_LENGTH = (
-    192.0  # pixels; the size of objects at which features are compared, whatever `scale` is
-)
+# Pixels; the size of objects at which features are compared, whatever `scale` is
+LOOK_LENGTH = 192.0
 LOOK_VIEWS = 4  # of the object, and of the scene
 LOOK_TOLERANCE = 10.0  # of Lab, from which a colour is another one, rather than another shade
 LOOK_SAME = 1.0  # of Lab, the size of the cubes whose colours count as one

@@ -14,9 +14,8 @@ from torch.nn.functional import conv2d
 from stylesplat.scene.capture import BACKGROUND, Mask
 
 LEAST_DEVIATION = 0.5  # pixels of a blur's deviation; less blurs nothing
-SIMILARITY_KEPT = (
-    256  # matrices of 30 views of as many sizes, four deviations each: 64 MB at 250 pixels
-)
+# Matrices of 30 views of as many sizes, four deviations each: 64 MB at 250 pixels
+SIMILARITY_KEPT = 256
 
 
 def smooth(
@@ -48,7 +47,7 @@ def blur_matrix(size: int, deviation: float, device: torch.device) -> Float[Tens
 
 SMALLEST_ERROR = 1e-12  # a mean square below float32's rounding counts as this: 120 dB
 # SSIM after Wang et al. 2004, as the 3D Gaussian splatting code computes it
-SIMILARITY_WINDOW = 11  # pixels
+SSIM_WINDOW = 11  # pixels
 SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
 
@@ -67,7 +66,7 @@ def decibels(error: Float[Tensor, ""]) -> Float[Tensor, ""]:
 @torch.inference_mode(False)  # else training could not use them later
 def ssim_window(device: torch.device) -> Float[Tensor, " 11"]:
     """Weights of the Gaussian window of SSIM, which sum to 1."""
-    x = torch.arange(SIMILARITY_WINDOW) - SIMILARITY_WINDOW // 2
+    x = torch.arange(SSIM_WINDOW) - SSIM_WINDOW // 2
     window = torch.exp(-(x**2) / (2 * SIGMA**2))
     return (window / window.sum()).to(device)
 
@@ -97,8 +96,8 @@ def ssim_map(
     # One group per map: on a GPU, cuDNN would round what goes into other convolutions to TF32
     rows = window.view(1, 1, -1, 1).expand(count, -1, -1, -1)
     columns = window.view(1, 1, 1, -1).expand(count, -1, -1, -1)
-    maps = conv2d(maps, rows, padding=(SIMILARITY_WINDOW // 2, 0), groups=count)
-    maps = conv2d(maps, columns, padding=(0, SIMILARITY_WINDOW // 2), groups=count)
+    maps = conv2d(maps, rows, padding=(SSIM_WINDOW // 2, 0), groups=count)
+    maps = conv2d(maps, columns, padding=(0, SSIM_WINDOW // 2), groups=count)
     mean_x, mean_y, xx, yy, xy = maps[0].chunk(5)
     var_x, var_y, covar = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
     luminance = (2 * mean_x * mean_y + C1) / (mean_x**2 + mean_y**2 + C1)

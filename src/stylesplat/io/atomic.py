@@ -29,9 +29,8 @@ REPLACING = "`--overwrite` (in Python overwrite=True)"  # how a user allows a re
 PARTIAL = ".partial"  # suffix of the folder that keeps the work of an interrupted run
 ATOMIC_DRAFT = ".stylesplat."  # begins the name of a draft inside the folder that it will replace
 MAX_NAME_BYTES = 255  # of one part of a path, on all common file systems
-ATOMIC_PATIENCE = (
-    10.0  # seconds to wait for another process: `select` takes as long, `train` longer
-)
+# Seconds to wait for another process: `select` takes as long, `train` longer
+ATOMIC_PATIENCE = 10.0
 ANYBODY = 0o666  # mode of a lock file: another user may lock the same place later
 
 

@@ -24,9 +24,8 @@ from stylesplat.scene.splats import Splats
 STACK = "layers.json"
 LAYERS = "layers"  # the folder of their tensors
 RECIPE = "recipe.json"
-LAYER_FILE = (
-    r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"  # in the folder: no slashes, no dots
-)
+# In the folder: no slashes, no dots
+LAYER_FILE = r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"
 MAX_NAME_PART = 40  # characters of an object's name in a file's
 LEAST_RELIEF = -2.0  # of two bands of detail
 UNIT = {"low": 0.0, "high": 1.0}

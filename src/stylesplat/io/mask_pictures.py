@@ -154,13 +154,11 @@ MASK_SAMPLED = 12  # pictures of a folder that tell what their pixels mean
 MASK_HALF = 128  # of 255: opacity or light from which a pixel is the object's
 # Greys from which a pixel is black or white for sure: JPEG and sharpening blur around edges
 DARK, BRIGHT = 24, 231
-MASK_CLEAR = (
-    0.5  # share of such pixels in masks, and of edges between black and white in what is left
-)
+# Share of such pixels in masks, and of edges between black and white in what is left
+MASK_CLEAR = 0.5
 MASK_NOISE = 0.01  # share of greys that JPEG makes beside edges at most
-MASK_FLAT = (
-    0.3  # share of flat pixels in regions of ids; soft edges of the fox have .02, its ids .97
-)
+# Share of flat pixels in regions of ids; soft edges of the fox have .02, its ids .97
+MASK_FLAT = 0.3
 MANY_COLORS = 64  # different ones in a picture: maps of ids have fewer where they are not flat
 
 Reading = Literal["ids", "levels", "alpha"]

@@ -18,9 +18,8 @@ ITERATIONS = 5
 SEED = 0  # of OpenCV's clustering
 SURE, UNSURE = 0.9, 0.1  # probabilities beyond which colours do not matter
 CONTOUR_ERROR = 0.006  # of the image's diagonal, by which a contour may be wrong
-GRABCUT_SURROUNDINGS = (
-    0.1  # of the diagonal, around the object, that its background is learned from
-)
+# Of the diagonal, around the object, that its background is learned from
+GRABCUT_SURROUNDINGS = 0.1
 MIN_PIXELS = 16  # with fewer, GrabCut cannot learn colours
 MIN_PART = 0.2  # of the largest part's area; a smaller part is a stray
 NECK = 5  # pixels of a bridge between two parts that does not make them one

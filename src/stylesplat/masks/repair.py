@@ -27,9 +27,8 @@ REPAIR_FAINT = 1e-2  # pixels of a Gaussian in a part that do not matter
 # Grouping of parts
 REPAIR_SAME_IOU = 0.3  # of two groups of parts, in what both sides see, from which they are one
 COMMON_SIGHT = 0.2  # share of the smaller part that both views must see for their IoU to count
-REPAIR_MIN_PHOTOS = (
-    3  # in which groups of parts must have had the same id, for that to be no accident
-)
+# In which groups of parts must have had the same id, for that to be no accident
+REPAIR_MIN_PHOTOS = 3
 # Votes of Gaussians for parts, and back
 REPAIR_ROUNDS = 3
 SECOND_OBJECT = 0.25  # share of a part that must be another object for it to be cut

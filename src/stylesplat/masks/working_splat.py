@@ -30,9 +30,9 @@ from stylesplat.scene.splats import Splats
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
 
-WORKING_PHOTOS = 48  # that tell what stands still
-WORKING_MIN_PHOTOS = 8  # fewer tell nothing
-WORKING_SAME_COLOR = 10  # of 255, by which colours of a pixel may differ that are the same
+STILL_PHOTOS = 48  # that tell what stands still
+STILL_MIN_PHOTOS = 8  # fewer tell nothing
+STILL_SAME_COLOR = 10  # of 255, by which colours of a pixel may differ that are the same
 STAYS = 0.9  # share of the photos in which a pixel has the same colour if nothing moves there
 STILL = 0.2  # share of such pixels from which the camera stood still: .48 on the own turntable,
 # .00 around fox, doll, desk and demo
@@ -40,7 +40,7 @@ DIFFERS = 0.06  # of a colour channel; less is noise
 LIGHT, HUE = 2.5, 0.3  # logarithms of intensities: a shadow's at most, and how it may be tinted
 WORKING_DARK = 0.01  # intensity that is added, so that noise in the dark has no hue
 EDGE, EDGES = 0.04, 0.005  # a plain sky is the same in all photos, too: still pixels at an edge
-WORKING_LEAST = 0.02  # of each photo moves, or the object has the hue of what is behind it
+MOVING_LEAST = 0.02  # of each photo moves, or the object has the hue of what is behind it
 SPECK, GAP = 3, 9  # pixels at working size: smaller specks are dropped, narrower gaps closed
 
 
@@ -53,15 +53,15 @@ def segment_moving_object(capture: Capture) -> Capture | None:
     photos of several sizes or that are cut out.
     """
     sizes = {camera.size for camera in capture.cameras}
-    if len(sizes) > 1 or capture.alphas is not None or len(capture) < WORKING_MIN_PHOTOS:
+    if len(sizes) > 1 or capture.alphas is not None or len(capture) < STILL_MIN_PHOTOS:
         return None
-    photos = [capture.photos[row] for row in evenly_spaced(range(len(capture)), WORKING_PHOTOS)]
+    photos = [capture.photos[row] for row in evenly_spaced(range(len(capture)), STILL_PHOTOS)]
     still, share = _still(torch.stack(photos))
     stays, grey = share > STAYS, still.mean(dim=-1)
     edges = (grey[1:, 1:] - grey[1:, :-1]).abs() + (grey[1:, 1:] - grey[:-1, 1:]).abs() > EDGE
     if stays.float().mean() < STILL or (edges & stays[1:, 1:]).float().mean() < EDGES:
         return None
-    if min(float(_moving(each, still).float().mean()) for each in photos) < WORKING_LEAST:
+    if min(float(_moving(each, still).float().mean()) for each in photos) < MOVING_LEAST:
         return None
 
     @lru_cache(maxsize=2)  # the photo is asked for, and then its alpha
@@ -85,10 +85,10 @@ def _still(
     photos = photos.short()
     still, most = photos[0].clone(), photos.new_zeros(photos.shape[1:3])
     for each in track(photos, "looking at what stands still", unit="photo"):
-        count = ((photos - each).abs_().amax(dim=-1) < WORKING_SAME_COLOR).sum(dim=0).to(most)
+        count = ((photos - each).abs_().amax(dim=-1) < STILL_SAME_COLOR).sum(dim=0).to(most)
         better = count > most
         still[better], most[better] = each[better], count[better]
-    same = ((photos - still).abs_().amax(dim=-1) < WORKING_SAME_COLOR).float()
+    same = ((photos - still).abs_().amax(dim=-1) < STILL_SAME_COLOR).float()
     mean = torch.einsum("phw,phwc->hwc", same, photos.float()) / same.sum(dim=0)[..., None]
     return mean / 255, same.mean(dim=0)
 
@@ -112,7 +112,7 @@ QUICK_SIZE = 480  # pixels of the longer side of its photos
 CACHED_RENDERS = 256  # of 2 MB each
 COMPARED_VIEWS = 5  # in which a splat is compared with photos
 CHECK_SIZE = 240  # pixels of the longer side: smaller photos are enough for the comparison
-WORKING_CLOSER = 2.0  # dB above the photo's mean colour, from which a splat belongs to the photos
+FITTING_GAIN = 2.0  # dB above the photo's mean colour, from which a splat belongs to the photos
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ def working_splat(capture: Capture, scene: Scene | None, device: str) -> Working
         )
     splats = scene.base.to(torch_device)
     small = with_poses_of(at_most(capture, CHECK_SIZE), scene.cameras)
-    if frame_fits(splats, small, {"scene": FRAME_SAME})["scene"] <= WORKING_CLOSER:
+    if frame_fits(splats, small, {"scene": FRAME_SAME})["scene"] <= FITTING_GAIN:
         raise StyleSplatError(
             "The scene does not show what the photos do. Give a scene of these photos, or none."
         )
@@ -182,7 +182,7 @@ def frame_fits(splats: Splats, capture: Capture, frames: Mapping[str, Frame]) ->
     """How much closer to the photos renders are than their mean colour, in each frame.
 
     A frame turns the capture's world into the splat's. Returns the median over a few views of the
-    gain in PSNR, in dB; more than `WORKING_CLOSER` fits. Small photos are enough.
+    gain in PSNR, in dB; more than `FITTING_GAIN` fits. Small photos are enough.
     """
     rows = evenly_spaced(range(len(capture.cameras)), COMPARED_VIEWS)
     photos = [capture.photos[row].to(splats.means) / 255 for row in rows]

@@ -56,12 +56,10 @@ FAINT, SOLID = 0.1, 0.5  # coverage that shows, and the share of what shows that
 FUSION_NEAR = 0.02  # of the extent, and a voxel at least: so near to a depth the surface is seen
 LEAST_SEEN = 0.05  # weight of the depths at a vertex: less is a guess
 OPEN = 0.3  # share of the surface: where more is a guess, it is left open
-FUSION_APART = (
-    0.05  # of the way to their faces' middle: so far vertices that coincide are moved apart
-)
-FUSION_SAME = (
-    1e-5  # of the extent: closer vertices coincide, and programs that read files merge them
-)
+# Of the way to their faces' middle: so far vertices that coincide are moved apart
+FUSION_APART = 0.05
+# Of the extent: closer vertices coincide, and programs that read files merge them
+FUSION_SAME = 1e-5
 FUSION_SPECK = 0.05  # of the largest part's area: smaller parts are strays
 
 

@@ -12,9 +12,8 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 
 UP_RIDGE = 0.01  # weight of the cameras' mean up axis against their x axes
-CAMERA_PARALLEL = (
-    1e-3  # mean squared sine between view axes (about 2 degrees) below which they never meet
-)
+# Mean squared sine between view axes (about 2 degrees) below which they never meet
+CAMERA_PARALLEL = 1e-3
 ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
 CAMERA_REMEDY = "To render, choose --views all; to train, give sparse points."
 

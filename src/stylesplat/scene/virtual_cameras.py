@@ -254,9 +254,8 @@ SWAY = 0.5  # height varies along the path by this share of the captures' own de
 LENS = 1.0  # focal length over a picture's longer side around content, where there is room enough
 TILT, NOD = math.radians(20), math.radians(8)  # of a path around content: its mean, and how varied
 SWING = math.radians(35)  # of a view that turns to and fro, at each side
-VIRTUAL_EVEN = (
-    1e-3  # sine of the angle to the vertical below which photos surround the focus evenly
-)
+# Sine of the angle to the vertical below which photos surround the focus evenly
+VIRTUAL_EVEN = 1e-3
 UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where it is not known
 VIRTUAL_WINDOW = (1600, 1200)  # pixels that all content fits into at the start
 ORBIT_FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom

@@ -206,7 +206,7 @@ THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all oth
 # Mean distance to neighbours over the standard deviation, up to which a Gaussian that label maps
 # confirm is no outlier. Without this large ones are lost: 12 % of what shows of the lifted fox.
 MEMBER_TOUCH = 4.0
-MEMBER_SCENE = "SCENE"  # stands for an unknown folder of a scene
+UNKNOWN_SCENE = "SCENE"  # stands for an unknown folder of a scene
 
 Point = tuple[float, float]
 ViewBox = tuple[float, float, float, float]
@@ -278,15 +278,15 @@ def resolve_ids(
     if sum(way is not None for way in (object_id, box, point)) != 1:
         raise StyleSplatError("Select by exactly one way: an id, a box or a point.")
     if object_id is not None:
-        return _known_ids(splats, object_id, folder or MEMBER_SCENE)
+        return _known_ids(splats, object_id, folder or UNKNOWN_SCENE)
     if camera is None or len(camera) != 1:
         raise StyleSplatError(
             "A box or point needs the one view it refers to. Pass camera=cameras[row]."
         )
     if point is not None:
-        return (_id_at_point(splats, point, camera, folder or MEMBER_SCENE),)
+        return (_id_at_point(splats, point, camera, folder or UNKNOWN_SCENE),)
     assert box is not None
-    return (_id_in_box(splats, box, camera, folder or MEMBER_SCENE),)
+    return (_id_in_box(splats, box, camera, folder or UNKNOWN_SCENE),)
 
 
 def each_object(

@@ -30,9 +30,8 @@ LABELLED = 0.25  # coverage from which a pixel is the object's if its label says
 # and reaches 1. Measured on the fox and the demo: .5 and .9 leave more smudges on the wall, .8 and
 # .97 eat into the fur.
 OUTSIDE, INSIDE = 0.6, 0.95
-SHARE_UNSEEN = (
-    0.02  # pixels in all views; a Gaussian that contributes less takes its neighbours' part
-)
+# Pixels in all views; a Gaussian that contributes less takes its neighbours' part
+SHARE_UNSEEN = 0.02
 SHARE_NEIGHBOURS = 9
 
 

@@ -159,9 +159,8 @@ SOFT_FOLD, SHARP_FOLD, COLOR = 2.0, 4.0, 3.0  # how fast connections weaken
 # objects of the demo have 0.1, the weakest cuts through its single ones 2 to 9.
 MASKED_WEAK = 1.0
 SURE, OTHER = 0.9, 0.5  # shares of a cluster's pixels in masks, and outside, that make it a seed
-CUT_STRAY = (
-    0.2  # of the seeds in the part that has most: a part with fewer is no part of the object
-)
+# Of the seeds in the part that has most: a part with fewer is no part of the object
+CUT_STRAY = 0.2
 # Where an object stands, in gaps over the plane. On the demo a table's own Gaussians reach 0.6, and
 # masks with FOOT 3 or 6 and FOOTING 0 or 1 are worse at the lowest tenth of objects.
 FOOT, FOOTING = 4.0, 0.5

@@ -18,7 +18,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.sequences import farthest_views
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import MEMBER_SCENE, render_labels
+from stylesplat.selection.labels import UNKNOWN_SCENE, render_labels
 
 CHECKPOINT = "IDEA-Research/grounding-dino-tiny"
 GROUNDED = ("grounding-dino", "mm-grounding-dino")  # score every word of a text for every box
@@ -166,7 +166,7 @@ def clear_winner(
     if not scores:
         raise StyleSplatError(
             f"No object of the scene fits {phrase!r}. Try another phrase, or run "
-            f"`{shell_command('objects', folder or MEMBER_SCENE)}` and select with --id."
+            f"`{shell_command('objects', folder or UNKNOWN_SCENE)}` and select with --id."
         )
     best, *rest = sorted(scores, key=lambda id: -scores[id])
     called = {id: f" {name!r}" for id, name in (names or {}).items()}

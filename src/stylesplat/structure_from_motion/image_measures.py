@@ -18,9 +18,8 @@ MEASURE_ROUNDING = 1.0  # grey levels squared: what rounding adds to the varianc
 MEASURE_NEIGHBOURS = 10  # photos whose median sharpness is the typical one
 # Relative to typical. Real photos (fox, desk) have 0.40 or more; blur of 1 % of the width 0.17
 BLURRED = 0.2
-MEASURE_SOFT = (
-    0.5  # relative to typical: too blurred where other frames exist, or where nothing matches
-)
+# Relative to typical: too blurred where other frames exist, or where nothing matches
+MEASURE_SOFT = 0.5
 # Absolute, of the median photo. Fox and desk have 0.015 and 0.007, and 0.0005 after a Gaussian blur
 # of 0.3 % of their width
 ALL_BLURRED = 0.0007

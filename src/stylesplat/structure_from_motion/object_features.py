@@ -30,9 +30,8 @@ from stylesplat.structure_from_motion.workspace import (
 
 STILL, MOVED = 0.003, 0.01  # displacements of matches, in longer sides of the photo
 MIN_MATCHES = 15  # of each motion, COLMAP's least number for a geometry of two photos
-FEATURE_SPREAD = (
-    0.1  # deviation of the still matches, in longer sides: the centre of an orbit has less
-)
+# Deviation of the still matches, in longer sides: the centre of an orbit has less
+FEATURE_SPREAD = 0.1
 MIN_FITTING = 0.5  # share of the moving matches that fit one geometry
 FEATURE_MAX_PAIRS = 300  # that are looked at
 FEATURE_NEIGHBOURS = 5  # features around a place that decide what it shows

@@ -139,9 +139,8 @@ def map_photos(
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 MAX_MASKED = 0.5  # share of photos without background; with more the user masked them on purpose
-PHOTO_MAX_NUMBERS = (
-    4  # numbers from the first to the last photo, per photo; with more it is no series
-)
+# Numbers from the first to the last photo, per photo; with more it is no series
+PHOTO_MAX_NUMBERS = 4
 
 
 @dataclass(frozen=True)

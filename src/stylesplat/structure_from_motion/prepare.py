@@ -28,9 +28,8 @@ from stylesplat.structure_from_motion.video_keyframes import (
 )
 
 PREPARE_RECORD = ".prepared.json"  # in the folder of prepared photos
-PREPARE_VERSION = (
-    4  # of how photos are selected and written; those of another version are made again
-)
+# Of how photos are selected and written; those of another version are made again
+PREPARE_VERSION = 4
 
 
 def check_source(source: Path) -> None:

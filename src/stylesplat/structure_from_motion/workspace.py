@@ -25,9 +25,8 @@ from stylesplat.structure_from_motion.photos import CameraGroup, group_by_camera
 # Photos of one object alone do not tell OPENCV's distortion: the test's turntable fell to pieces
 OBJECT_LENS = "SIMPLE_RADIAL"
 UNMASKED = 4  # times more features are found where most are ignored: an object fills a quarter
-WORKSPACE_SAMPLE = (
-    3  # photos of a camera that decide at which size features of its photos are found
-)
+# Photos of a camera that decide at which size features of its photos are found
+WORKSPACE_SAMPLE = 3
 
 
 @dataclass(frozen=True)

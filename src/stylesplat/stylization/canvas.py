@@ -39,16 +39,14 @@ from stylesplat.training.adam import Moments, adam_step
 
 SPACING = 1.3  # pixels between discs: a stroke is several of them wide
 WIDE, FLAT = 1.0, 0.15  # deviations of a disc in its plane and across it, in spacings
-CANVAS_OPACITY = (
-    0.8  # of a disc before it is fitted: more looks grainy, as a pixel shows a single disc
-)
+# Of a disc before it is fitted: more looks grainy, as a pixel shows a single disc
+CANVAS_OPACITY = 0.8
 CANVAS_HIDDEN = (
     0.5,
     0.9,
 )  # hidden part of a Gaussian's contribution from which it fades, and is gone
-CANVAS_LOST = (
-    0.2  # coverage: where the object would lose more under a canvas, the canvas has a hole
-)
+# Coverage: where the object would lose more under a canvas, the canvas has a hole
+CANVAS_LOST = 0.2
 CANVAS_RIM = 3  # pixels along the object's outline that are no holes
 IN_HOLES = 0.05  # part of a Gaussian's contribution to a view that has to lie in holes
 CANVAS_FEW = 500  # pixels of all views that show no surface

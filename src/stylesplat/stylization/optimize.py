@@ -35,11 +35,10 @@ from stylesplat.training.adam import Moments, adam_step
 PULL = 10.0  # weight of the squared distance from the palette; more costs style
 HOLD = 5.0  # weight of the squared change of large shapes; 50 leaves fine strokes no room
 FORM = 0.13  # weight of the form at 1; at .1 the content SSIM of fox is .01 less
-OPTIMIZE_EVEN = (
-    0.1  # weight at which an object changes half as much; demo's vase: 0.22, of 0.34 to 0.08
-)
+# Weight at which an object changes half as much; demo's vase: 0.22, of 0.34 to 0.08
+OPTIMIZE_EVEN = 0.1
 MOST_CONTENT = 0.98  # a larger weight of content keeps no more of it
-OPTIMIZE_SIDE = 4  # pixels of a view that make one in which large shapes are compared
+LARGE_SHAPE_SIDE = 4  # pixels of a view that make one in which large shapes are compared
 CANVAS_RATE = 0.5  # factor of the rate on a canvas: a pixel shows few discs, and more looks grainy
 STYLE_FEATURES = 2048  # at random, of those of a fine stage; 4,096 look the same, and take longer
 FINAL_RATE = 0.1  # of the last step, as a share of the first's
@@ -139,7 +138,7 @@ class Objective:
         if target.shapes is not None:
             # both hold 0 outside the object
             change = (_large_shapes(view, image) - target.shapes).square().sum()
-            total = total + HOLD * change * OPTIMIZE_SIDE**2 / view.pixels.sum()
+            total = total + HOLD * change * LARGE_SHAPE_SIDE**2 / view.pixels.sum()
         return nnfm, total, potentials
 
     def _features(self, image: Tensor, cells: tuple[Tensor, ...]) -> Float[Tensor, "P D"]:
@@ -155,7 +154,7 @@ def content_weight(content: float) -> float:
 def _large_shapes(view: PaintView, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "3 h w"]:
     """The object's pixels, averaged over squares."""
     own = image * view.pixels[..., None]
-    return F.avg_pool2d(own.permute(2, 0, 1)[None], OPTIMIZE_SIDE, ceil_mode=True)[0]
+    return F.avg_pool2d(own.permute(2, 0, 1)[None], LARGE_SHAPE_SIDE, ceil_mode=True)[0]
 
 
 def stage_objective(

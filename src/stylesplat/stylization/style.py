@@ -33,9 +33,8 @@ from stylesplat.stylization.features import FeatureNetwork
 SHOCKS = 4.0  # steps of the filter that coarsens a style image, for every unit of scale
 MAX_COARSENED = 8.0  # scale: beyond it strokes are as large as pictures
 STYLE_RIDGE = 0.06  # curvature across a stroke, of 1: less is no stroke
-STYLE_LARGEST = (
-    1300.0  # pixels of a resized style image's longer side: of a larger one parts are used
-)
+# Pixels of a resized style image's longer side: of a larger one parts are used
+STYLE_LARGEST = 1300.0
 BROAD = 0.05  # of the object's length: what is less is a stroke
 KEPT_HUES: dict[ColorMode, float] = {"blend": 0.5, "keep": 1.0}  # share of an object's own
 STYLE_PARTS = 9  # that together are as large

@@ -19,9 +19,8 @@ from stylesplat.scene.sequences import GIB, Cache
 from stylesplat.training.config import TrainConfig
 
 VIEW_KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
-VIEW_AHEAD = (
-    4  # photos decoded in advance for a GPU, by as many threads: each takes up to two steps
-)
+# Photos decoded in advance for a GPU, by as many threads: each takes up to two steps
+VIEW_AHEAD = 4
 VIEW_COARSER = 1.25  # what half the size takes in addition to the whole, while both are kept
 
 

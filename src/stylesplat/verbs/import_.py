@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import evaluate_views, measured_rows
 from stylesplat.io.gaussian_lists import read_objects
 from stylesplat.io.splats.splat_files import declared_up, read_drawable
-from stylesplat.masks.working_splat import CHECK_SIZE, WORKING_CLOSER, frame_fits
+from stylesplat.masks.working_splat import CHECK_SIZE, FITTING_GAIN, frame_fits
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
@@ -184,7 +184,7 @@ def _placed(splats: Splats, name: str, small: Capture, frame: FrameName) -> Spla
 
     own, gain = placed[frame], fit(frame)
     where = f" in {small.path}" if small.path else ""
-    if gain > WORKING_CLOSER:
+    if gain > FITTING_GAIN:
         if own.means is splats.means and own.world_offset != splats.world_offset:
             say(
                 f"{name} lies around the origin, but shows what the photos{where} do: it is taken "
@@ -207,7 +207,7 @@ def _placed(splats: Splats, name: str, small: Capture, frame: FrameName) -> Spla
             )
         )
         fault += f"; it lies around {here}, they were taken around {there}"
-    if gains[best] > WORKING_CLOSER:
+    if gains[best] > FITTING_GAIN:
         raise StyleSplatError(
             f"{fault}, but it does in the frame of another program. Pass --frame {best}."
         )

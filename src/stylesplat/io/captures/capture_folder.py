@@ -47,7 +47,7 @@ from stylesplat.scene.sequences import Cache, Lazy, evenly_spaced
 from stylesplat.scene.world_offset import ORIGIN, Offset, announced
 
 SFM_FILE = "sfm.json"
-CAPTURE_FORMAT = 1
+SFM_FORMAT = 1
 MAX_PHOTOS = 1_000_000
 OneLine = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]  # in one line
 Reasons = Annotated[dict[OneLine, OneLine], Meta(max_length=MAX_PHOTOS)]
@@ -55,7 +55,7 @@ Count = Annotated[int, Meta(ge=0, le=MAX_PHOTOS)]
 
 
 class SfmRecord(msgspec.Struct, kw_only=True):
-    format: Annotated[int, Meta(ge=1, le=CAPTURE_FORMAT)] = CAPTURE_FORMAT
+    format: Annotated[int, Meta(ge=1, le=SFM_FORMAT)] = SFM_FORMAT
     source: FilePath
     """The folder of photos, or the video."""
     digest: OneLine

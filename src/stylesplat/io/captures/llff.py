@@ -14,9 +14,8 @@ from stylesplat.io.captures.posed_files import PosedFiles
 from stylesplat.io.files import reading
 from stylesplat.io.kinds import PHOTOS, POSES_BOUNDS
 
-LLFF_ROW = (
-    17  # numbers: 3 rows of [rotation | position | height, width, focal length], and two depths
-)
+# Numbers: 3 rows of [rotation | position | height, width, focal length], and two depths
+LLFF_ROW = 17
 LLFF_AGAIN = "Pose the photos again."
 
 

@@ -17,7 +17,7 @@ from stylesplat.io.kinds import NO_PHOTOS, PHOTOS
 from stylesplat.progress import say
 
 # Where photos lie in a capture, the usual places first
-NAME_PLACES = (
+USUAL_PHOTO_PLACES = (
     "images",
     "images_*",
     "input",
@@ -79,7 +79,7 @@ def find_photos(folder: Path, names: Sequence[str], model: Path) -> FoundPhotos:
 
 def photo_places(folder: Path) -> list[Path]:
     """The folders in a capture that may hold its photos: the usual one first, itself last."""
-    found = (path for place in NAME_PLACES for path in _sorted(folder, place))
+    found = (path for place in USUAL_PHOTO_PLACES for path in _sorted(folder, place))
     return [path for path in found if path.is_dir()]
 
 

@@ -44,8 +44,8 @@ from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import ORIGIN, announced, choose_offset, offset_text
 
-DRAWN_SURE = 30.0  # a logit: float32 has no opacity between its own and 1
-DRAWN_FLAT = torch.tensor(PACKED_SMALLEST).log().item()  # its square, which renders take, is 0
+DRAWABLE_LOGIT = 30.0  # a logit: float32 has no opacity between its own and 1
+DRAWABLE_SCALE = torch.tensor(PACKED_SMALLEST).log().item()  # its square, which renders take, is 0
 
 
 def drawable(splats: Splats, path: Path) -> tuple[Splats, Int[Tensor, " M"]]:
@@ -86,13 +86,13 @@ def _without_limits(splats: Splats) -> Splats:
     An opacity of 1 or 0, a thickness of 0; and rotations whose quaternions are far from unit ones.
     """
     opacities, declared = splats.opacities, GAUSSIANS["opacities"]
-    opacities = torch.where(opacities.isinf(), DRAWN_SURE * opacities.sign(), opacities)
+    opacities = torch.where(opacities.isinf(), DRAWABLE_LOGIT * opacities.sign(), opacities)
     lengths = splats.quats.abs().amax(dim=1, keepdim=True)
     odd = (lengths > 0) & ~((SMALLEST_QUAT <= lengths) & (lengths <= GAUSSIANS["quats"].high))
     return replace(
         splats,
         opacities=opacities.clamp(declared.low, declared.high),
-        scales=torch.where(splats.scales < GAUSSIANS["scales"].low, DRAWN_FLAT, splats.scales),
+        scales=torch.where(splats.scales < GAUSSIANS["scales"].low, DRAWABLE_SCALE, splats.scales),
         quats=torch.where(odd & lengths.isfinite(), splats.quats / lengths, splats.quats),
     )
 
@@ -123,7 +123,7 @@ WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but pla
 }
 SPZ_INSIDE = {".glb": write_glb, ".gltf": write_gltf}  # if a version of SPZ is asked for
 UNMARKED = (".splat", ".glb", ".gltf")  # formats without a place for the anti-aliasing mark
-DRAWN_MAX_DEGREE = 3
+DRAWABLE_DEGREE = 3
 WITH_OFFSET = (".ply", ".glb", ".gltf")  # formats that hold coordinates in 64 bits
 
 
@@ -226,7 +226,7 @@ def write_splats(
             f"Use .ply, {', '.join(WRITERS)}, or .html for a page."
         )
     if sh_degree is not None:
-        check_choice(sh_degree, "degree of colour", range(DRAWN_MAX_DEGREE + 1))
+        check_choice(sh_degree, "degree of colour", range(DRAWABLE_DEGREE + 1))
     if suffix == ".splat" and sh_degree:
         raise StyleSplatError(
             f"Cannot export to {path}: a .splat has one colour per Gaussian, which is degree 0. "
@@ -247,7 +247,7 @@ def write_splats(
         refuse_file(path)
     splats = splats.detach().to("cpu")
     if sh_degree is None:
-        sh_degree = DRAWN_MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
+        sh_degree = DRAWABLE_DEGREE if suffix == ".ply" else needed_degree(splats)
     splats = of_degree(splats, sh_degree)
     if splats.antialiased and suffix in UNMARKED and spz_version is None:
         say(

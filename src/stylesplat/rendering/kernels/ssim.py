@@ -17,12 +17,12 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import pad
 
-from stylesplat.imaging.similarity import C1, C2, SIMILARITY_WINDOW, ssim_window
+from stylesplat.imaging.similarity import C1, C2, SSIM_WINDOW, ssim_window
 from stylesplat.rendering.kernels import vec
 from stylesplat.rendering.kernels.jit import inner, kernel
 
 CHANNELS = 3
-HALF = SIMILARITY_WINDOW // 2  # rows of the frame above and below
+HALF = SSIM_WINDOW // 2  # rows of the frame above and below
 MARGIN = HALF * CHANNELS  # numbers of the frame at the left
 FRAME = -(-2 * MARGIN // vec.LANES) * vec.LANES  # of both ends, in whole vectors
 
@@ -49,7 +49,7 @@ def filter_columns_products(window, x, y, row, stride, out):
     for j in range(0, stride, vec.LANES):
         mean_x, mean_y = vec.zero(), vec.zero()
         xx, yy, xy = vec.zero(), vec.zero(), vec.zero()
-        for tap in range(SIMILARITY_WINDOW):
+        for tap in range(SSIM_WINDOW):
             at, weight = (row + tap) * stride + j, vec.spread(window, tap)
             u, v = vec.load_vec(x, at), vec.load_vec(y, at)
             weighted_u, weighted_v = weight * u, weight * v
@@ -68,7 +68,7 @@ def filter_columns(window, framed, row, stride, out):
     """Filter a framed image along y at one row."""
     for j in range(0, stride, vec.LANES):
         total = vec.zero()
-        for tap in range(SIMILARITY_WINDOW):
+        for tap in range(SSIM_WINDOW):
             at = (row + tap) * stride + j
             total = vec.fma(vec.load_vec(framed, at), vec.spread(window, tap), total)
         vec.store_vec(out, j, total)
@@ -78,7 +78,7 @@ def filter_columns(window, framed, row, stride, out):
 def filter_rows(window, row, start):
     """Filter 16 numbers of a framed row along x."""
     total = vec.zero()
-    for tap in range(SIMILARITY_WINDOW):
+    for tap in range(SSIM_WINDOW):
         number = vec.load_vec(row, start + tap * CHANNELS)
         total = vec.fma(number, vec.spread(window, tap), total)
     return total
