@@ -66,7 +66,7 @@ from stylesplat.rendering.render import render
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import evenly_spaced
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.resolve import find_object
 from stylesplat.stylization.features import load_weights
 
 COLUMNS = (

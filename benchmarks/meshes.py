@@ -40,7 +40,7 @@ from stylesplat.scene.content import extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import centred_K, level_axes
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.resolve import find_object
 
 OBJECTS = ("demo/styled:vase", "demo/styled:teapot", "fox:1", "desk:1")
 FINER = 3  # samples of a pixel's side

@@ -23,7 +23,7 @@ from stylesplat.io.captures.capture_folder import exact_masks
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, resize_labels
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import whole_ids
+from stylesplat.selection.resolve import whole_ids
 
 DOLL = "doll=20240212_003919.jpg:295,130,830,670"
 BY_HAND, EXACT = 6.0, 2.0  # pixels by which an outline may err

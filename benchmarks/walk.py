@@ -79,7 +79,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--show", action="store_true", help="name each function that is opened")
     arguments = parser.parse_args()
-    scene = ss.Scene(dense_ball(LIGHT), VIEWS, objects={"ball": SceneObject(PICKED, {})})
+    scene = ss.Scene(dense_ball(LIGHT), VIEWS, objects={"ball": SceneObject(PICKED)})
     with TemporaryDirectory() as folder:
         style = ss.Style(write_pictures(Path(folder))[0], steps=12, object_size=60)
         view, (x0, y0, x1, y1) = around(7, VIEWS.names[0])

@@ -15,7 +15,7 @@ from PIL import Image
 
 import stylesplat as ss
 from stylesplat.figures.best_views import close_up
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.resolve import find_object
 
 DOCS = Path(__file__).parents[1] / "docs"
 SIDE, QUALITY = 480, 82  # pixels of each picture, and of JPEG

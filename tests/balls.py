@@ -195,7 +195,7 @@ TRAINED = Scene(
     ),
     cameras=CAMERAS,
     held_out=CAMERAS.names[:1],
-    objects={name: SceneObject(picked, {"ids": []}) for name, picked in PICKS.items()},
+    objects={name: SceneObject(picked) for name, picked in PICKS.items()},
     metrics={"psnr": 30.0},
 )
 
@@ -294,4 +294,4 @@ def assert_same_objects(one: Scene, other: Scene) -> None:
     assert one.objects.keys() == other.objects.keys()
     for name, each in one.objects.items():
         assert torch.equal(each.mask, other.objects[name].mask), name
-        assert each.how == other.objects[name].how
+        assert each.selection == other.objects[name].selection

@@ -17,6 +17,7 @@ from stylesplat.scene.layers import Layer, Source, appearance_only
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.projection import is_in_image
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import Selection
 from stylesplat.scene.splats import Classifier, Splats
 
 
@@ -261,8 +262,8 @@ def full_scene() -> Scene:
             confidence=random(COUNT).sigmoid(),
         ),
         objects={
-            "fox": SceneObject(torch.arange(COUNT) % 2 == 0, {"ids": [7], "count": 3}),
-            "a name": SceneObject(nothing, {"count": 0}),
+            "fox": SceneObject(torch.arange(COUNT) % 2 == 0, Selection(ids=(7,))),
+            "a name": SceneObject(nothing),
         },
         held_out=("a.jpg",),
         capture=Path("garden"),

@@ -17,8 +17,9 @@ from stylesplat.figures.pictures import label_colors, render_pictures
 from stylesplat.imaging.similarity import object_iou
 from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.capture import BACKGROUND
+from stylesplat.scene.selection import THRESHOLD
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import THRESHOLD, each_object, render_labels
+from stylesplat.selection.labels import each_object, render_labels
 from stylesplat.training.lifting import lift
 
 NAME = "figure3"

@@ -23,8 +23,9 @@ from paper_figures.subject import Subject, cut, each
 from stylesplat.evaluation.photos import evaluate_views
 from stylesplat.figures.pictures import label_colors
 from stylesplat.imaging.similarity import mask_iou
+from stylesplat.scene.selection import THRESHOLD
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import THRESHOLD, render_labels
+from stylesplat.selection.labels import render_labels
 from stylesplat.training import step
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.lifting import lift

@@ -139,7 +139,7 @@ class Subject:
     def called(self, id: int) -> str:
         """An object's name."""
         for name, found in self.scene.objects.items():
-            if tuple(found.how.get("ids", ())) == (id,):
+            if found.selection.ids == (id,):
                 return name
         return self.capture.object_names.get(id, f"object {id}")
 

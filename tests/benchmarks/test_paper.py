@@ -19,6 +19,7 @@ from scenes import rand
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import Selection
 from stylesplat.selection.labels import pick
 from stylesplat.stylization.features import load_weights
 
@@ -32,7 +33,7 @@ MASK[5:15, 10:20] = True
 @pytest.fixture(scope="module")
 def subject(tmp_path_factory: pytest.TempPathFactory) -> Subject:
     photos = load(write_ball_capture(tmp_path_factory.mktemp("capture") / "balls", LARGE))
-    red = SceneObject(pick(SPLATS, object_id=3), {"ids": [3]})
+    red = SceneObject(pick(SPLATS, object_id=3), Selection(ids=(3,)))
     held_out, info = LARGE.names[:2], {"settings": {"max_gaussians": 300, "segment": "joint"}}
     metrics = {"steps": 1234, "psnr": 30.0, "ssim": 0.9}
     scene = Scene(

@@ -45,7 +45,7 @@ def test_select_by_id_and_by_point(scene: Path, capsys):
     assert result(capsys, *plain, "also", "--box", box)["ids"] == [7]
     after = ss.open(scene)
     assert set(after.objects) == {"red", "green", "also"}
-    assert after.objects["green"].how["points"][0][0] == CAMERAS.names[2]
+    assert after.objects["green"].selection.points == ((CAMERAS.names[2], (x, y)),)
     names = {e["id"]: e["names"] for e in result(capsys, "objects", scene)["objects"]}
     assert names == {3: ["red"], 7: ["green", "also"], 300: []}
 
@@ -67,7 +67,7 @@ def test_options_that_are_repeated_append(scene: Path, capsys):
 def test_select_by_text(scene: Path, capsys, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "stylesplat.verbs.select.load_detector", lambda *a: asked.append(a) or ColorDetector()
+        "stylesplat.selection.resolve.load_detector", lambda *a: asked.append(a) or ColorDetector()
     )
     text = ("--text", "blue", "--model", "a/b", "--no-picture")
     found = result(capsys, "select", scene, "--name", "it", *text)

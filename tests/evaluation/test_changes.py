@@ -14,6 +14,7 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.projection import crop
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import Selection
 from stylesplat.scene.splats import SH_C0
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.evaluate import evaluate
@@ -22,12 +23,12 @@ from stylesplat.verbs.stylize import stylize
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
 VIEWS = enlarged(CAMERAS, 4)  # 192x144
-SCENE = replace(TRAINED, cameras=VIEWS, objects={"red": SceneObject(RED, {"ids": [3]})})
+SCENE = replace(TRAINED, cameras=VIEWS, objects={"red": SceneObject(RED, Selection(ids=(3,)))})
 MAPS = [3 * (coverage(SCENE.splats, VIEWS[row], RED) > 0.1).long() for row in range(len(VIEWS))]
 PHOTOS = [torch.zeros(144, 192, 3, dtype=torch.uint8)] * len(VIEWS)
 CAPTURE = Capture(VIEWS, PHOTOS, MAPS)
 BESIDE = (SCENE.splats.means - torch.tensor([-0.3, -0.7, 0.0])).norm(dim=1) < 0.35  # of the table
-SPILT = SCENE.with_object("red", SceneObject(RED | BESIDE, {"ids": [3]}))
+SPILT = SCENE.with_object("red", SceneObject(RED | BESIDE, Selection(ids=(3,))))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +74,7 @@ def test_borders_of_label_maps_may_err_by_a_few_pixels(clean: Scene, spilt: Scen
 
 
 def test_no_label_map_no_word_of_it(clean: Scene, spilt: Scene):
-    grown = {"red": SceneObject(spilt.objects["red"].mask, {"ids": [3], "grow": 0.2})}
+    grown = {"red": SceneObject(spilt.objects["red"].mask, Selection(ids=(3,), grow=0.2))}
     for scene, capture in (
         (clean, None),
         (clean, replace(CAPTURE, label_maps=None)),

@@ -9,11 +9,12 @@ from balls import CAMERAS, SPLATS
 from scenes import plain_layer
 from stylesplat.scene.layers import Source
 from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.selection import Selection
 from stylesplat.scene.sequences import Lazy
 
 
 def test_nouns_are_one_line_that_says_what_they_are():
-    vase = SceneObject(torch.arange(len(SPLATS)) < 20, {"ids": [3]})
+    vase = SceneObject(torch.arange(len(SPLATS)) < 20, Selection(ids=(3,)))
     layer = plain_layer(SPLATS, torch.arange(20), "vase", strength=0.7, styles=(Source(None),))
     held_out, objects = CAMERAS.names[:1], {"vase": vase}
     scene = ss.Scene(SPLATS, CAMERAS, held_out, 1.0, objects, (layer,), Path("garden"))

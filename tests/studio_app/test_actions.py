@@ -21,7 +21,7 @@ from stylesplat.io.scene_folder import open, save
 from stylesplat.io.style_pictures import MATERIALS
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.resolve import find_object
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.edits import pick_names

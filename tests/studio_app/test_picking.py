@@ -7,6 +7,7 @@ from balls import CAMERAS, SPLATS, enlarged
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
+from stylesplat.studio_app import edits
 from stylesplat.studio_app.edits import (
     forget_picked,
     hide_objects,
@@ -125,7 +126,7 @@ def test_without_a_pick_it_says_what_to_do(change):
 
 
 def test_words_download_no_model_while_all_browsers_wait(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("stylesplat.studio_app.edits.is_at_hand", lambda name: False)
-    monkeypatch.setattr("stylesplat.studio_app.edits.select", lambda *_, **__: pytest.fail())
+    monkeypatch.setattr(edits, "is_at_hand", lambda name: False)
+    monkeypatch.setattr(edits, "resolve_selection", lambda *_, **__: pytest.fail())
     with pytest.raises(StyleSplatError, match=r"pip install .*hf download IDEA-Research/"):
         pick_words(STATE, "red chair")

@@ -16,7 +16,7 @@ from stylesplat.progress import track
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import strengths_of
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.resolve import find_object
 from stylesplat.studio_app.edits import adjust_layer, pick_names, rename_picked
 from stylesplat.studio_app.files import AUTOSAVE, FORMATS, Exporter, SceneStore
 from stylesplat.studio_app.history import replace_scene
@@ -168,7 +168,7 @@ def test_what_cannot_be_painted_is_told_and_changes_nothing(session: Session, sa
 
 
 def test_an_object_of_three_gaussians_is_told_to_be_too_small(session: Session, said: list[str]):
-    three = {"few": SceneObject(torch.arange(len(SPLATS)) < 3, {})}
+    three = {"few": SceneObject(torch.arange(len(SPLATS)) < 3)}
     scene = replace(session.state.scene, objects=three)
     session.do(lambda state: replace_scene(state, scene, "named"))
     painted(session, "few")

@@ -2,6 +2,7 @@ import socket
 import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import Selection
 from stylesplat.studio_app.edits import pick_names, rename_picked
 from stylesplat.studio_app.files import AUTOSAVE
 from stylesplat.studio_app.history import replace_scene
@@ -85,7 +87,7 @@ def test_nothing_is_kept_while_something_is_painted_but_as_soon_as_it_is_done(fo
 
 def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, said: list[str]):
     opened = studio(folder, port=0, block=False)
-    number, no_json = opened.server.port, {"how": object()}
+    number, no_json = opened.server.port, Selection(scores={3: cast("float", object())})
     opened.session.do(
         lambda state: replace_scene(
             state,

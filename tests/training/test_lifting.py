@@ -8,8 +8,9 @@ from balls import BALLS, CAMERAS, PLAIN, SPLATS, class_probabilities
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene import splats as nouns
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.selection import THRESHOLD
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import THRESHOLD, each_object, render_labels
+from stylesplat.selection.labels import each_object, render_labels
 from stylesplat.training import lifting
 from stylesplat.training.lifting import REPULSIONS, class_codes, labelled, lift, with_labels_of
 

@@ -177,10 +177,10 @@ def test_places_that_are_read_are_in_the_world():
 def test_the_studio_records_places_in_the_world():
     state = StudioState(SCENE)
     low, high = RED_BOX[:3], RED_BOX[3:]
-    how = pick_box(state, low, high).scene.objects["object 1"].how
-    assert how["box3d"] == pytest.approx(in_world(RED_BOX), abs=1e-4)
-    how = pick_ball(state, CAMERAS[0], (0.5, 0.5), 0.4).scene.objects["object 1"].how
-    _, (*centre, radius) = how["sphere"]
+    (box,) = pick_box(state, low, high).scene.objects["object 1"].selection.box3d
+    assert box == pytest.approx(in_world(RED_BOX), abs=1e-4)
+    found = pick_ball(state, CAMERAS[0], (0.5, 0.5), 0.4).scene.objects["object 1"]
+    ((_, (*centre, radius)),) = found.selection.sphere
     assert centre == pytest.approx(WORLD, abs=2) and radius == 0.4
 
 

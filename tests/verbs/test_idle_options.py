@@ -50,7 +50,7 @@ def test_select(idle: dict[str, Any], named: str):
 @pytest.mark.parametrize("by", [{"id": 3}, {"background": True}], ids=str)
 def test_select_takes_a_threshold_where_labels_select(by: dict[str, Any]):
     found = select(SCENE, "it", **by, **PLACE, threshold=0.9, remove_outliers=False)
-    assert found.objects["it"].how["threshold"] == 0.9
+    assert found.objects["it"].selection.threshold == 0.9
 
 
 @pytest.mark.parametrize(

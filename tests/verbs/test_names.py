@@ -13,8 +13,8 @@ from stylesplat.io import scene_folder
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.label_maps import write_names
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import find_object
 from stylesplat.selection.labels import pick
+from stylesplat.selection.resolve import find_object
 from stylesplat.verbs.import_ import import_
 from stylesplat.verbs.objects import objects
 

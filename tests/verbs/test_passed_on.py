@@ -73,7 +73,7 @@ def test_picks_go_out_and_come_in(tmp_path: Path):
     bare = replace(TRAINED, objects={})
     again = select(bare, "red", rows=path)
     assert torch.equal(again.objects["red"].mask, RED)
-    assert again.objects["red"].how["rows"] == [str(path)]
+    assert again.objects["red"].selection.rows == (str(path),)
     more = select(again, "both", rows=RED | GREEN, minus="red")
     assert torch.equal(more.objects["both"].mask, GREEN)
     with pytest.raises(StyleSplatError, match="no object 'vase'"):

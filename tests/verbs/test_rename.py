@@ -10,7 +10,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io import scene_folder
 from stylesplat.io.json_yaml import read_json
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.resolve import find_object
 from stylesplat.verbs.adjust import adjust
 from stylesplat.verbs.objects import delete, rename
 from stylesplat.verbs.select import select

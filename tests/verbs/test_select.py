@@ -10,9 +10,10 @@ from balls import BALLS, CAMERAS, SPLATS
 from capture_files import ColorDetector
 from scenes import layer_towards
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.scene_folder import object_record
 from stylesplat.scene.scene import Scene
+from stylesplat.selection import resolve
 from stylesplat.selection.labels import pick, render_labels
-from stylesplat.verbs import select as verb
 from stylesplat.verbs.objects import delete, objects, rename
 from stylesplat.verbs.select import select
 
@@ -27,9 +28,9 @@ def place(id: int) -> tuple[str, float, float]:
     return VIEW, float(x), float(y)
 
 
-def how(name: str = "it", scene: Scene = SCENE, **choice: Any) -> dict[str, Any]:
-    """How something was selected."""
-    return dict(select(scene, name, **choice).objects[name].how)
+def found_ids(scene: Scene = SCENE, **choice: Any) -> tuple[int, ...]:
+    """The label ids that a selection means."""
+    return select(scene, "it", **choice).objects["it"].selection.ids
 
 
 def picked(scene: Scene, name: str) -> Bool[torch.Tensor, " N"]:
@@ -37,8 +38,8 @@ def picked(scene: Scene, name: str) -> Bool[torch.Tensor, " N"]:
 
 
 def test_points_are_united_but_for_those_that_are_not_meant():
-    assert how(point=[place(3), place(7)])["ids"] == [3, 7]
-    assert how(id=(3, 7, 300), not_point=place(7))["ids"] == [3, 300]
+    assert found_ids(point=[place(3), place(7)]) == (3, 7)
+    assert found_ids(id=(3, 7, 300), not_point=place(7)) == (3, 300)
     with pytest.raises(StyleSplatError, match="--not-point only excludes"):
         select(SCENE, "none", id=7, not_point=place(7))
     box = (-3.0, -3.0, 0.02, 3.0, 3.0, 3.0)
@@ -78,8 +79,9 @@ def test_several_shapes_are_united():
         inside = (SPLATS.means - torch.tensor(sphere[:3])).norm(dim=1) < 0.31
         assert torch.equal(picked(scene, name), inside)
     assert torch.equal(picked(scene, "balls"), picked(scene, "red") | picked(scene, "green"))
-    assert scene.objects["balls"].how["sphere"] == tuple(("", each) for each in spheres)
-    assert scene.objects["red"].how["sphere"] == ("", spheres[0]), "one is written as it was"
+    records = {name: object_record(each) for name, each in scene.objects.items()}
+    assert records["balls"]["sphere"] == tuple(("", each) for each in spheres)
+    assert records["red"]["sphere"] == ("", spheres[0]), "one is written as it was"
 
 
 @pytest.mark.parametrize(
@@ -105,7 +107,7 @@ def test_grow_and_shrink_come_last():
     assert grown[red].all() and not grown[green].any(), "what was taken stays away"
     assert grown.sum() > red.sum(), "the table under it is taken in"
     scene = select(scene, "less", plus="more", shrink=0.05)
-    assert scene.objects["less"].how["shrink"] == 0.05
+    assert scene.objects["less"].selection.shrink == 0.05
     assert 0 < picked(scene, "less").sum() < grown.sum()
     listed = {each["id"]: each["names"] for each in objects(select(scene, "red", id=3))}
     assert listed[3] == ["red"], "a grown name is not that of the object"
@@ -126,17 +128,17 @@ def test_grow_or_shrink_that_cannot_be():
 @pytest.fixture
 def detector(monkeypatch: pytest.MonkeyPatch) -> ColorDetector:
     detector = ColorDetector()
-    monkeypatch.setattr(verb, "load_detector", lambda model, device: detector)
+    monkeypatch.setattr(resolve, "load_detector", lambda model, device: detector)
     return detector
 
 
 def test_by_text(detector: ColorDetector):
     scene = select(SCENE, "it", text="the red one")
-    found = scene.objects["it"].how
-    assert found["ids"] == [3] and found["text"] == "the red one"
-    assert found["scores"].keys() == {3} and 0.5 < found["scores"][3] < 0.81
+    found = scene.objects["it"].selection
+    assert found.ids == (3,) and found.text == ("the red one",)
+    assert found.scores.keys() == {3} and 0.5 < found.scores[3] < 0.81
     assert torch.equal(picked(scene, "it"), pick(SPLATS, object_id=3))
-    assert how(id=7, text="red")["ids"] == [7, 3], "it is united with the rest"
+    assert found_ids(id=7, text="red") == (7, 3), "it is united with the rest"
 
 
 def test_text_that_means_nothing_or_several(detector: ColorDetector):
@@ -157,7 +159,7 @@ def test_text_is_about_how_things_looked_before_styling(detector: ColorDetector)
     splats = replace(SPLATS, sh0=painted)
     layer = layer_towards(SPLATS, splats, red | green, "3")
     styled = Scene(SPLATS, CAMERAS).with_layers([layer])
-    assert how(scene=styled, text="red")["ids"] == [3]
+    assert found_ids(styled, text="red") == (3,)
 
 
 @pytest.mark.parametrize(
@@ -200,7 +202,7 @@ def test_a_part_leaves_its_object_the_rest():
     cap, rest = picked(scene, "cap"), picked(scene, "red")
     assert cap.any() and rest.any()
     assert torch.equal(cap | rest, whole) and not (cap & rest).any()
-    assert scene.objects["red"].record["gaussians"] == rest.sum()
+    assert object_record(scene.objects["red"])["gaussians"] == rest.sum()
     assert objects(scene)[0]["names"] == [], "it is not the whole object of the label any more"
     x, y, z = BALLS[3][0]
     side = (x, y, z + 0.3, 0.2)

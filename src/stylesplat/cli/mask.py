@@ -239,8 +239,8 @@ def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> Answer:
     from stylesplat.masks.working_splat import rendered_capture
     from stylesplat.rendering.render import pick_device
     from stylesplat.scene.capture import at_most
-    from stylesplat.selection.choose import names_of
     from stylesplat.selection.labels import object_ids, render_labels
+    from stylesplat.selection.resolve import names_of
 
     ids, preview, photos = object_ids(scene.splats), None, None
     names = {id: name for id in ids for name in names_of(scene, id)[:1]}

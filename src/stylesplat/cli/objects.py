@@ -153,6 +153,8 @@ class Select(EditingCommand):
     """Draw no picture of it into the scene."""
 
     def run(self) -> Answer:
+        from stylesplat.io.scene_folder import object_record
+
         selection_file(self.folder, self.name)  # raises before the work
         after = self.rewrite(self._select)
         picture = self._draw() if self.picture and self.json else None
@@ -162,7 +164,7 @@ class Select(EditingCommand):
             for name, each in after.objects.items()
             if each.mask[found.mask].all() and each.mask.sum() > found.mask.sum()
         ]
-        values = {"name": self.name, **found.record, "within": within}
+        values = {"name": self.name, **object_record(found), "within": within}
         lines = [f"{self.name}: {values['gaussians']:,} Gaussians."]
         lines += [
             f"All of them are part of {whole}, too. With --of {whole} the rest stays its own; "
@@ -196,7 +198,7 @@ class Select(EditingCommand):
         """Draw the selection in the scene as it is saved; None if there is no picture."""
         from stylesplat.figures.sheets import selection_picture
         from stylesplat.io.images import write_image
-        from stylesplat.selection.choose import find_object
+        from stylesplat.selection.resolve import find_object
 
         with optional_picture(self.name):
             scene = ss.open(self.folder)
@@ -225,9 +227,11 @@ class Rename(EditingCommand):
     """Its new name."""
 
     def run(self) -> Answer:
+        from stylesplat.io.scene_folder import object_record
+
         after = self.rewrite(lambda scene: ss.rename(scene, self.old, self.new))
         picture = selection_file(self.folder, self.new)
-        values = {"name": self.new, "was": self.old, **after.objects[self.new].record}
+        values = {"name": self.new, "was": self.old, **object_record(after.objects[self.new])}
         values |= {"scene": self.folder, "picture": picture if picture.is_file() else None}
         line = f"{self.old} is called {self.new} now."
         return Answer(values, [line], [stylize_command(self.folder, self.new)])

@@ -262,7 +262,7 @@ def stylize_noise(capture: Path, count: int = 400) -> None:
         ids=(0, 1),
     )
     splats = replace(splats, opacities=torch.full((count,), 2.0))
-    noise = {"noise": SceneObject(torch.ones(count, dtype=torch.bool), {})}
+    noise = {"noise": SceneObject(torch.ones(count, dtype=torch.bool))}
     scene = Scene(splats, photos.cameras, held_out=photos.cameras.names[:1], objects=noise)
     style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=2, object_size=112))
     stylize(scene, {"noise": style}, device="cpu")

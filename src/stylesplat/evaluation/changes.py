@@ -26,7 +26,7 @@ from stylesplat.scene.projection import depths_of, project, unproject
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import evenly_spaced, farthest_views
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.choose import whole_ids
+from stylesplat.selection.resolve import whole_ids
 from stylesplat.stylization.views import ObjectBox, find_boxes
 
 RANGES = {"short": 1, "long": 7}  # steps between the views of a pair, as papers measure it

@@ -73,7 +73,7 @@ def convert_checked(value: Any, kind: Any, what: str, remedy: str, *, strict: bo
     The StyleSplatError for a value that does not fit begins with `what` and ends with `remedy`.
     """
     try:
-        return msgspec.convert(value, kind, strict=strict)
+        return msgspec.convert(value, kind, strict=strict, str_keys=True)
     except (msgspec.ValidationError, RecursionError, OverflowError, UnicodeError) as error:
         raise StyleSplatError(f"{what}: {error}. {remedy}") from error
 

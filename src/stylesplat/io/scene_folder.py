@@ -36,9 +36,9 @@ from stylesplat.io.tensors import (
 )
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
-from stylesplat.scene.capture import MAX_ID
 from stylesplat.scene.objects import SceneObject, check_name, name_fault
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import Selection
 from stylesplat.scene.splats import Classifier, Splats
 from stylesplat.scene.world_offset import LARGEST_POSITION, ORIGIN, Offset
 
@@ -62,6 +62,8 @@ IDENTITY_TENSORS = {
     "confidence": Declared(("N",), low=0, high=1.001, optional=True),  # a share, and rounding
 }
 CONTENT = (SCENE, SCENE_SPLATS, BASE, STACK, IDENTITY_FILE, CAMERAS, OBJECTS, PICKS)
+# Keys of `objects.json` that have no list of one item, and the types of their items
+ALONE = {"text": str, "box3d": list, "sphere": list}
 ATTEMPTS = 5  # at reading a folder that others change; each takes seconds, and so does a change
 
 
@@ -81,12 +83,6 @@ class _Info(msgspec.Struct):
     settings: _Settings = msgspec.field(default_factory=_Settings)
     fits: tuple[Literal["colors", "pose"], ...] = ()  # what was fitted to each photo
     world_offset: tuple[_Coordinate, _Coordinate, _Coordinate] = ORIGIN
-
-
-class _How(msgspec.Struct):
-    """What is read again of how an object was selected."""
-
-    ids: list[Annotated[int, Meta(ge=0, le=MAX_ID)]] = []
 
 
 class _Metrics(msgspec.Struct):
@@ -245,10 +241,13 @@ def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
 
 
 def _read_objects(folder: Path, scene: Scene) -> dict[str, SceneObject]:
-    path, hows = folder / OBJECTS, read_json(folder / OBJECTS, most=MAX_JSON)
+    path, what, remedy = folder / OBJECTS, f"Cannot read {folder / OBJECTS}", "Select again."
     picks = read_tensors(folder / PICKS, PICKED, N=len(scene.splats))
-    convert_checked(hows, dict[str, _How], f"Cannot read {path}", "Select again.")
-    for name in hows:
+    records = read_json(path, most=MAX_JSON)
+    records = convert_checked(records, dict[str, dict[str, Any]], what, remedy)
+    records = {name: _with_lists(record) for name, record in records.items()}
+    selections = convert_checked(records, dict[str, Selection], what, remedy)
+    for name in selections:
         fault = name_fault(name) or (None if name in picks else f"{PICKS} lacks it")
         if fault:
             raise StyleSplatError(
@@ -256,13 +255,30 @@ def _read_objects(folder: Path, scene: Scene) -> dict[str, SceneObject]:
                 "Select it again."
             )
     objects = dict[str, SceneObject]()
-    for name, how in hows.items():
+    for name, selection in selections.items():
         mask = picks[name][: len(scene.base)].clone()
         if not mask.any():  # earlier versions had objects of surfels alone
             mask = scene.to_base(picks[name].int()) > 0
-        how.pop("gaussians", None)
-        objects[name] = SceneObject(mask, how)
+        objects[name] = SceneObject(mask, selection)
     return objects
+
+
+def object_record(found: SceneObject) -> dict[str, Any]:
+    """What `objects.json` holds of an object: its selection, and the number of its Gaussians."""
+    given = msgspec.structs.asdict(found.selection)
+    record = {key: value for key, value in given.items() if value or key in ("ids", "threshold")}
+    record |= {key: record[key][0] for key in ALONE if len(record.get(key, ())) == 1}
+    return record | {"gaussians": int(found.mask.sum())}
+
+
+def _with_lists(record: dict[str, Any]) -> dict[str, Any]:
+    """A record whose keys of `ALONE` have lists of one, too."""
+    lists = dict[str, list[Any]]()
+    for key in ALONE.keys() & record.keys():
+        value, kind = record[key], ALONE[key]
+        several = isinstance(value, list) and all(isinstance(each, kind) for each in value)
+        lists[key] = value if several else [value]
+    return record | lists
 
 
 def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None) -> None:
@@ -284,7 +300,14 @@ def _write(scene: Scene, folder: Path, place: Path, before: Scene | None = None)
             check_name(name)
         picks = {name: scene.to_splats(each.mask) for name, each in scene.objects.items()}
         write_tensors(picks, folder / PICKS)
-        write_json({name: each.record for name, each in scene.objects.items()}, folder / OBJECTS)
+        known = read_json(folder / OBJECTS, most=MAX_JSON) if before else {}
+        own = (*Selection.__struct_fields__, "gaussians")
+        records = {
+            name: object_record(each)
+            | {key: value for key, value in known.get(name, {}).items() if key not in own}
+            for name, each in scene.objects.items()
+        }
+        write_json(records, folder / OBJECTS)
     if not scene.layers:
         (folder / BASE).unlink(missing_ok=True)
     elif differs("base") or not (before and before.layers):

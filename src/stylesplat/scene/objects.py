@@ -3,13 +3,13 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, count_noun, noun_repr, shorten
+from stylesplat.scene.selection import Selection
 
 OBJECT_MAX_NAME = 100  # characters of an object's name
 RESERVED = "__metadata__"  # of safetensors files
@@ -23,16 +23,10 @@ class SceneObject:
 
     mask: Bool[Tensor, " B"]
     """Its rows of the scene's base. Surfels of layers belong to what their parents belong to."""
-    how: Mapping[str, Any] = field(default_factory=dict)
-    """How they were selected, as plain values: `ids`, `threshold` and so on."""
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """How they were selected, and how many `gaussians` they are."""
-        return {**self.how, "gaussians": int(self.mask.sum())}
+    selection: Selection = field(default_factory=Selection)
 
     def __repr__(self) -> str:
-        named = " ".join(map(str, self.how.get("ids", ())))
+        named = " ".join(map(str, self.selection.ids))
         share = f"{int(self.mask.sum()):,} of {count_noun(len(self.mask), 'Gaussian')}"
         return noun_repr(self, share, f"label ids {named}" if named else None)
 

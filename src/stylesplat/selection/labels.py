@@ -22,6 +22,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.content import EXTENT_FAINT
 from stylesplat.scene.projection import crop, overlapping
+from stylesplat.scene.selection import THRESHOLD, Point, ViewBox
 from stylesplat.scene.splats import Classifier, Splats
 
 MIN_COVERAGE = 0.5  # of a pixel, below which it shows mostly what lies behind all Gaussians
@@ -202,14 +203,10 @@ def inliers(
     return usual.to(points.device)
 
 
-THRESHOLD = 0.5  # a Gaussian is picked when its object is likelier than all others together
 # Mean distance to neighbours over the standard deviation, up to which a Gaussian that label maps
 # confirm is no outlier. Without this large ones are lost: 12 % of what shows of the lifted fox.
 MEMBER_TOUCH = 4.0
 UNKNOWN_SCENE = "SCENE"  # stands for an unknown folder of a scene
-
-Point = tuple[float, float]
-ViewBox = tuple[float, float, float, float]
 
 
 def pick(

@@ -13,8 +13,9 @@ from stylesplat.scene.capture import BACKGROUND, Capture
 from stylesplat.scene.layers import layer_subset
 from stylesplat.scene.objects import ListedObject, ListedObjects, SceneObject, name_fault
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import find_object, names_of
-from stylesplat.selection.labels import THRESHOLD, each_object, object_ids
+from stylesplat.scene.selection import Selection
+from stylesplat.selection.labels import each_object, object_ids
+from stylesplat.selection.resolve import find_object, names_of
 from stylesplat.selection.shares import OwnShares
 from stylesplat.training.lifting import lift, with_labels_of
 
@@ -83,7 +84,7 @@ def with_names(scene: Scene, names: Mapping[int, str]) -> Scene:
                 f"{fault or 'no Gaussians belong to it'}. Name it with `stylesplat select`."
             )
             continue
-        scene = scene.with_object(name, SceneObject(mask, {"ids": [id], "threshold": THRESHOLD}))
+        scene = scene.with_object(name, SceneObject(mask, Selection(ids=(id,))))
     return scene
 
 
@@ -124,9 +125,9 @@ def listed_objects(scene: Scene, names: Sequence[str] = ()) -> ListedObjects:
     for name, mask in track(masks.items(), "listing objects", unit="object"):
         picked = scene.to_splats(mask)
         shares = own.of(picked)[picked]
-        ids = scene.objects[name].how.get("ids", ()) if name in scene.objects else ()
+        ids = scene.objects[name].selection.ids if name in scene.objects else ()
         own_id = (int(name),) if name.isdecimal() else ()
-        objects[name] = ListedObject(picked.nonzero()[:, 0], shares, tuple(ids) or own_id)
+        objects[name] = ListedObject(picked.nonzero()[:, 0], shares, ids or own_id)
     labels = None
     if scene.base.classifier is not None:
         labels = torch.full((len(scene.base),), BACKGROUND)
@@ -151,7 +152,7 @@ def relabel(scene: Scene, masked: Capture, *, add: bool, device: torch.device) -
     stay = {
         name: each
         for name, each in scene.objects.items()
-        if name not in names.values() and (add or not each.how.get("ids"))
+        if name not in names.values() and (add or not each.selection.ids)
     }
     found = with_names(replace(scene, base=lifted, objects=stay), names)
     for name in names.values():
@@ -170,7 +171,7 @@ def _renamed(scene: Scene, ids: tuple[int, ...], names: dict[int, str]) -> dict[
         if id == BACKGROUND:
             continue
         before = scene.objects.get(names.get(id, ""))
-        own = before.how.get("ids", []) if before else []
+        own = before.selection.ids if before else ()
         if len(own) == 1 and own[0] in known:
             renamed[id] = own[0]
         else:

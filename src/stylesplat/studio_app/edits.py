@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -18,8 +19,9 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import RECOLOR, Layer
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import IN_MEMORY, Selection
 from stylesplat.scene.world_offset import to_world
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.resolve import find_object, resolve_selection
 from stylesplat.selection.shapes import grow, grow_by_similarity, surface_point, within_distance
 from stylesplat.selection.text import CHECKPOINT
 from stylesplat.studio_app.history import StudioState, replace_scene, require_picked
@@ -27,7 +29,6 @@ from stylesplat.studio_app.messages import How, PicturePoint, Shape, ViewVector
 from stylesplat.stylization.config import RecolorConfig, StyleConfig, plain_settings
 from stylesplat.verbs.adjust import adjust, recolor
 from stylesplat.verbs.objects import delete, rename
-from stylesplat.verbs.select import select
 
 
 def find_layer(scene: Scene, name: str) -> Layer:
@@ -135,7 +136,6 @@ BENEATH = 0.1  # of what shows: how deep what is beneath belongs to it
 SEEDS = 25  # of the reach, within which what is around a click belongs to it whatever its look
 LEAST_SHOWN = 0.05  # of a pixel, by which a Gaussian shows
 DECIMALS = 5  # of places in the world that `objects.json` records
-NEW = "new object"  # the name of a shape until it is part of a pick
 
 
 def pick_names(state: StudioState, names: Sequence[str], how: How = "new") -> StudioState:
@@ -156,7 +156,8 @@ def pick_ball(
     if not within_distance(base.means, centre[None].to(base.means), radius).any():
         raise StyleSplatError("Nothing lies in this ball. Click an object, or enlarge the radius.")
     middle = to_world(_rounded(centre), base.world_offset).tolist()
-    return _shaped(state, how, sphere=(*middle, round(radius, DECIMALS)))
+    ball = (*middle, round(radius, DECIMALS))
+    return _shaped(state, how, Selection(sphere=(("", ball),)))
 
 
 def pick_alike(
@@ -169,7 +170,8 @@ def pick_alike(
     if not seeds.any():
         distances = (splats.means - point).norm(dim=1)
         seeds = distances == distances.min()
-    return _shaped(state, how, rows=grow_by_similarity(splats, seeds, reach))
+    mask = state.scene.most_of(grow_by_similarity(splats, seeds, reach))
+    return _shaped(state, how, Selection(rows=IN_MEMORY), mask)
 
 
 @torch.no_grad()
@@ -188,7 +190,8 @@ def pick_drawn(
     height, width = inside.shape
     seen = (depths > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     below = inside[row.clamp(0, height - 1), column.clamp(0, width - 1)] & seen
-    return _shaped(state, how, rows=rows | (grow(base, rows, BENEATH) & below))
+    rows |= grow(base, rows, BENEATH) & below
+    return _shaped(state, how, Selection(rows=IN_MEMORY), rows)
 
 
 def _rounded(places: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
@@ -220,7 +223,7 @@ def pick_box(
 ) -> StudioState:
     corners = _rounded(torch.tensor([low, high], dtype=torch.float64))
     places = to_world(corners, state.scene.world_offset)
-    return _shaped(state, how, box3d=tuple(places.flatten().tolist()))
+    return _shaped(state, how, Selection(box3d=(tuple(places.flatten().tolist()),)))
 
 
 def pick_words(state: StudioState, text: str) -> StudioState:
@@ -230,12 +233,12 @@ def pick_words(state: StudioState, text: str) -> StudioState:
             "No model that knows words is installed. Run `pip install 'stylesplat[segment]'` and "
             f"`hf download {CHECKPOINT}`, then try again."
         )
-    return _shaped(state, "new", text=text)
+    return _shaped(state, "new", Selection(text=(text,)))
 
 
 def unite_picked(state: StudioState) -> StudioState:
     require_picked(state)
-    return _selected(state, _free_name(state), plus=state.picked)
+    return _selected(state, _free_name(state), Selection(plus=state.picked))
 
 
 def subtract_picked(state: StudioState) -> StudioState:
@@ -244,14 +247,15 @@ def subtract_picked(state: StudioState) -> StudioState:
             "Pick two objects or more: the others are subtracted from the first one."
         )
     first, *others = state.picked
-    return _selected(state, _free_name(state), plus=first, minus=others)
+    return _selected(state, _free_name(state), Selection(plus=(first,), minus=tuple(others)))
 
 
 def resize_picked(state: StudioState, share: float) -> StudioState:
     """Let what is picked grow by a share of its extent, or shrink if that is negative."""
     require_picked(state)
-    change = {"grow": share} if share > 0 else {"shrink": -share}
-    return _selected(state, _own_name(state), plus=state.picked, **change)
+    wider, smaller = (share, None) if share > 0 else (None, -share)
+    selection = Selection(plus=state.picked, grow=wider, shrink=smaller)
+    return _selected(state, _own_name(state), selection)
 
 
 def rename_picked(state: StudioState, name: str) -> StudioState:
@@ -259,7 +263,7 @@ def rename_picked(state: StudioState, name: str) -> StudioState:
         raise StyleSplatError("Pick one object to give it a name.")
     (old,) = state.picked
     if old not in state.scene.objects:  # a label id
-        return _selected(state, name, id=int(old))
+        return _selected(state, name, Selection(ids=(int(old),)))
     scene = rename(state.scene, old, name)
     hidden = frozenset(name if each == old else each for each in state.hidden)
     note = f"Renamed {old} to {name}"
@@ -290,22 +294,26 @@ def _pixel_of(camera: Cameras, place: PicturePoint) -> tuple[float, float]:
     return x * width, y * height
 
 
-def _shaped(state: StudioState, how: How, **choice: Any) -> StudioState:
-    """Make a pick of a choice, or add the choice to the pick, or subtract it."""
+def _shaped(
+    state: StudioState, how: How, selection: Selection, mask: Bool[Tensor, " B"] | None = None
+) -> StudioState:
+    """Make a pick of a selection, or add the selection to the pick, or subtract it."""
     if how == "new" or not state.picked:
         if how == "away":
             raise StyleSplatError("Nothing is picked to take away from.")
-        return _selected(state, _free_name(state), **choice)
+        return _selected(state, _free_name(state), selection, mask)
     if how == "add":
-        return _selected(state, _own_name(state), plus=state.picked, **choice)
-    found = select(state.scene, NEW, **choice).objects[NEW].mask
-    own = [find_object(state.scene, name) for name in state.picked]
-    return _selected(state, _own_name(state), rows=torch.stack(own).any(dim=0) & ~found)
+        both = msgspec.structs.replace(selection, plus=state.picked)
+        return _selected(state, _own_name(state), both, mask)
+    found = resolve_selection(state.scene, selection, mask=mask).mask
+    own = torch.stack([find_object(state.scene, name) for name in state.picked]).any(dim=0)
+    return _selected(state, _own_name(state), Selection(rows=IN_MEMORY), own & ~found)
 
 
-def _selected(state: StudioState, name: str, **choice: Any) -> StudioState:
-    # Under a name of its own: `select` would tell of every stroke what the name meant before
-    scene = state.scene.with_object(name, select(state.scene, NEW, **choice).objects[NEW])
+def _selected(
+    state: StudioState, name: str, selection: Selection, mask: Bool[Tensor, " B"] | None = None
+) -> StudioState:
+    scene = state.scene.with_object(name, resolve_selection(state.scene, selection, mask=mask))
     return replace(state, scene=scene, picked=(name,), note=f"Selected {name}")
 
 

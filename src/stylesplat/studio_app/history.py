@@ -12,8 +12,8 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.scene.content import Extent, extent_of
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.choose import find_object, names_of
 from stylesplat.selection.labels import object_ids
+from stylesplat.selection.resolve import find_object, names_of
 
 
 @dataclass(frozen=True, eq=False)

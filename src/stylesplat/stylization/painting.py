@@ -15,7 +15,7 @@ from stylesplat.scene.layers import Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import GIB
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.choose import find_objects
+from stylesplat.selection.resolve import find_objects
 from stylesplat.stylization.config import DEFAULT_NETWORK, Network, Precision, StyleConfig
 from stylesplat.stylization.features import FeatureNetwork, fastest_dtype, load_weights
 from stylesplat.stylization.style import Recipe, Style, digest

@@ -11,7 +11,7 @@ from stylesplat.progress import say
 from stylesplat.scene.layers import RECOLOR, recoloring
 from stylesplat.scene.objects import check_name_or_id
 from stylesplat.scene.scene import Scene, named_layers, require_painted, strengths_of
-from stylesplat.selection.choose import background_of, find_object
+from stylesplat.selection.resolve import background_of, find_object
 from stylesplat.stylization.colors import recolor_map
 from stylesplat.stylization.config import RecolorConfig, recolor_config
 from stylesplat.stylization.style import all_colors, source_of

@@ -16,8 +16,8 @@ from stylesplat.options import check_arguments
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import has_rendered_views
-from stylesplat.selection.choose import find_object
 from stylesplat.selection.objects import cut_out, every_part, listed_objects, part_mask
+from stylesplat.selection.resolve import find_object
 
 EXPORT_KINDS = {WEB_SUFFIX: "a page", LISTS: "a list of objects"}
 IDLE = {  # options without an effect

@@ -28,6 +28,7 @@ from stylesplat.scene.frames import (
 )
 from stylesplat.scene.objects import ListedObjects, SceneObject, is_id
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import Selection
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.scene.world_offset import offset_text, place_text
@@ -128,7 +129,7 @@ def import_(
         if not is_id(name):
             mask = torch.zeros(listed.count, dtype=torch.bool)
             mask[each.rows] = True
-            scene = scene.with_object(name, SceneObject(mask, {"ids": list(each.ids)}))
+            scene = scene.with_object(name, SceneObject(mask, Selection(ids=each.ids)))
     libraries = {"stylesplat": version("stylesplat")}
     info = {**scene.info, "splat": file and file.resolve(), "libraries": libraries}
     seconds = round(time.perf_counter() - start, 2)

@@ -17,12 +17,12 @@ from stylesplat.rendering.render import pick_device
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import with_poses_of
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import Selection
 from stylesplat.scene.virtual_cameras import has_rendered_views
-from stylesplat.selection.choose import SHAPING
 from stylesplat.selection.labels import object_ids
 from stylesplat.selection.objects import relabel
+from stylesplat.selection.resolve import resolve_selection
 from stylesplat.verbs.import_ import WORKING_SIZE
-from stylesplat.verbs.select import select
 
 STALE = ("confidence", "unseen_gaussians", "miou", "boundary_miou")  # metrics of earlier labels
 
@@ -65,26 +65,21 @@ def labels(
     for name, each in scene.objects.items():
         if name in found.objects:
             continue
-        before = () if SHAPING & each.how.keys() else tuple(each.how.get("ids", ()))
+        old = each.selection
+        before = old.ids if old.is_whole else ()
         if ids := [id for id in before if id in known]:
-            found = select(found, name, id=ids, threshold=each.how.get("threshold", 0.5))
-            found = _without_parts(found, name, scene)
+            rules = {"threshold": old.threshold, "keep_outliers": old.keep_outliers}
+            again = resolve_selection(found, Selection(ids=tuple(ids), **rules))
+            for part in scene.objects.values():
+                if part.selection.of == name:
+                    again = replace(again, mask=again.mask & ~part.mask)
+            found = found.with_object(name, again)
         elif before:
             say(f"{name!r} is gone: the label maps do not contain its id.")
         else:
             found = found.with_object(name, each)
     metrics = {name: value for name, value in scene.metrics.items() if name not in STALE}
     return replace(found, metrics=metrics)
-
-
-def _without_parts(found: Scene, name: str, scene: Scene) -> Scene:
-    """The scene whose object has lost what parts were made of it before."""
-    again = found.objects[name]
-    left = again.mask
-    for part in scene.objects.values():
-        if part.how.get("of") == name:
-            left = left & ~part.mask
-    return found.with_object(name, replace(again, mask=left))
 
 
 def _with_masks(scene: Scene, masks: Path | str | None) -> Capture:

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from jaxtyping import Bool
+from msgspec import structs
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, shell_command, shorten
@@ -13,9 +14,9 @@ from stylesplat.scene.content import Extent, content_of, extent_of
 from stylesplat.scene.objects import check_name
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.world_offset import Offset, to_world
-from stylesplat.selection.choose import names_of
 from stylesplat.selection.labels import each_object, object_ids
 from stylesplat.selection.objects import require_named
+from stylesplat.selection.resolve import names_of
 from stylesplat.selection.shares import OwnShares
 
 
@@ -84,12 +85,10 @@ def rename(scene: Scene, old: str, new: str) -> Scene:
             f"Cannot rename {old!r}: something else is called {new!r}. Choose another name, or "
             f"delete that one first."
         )
-    objects = {
-        new if name == old else name: replace(each, how={**each.how, "of": new})
-        if each.how.get("of") == old
-        else each
-        for name, each in scene.objects.items()
-    }
+    objects = {new if name == old else name: each for name, each in scene.objects.items()}
+    for name, each in objects.items():
+        if each.selection.of == old:
+            objects[name] = replace(each, selection=structs.replace(each.selection, of=new))
     layers = []
     for each in scene.layers:
         protect = [new if name == old else name for name in each.settings.get("protect", ())]
@@ -122,7 +121,7 @@ def delete(scene: Scene, name: str) -> Scene:
         say(f"{name} stays painted. `{way}` takes that back.")
     part, objects = scene.objects[name], dict(scene.objects)
     del objects[name]
-    if (of := part.how.get("of")) in objects:
+    if (of := part.selection.of) in objects:
         objects[of] = replace(objects[of], mask=objects[of].mask | part.mask)
     return replace(scene, objects=objects)
 

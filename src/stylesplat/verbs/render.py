@@ -19,7 +19,7 @@ from stylesplat.scene.virtual_cameras import (
     orbit_cameras,
     zoom_to_content,
 )
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.resolve import find_object
 from stylesplat.torch_modes import steps_in_own_modes
 
 RenderedViews = Literal["test", "train", "all", "orbit"]

@@ -9,24 +9,12 @@ import torch
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.gaussian_lists import read_rows
-from stylesplat.options import (
-    BOX,
-    BOX3D,
-    POINT,
-    SPHERE,
-    PickSize,
-    Places,
-    check_arguments,
-    check_box,
-)
+from stylesplat.options import BOX, BOX3D, POINT, SPHERE, PickSize, Places, check_arguments
 from stylesplat.progress import say
-from stylesplat.rendering.render import pick_device
 from stylesplat.scene.objects import check_name
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.choose import Choice, choose, whole_of
-from stylesplat.selection.labels import THRESHOLD, object_ids
-from stylesplat.selection.text import load_detector
+from stylesplat.scene.selection import IN_MEMORY, THRESHOLD, Selection
+from stylesplat.selection.resolve import resolve_selection, whole_of
 
 
 @check_arguments
@@ -101,37 +89,34 @@ def select(
     check_name(name)
     if of == name:
         raise StyleSplatError(f"{name!r} is no part of itself. Give the part another name.")
-    texts = (text,) if isinstance(text, str) else tuple(text or ())
-    choice = Choice(
-        ids=(id,) if isinstance(id, int) else tuple(id),
+    texts = _several(text or ())
+    if model is not None and not texts:
+        raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
+    if grow is not None and shrink is not None:
+        raise StyleSplatError("An object cannot grow and shrink. Pass --grow or --shrink.")
+    mask = _base_mask(scene, rows) if isinstance(rows, Tensor) else None
+    selection = Selection(
+        ids=_several(id),
         boxes=BOX.parse_all(box, "box"),
         points=POINT.parse_all(point, "point"),
         not_points=POINT.parse_all(not_point, "not_point"),
         of=of,
         size=size,
         text=texts,
+        model=model,
         box3d=tuple(corners for _, corners in BOX3D.parse_all(box3d, "box3d")),
         sphere=SPHERE.parse_all(sphere, "sphere"),
-        rows=_listed(scene, name, rows),
-        plus=(plus,) if isinstance(plus, str) else tuple(plus),
-        minus=(minus,) if isinstance(minus, str) else tuple(minus),
+        rows=tuple(map(str, _several(rows))) if mask is None else IN_MEMORY,
+        plus=_several(plus),
+        minus=_several(minus),
         all=all,
         background=background,
         grow=grow,
         shrink=shrink,
+        threshold=threshold,
+        keep_outliers=not remove_outliers,
     )
-    for view, _ in (*choice.points, *choice.not_points):
-        scene.cameras.index(view)
-    for view, edges in choice.boxes:
-        check_box(edges, scene.cameras[scene.cameras.index(view)].size, view)
-    if model is not None and not texts:
-        raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
-    detector = None
-    if texts:  # places are checked before a model is downloaded
-        object_ids(scene.splats)  # refuses splats without objects before a model is downloaded
-        detector = load_detector(model, pick_device(device))
-    rules = {"threshold": threshold, "remove_outliers": remove_outliers}
-    found = choose(scene, choice, name=name, detector=detector, **rules)
+    found = resolve_selection(scene, selection, name=name, mask=mask, device=device)
     if name in scene.objects:
         before = int(scene.objects[name].mask.sum())
         say(f"{name!r} meant {before:,} Gaussians before.")
@@ -141,20 +126,16 @@ def select(
     return scene.with_object(name, found)
 
 
-def _listed(
-    scene: Scene, name: str, rows: Path | str | Tensor | Sequence[Path | str]
-) -> tuple[tuple[str, Tensor], ...]:
-    """Masks of the base, and where each came from."""
+def _several(given: Any) -> tuple[Any, ...]:
+    return (given,) if isinstance(given, int | str | Path) else tuple(given)
+
+
+def _base_mask(scene: Scene, rows: Tensor) -> Tensor:
+    """A mask of the base, of one of it or of all Gaussians."""
     count = len(scene.splats)
-    if isinstance(rows, Tensor):
-        if rows.dtype == torch.bool and rows.shape == (len(scene.base),):
-            return (("a mask", rows),)
-        if rows.dtype != torch.bool or rows.shape != (count,):
-            raise StyleSplatError(
-                f"Cannot select by rows of {rows.dtype} and shape {tuple(rows.shape)}. Give a mask "
-                f"of {count:,} Gaussians."
-            )
-        return (("a mask", scene.most_of(rows)),)
-    files = (rows,) if isinstance(rows, Path | str) else rows
-    masks = (scene.most_of(read_rows(file, count, name)) for file in files)
-    return tuple(zip(map(str, files), masks, strict=True))
+    if rows.dtype != torch.bool or rows.shape not in ((count,), (len(scene.base),)):
+        raise StyleSplatError(
+            f"Cannot select by rows of {rows.dtype} and shape {tuple(rows.shape)}. Give a mask "
+            f"of {count:,} Gaussians."
+        )
+    return rows if len(rows) == len(scene.base) else scene.most_of(rows)

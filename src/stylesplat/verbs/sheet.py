@@ -20,7 +20,7 @@ from stylesplat.rendering.render import pick_device, render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.choose import find_object
+from stylesplat.selection.resolve import find_object
 from stylesplat.stylization.config import Network
 from stylesplat.stylization.painting import Painting, check_paintings
 from stylesplat.stylization.style import Style
