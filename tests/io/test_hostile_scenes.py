@@ -64,7 +64,10 @@ VALUES: dict[tuple[Any, ...], tuple[object, ...]] = {  # wrong ones, by the plac
     ("layers.json", "layers", 0, "styles"): ([{"path": "a\0"}],),
     ("layers.json", "layers", 0, "settings"): (None, {"form": 9}),
     ("layers.json", "layers", 0, "strength"): (9, float("nan")),
-    ("objects.json", "fox"): (3, {"ids": 3}, {"ids": [-1]}),
+    ("objects.json", "fox"): (
+        *(3, {"ids": 3}, {"ids": [-1]}, {"points": 3}, {"points": [["a.jpg", 3]]}, {"text": 3}),
+        *({"box3d": [1, 2]}, {"sphere": ["", [1]]}, {"size": "large"}, {"scores": {"fox": 1}}),
+    ),
     ("metrics.json", "train"): (3,),
 }
 JSON_MUTANTS: list[tuple[str, Change]] = [

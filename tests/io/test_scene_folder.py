@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -16,7 +17,9 @@ from stylesplat.io.scene_folder import revise
 from stylesplat.io.splats.splat_ply import write_splat_ply
 from stylesplat.io.tensors import write_tensors
 from stylesplat.scene.layers import compose
+from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import IN_MEMORY, Selection
 from stylesplat.scene.splats import Splats
 
 
@@ -94,6 +97,56 @@ def test_an_object_of_surfels_alone_gets_their_parents(tmp_path: Path):
     write_tensors(picks, tmp_path / "scene/picks.safetensors")
     (row,) = scene_folder.open(tmp_path / "scene").objects["fox"].mask.nonzero()[:, 0]
     assert row == scene.layers[0].parents[0]
+
+
+RECORDS: dict[str, tuple[dict[str, Any], Selection]] = {  # of versions before `Selection`
+    "label": ({"ids": [7], "threshold": 0.7}, Selection(ids=(7,), threshold=0.7)),
+    "clicked": (
+        {"ids": [7], "points": [["a.jpg", [1.5, 2]]], "not_points": [["a.jpg", [3, 4]]]},
+        Selection(ids=(7,), points=(("a.jpg", (1.5, 2)),), not_points=(("a.jpg", (3, 4)),)),
+    ),
+    "boxed": ({"boxes": [["a.jpg", [1, 2, 3, 4]]]}, Selection(boxes=(("a.jpg", (1, 2, 3, 4)),))),
+    "named": (
+        {"ids": [7], "text": "fox", "scores": {"7": 0.5}},
+        Selection(ids=(7,), text=("fox",), scores={7: 0.5}),
+    ),
+    "either": ({"text": ["fox", "dog"]}, Selection(text=("fox", "dog"))),
+    "box": ({"box3d": [1, 2, 3, 4, 5, 6]}, Selection(box3d=((1, 2, 3, 4, 5, 6),))),
+    "ball": ({"sphere": ["", [1, 2, 3, 4]]}, Selection(sphere=(("", (1, 2, 3, 4)),))),
+    "balls": (
+        {"sphere": [["", [1, 2, 3, 4]], ["a.jpg", [1, 2, 3]]]},
+        Selection(sphere=(("", (1, 2, 3, 4)), ("a.jpg", (1, 2, 3)))),
+    ),
+    "mask": ({"ids": [], "rows": ["a mask"]}, Selection(rows=IN_MEMORY)),
+    "part": (
+        {"of": "fox", "size": "part", "plus": ["a", "b"], "minus": ["c"], "grow": 0.1},
+        Selection(of="fox", size="part", plus=("a", "b"), minus=("c",), grow=0.1),
+    ),
+    "rest": ({"background": True, "shrink": 0.1}, Selection(background=True, shrink=0.1)),
+    "all": ({"all": True}, Selection(all=True)),
+}
+
+
+def test_what_was_selected_before_is_known(tmp_path: Path):
+    """And keys of other programs stay where they are."""
+    mask = torch.arange(COUNT) < 3
+    objects = {name: SceneObject(mask.clone()) for name in RECORDS}
+    scene = replace(plain_scene(), objects=objects)
+    scene_folder.save(scene, tmp_path / "scene")
+    path = tmp_path / "scene/objects.json"
+    records = {name: {**record, "gaussians": 3} for name, (record, _) in RECORDS.items()}
+    path.write_text(json.dumps(records | {"all": {**records["all"], "note": "mine"}}))
+    found = scene_folder.open(tmp_path / "scene")
+    assert {name: each.selection for name, each in found.objects.items()} == {
+        name: selection for name, (_, selection) in RECORDS.items()
+    }
+    revise(found, found.with_object("box", SceneObject(~mask)), tmp_path / "scene")
+    written = json.loads(path.read_text())
+    for name, record in records.items():
+        if name != "box":
+            same = {key: written[name][key] for key in record}
+            assert same == record, "as earlier versions wrote it"
+    assert written["all"]["note"] == "mine" and "box3d" not in written["box"]
 
 
 def test_identities_that_were_not_lifted_have_no_confidence(tmp_path: Path):
