@@ -19,6 +19,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 import trimesh
@@ -31,7 +32,7 @@ import stylesplat as ss
 from stylesplat.meshes.mesh import make_mesh
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.meshes.mesh_files import write_mesh
-from stylesplat.meshes.rasterize import NOTHING
+from stylesplat.meshes.rasterize import NOTHING, draw_mesh
 from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED, coverage
@@ -87,11 +88,22 @@ def pixel_means(samples: torch.Tensor) -> np.ndarray:
     return samples.view(shape).mean(dim=(1, 3)).numpy()
 
 
+def draw(mesh: TexturedMesh, camera: Cameras) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh before black, and where it shows."""
+    fragments = draw_mesh(mesh.vertices, mesh.faces, camera)
+    shown = fragments.faces != NOTHING
+    places = np.zeros((*shown.shape, 2), np.float32)
+    places[shown] = fragments.of_corners(mesh.uvs, mesh.faces) * len(mesh.texture) - 0.5
+    x, y = cv2.split(places)
+    image = cv2.remap(mesh.texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return image * shown[..., None], shown
+
+
 def supersampled(mesh: TexturedMesh, camera: Cameras) -> tuple[np.ndarray, np.ndarray]:
     """The mesh before black, and its share of each pixel."""
     width, height = camera.size
-    image, fragments = mesh.draw(camera.resize(FINER * width, FINER * height))
-    both = np.concatenate([image, (fragments.faces != NOTHING)[..., None]], axis=2)
+    image, shown = draw(mesh, camera.resize(FINER * width, FINER * height))
+    both = np.concatenate([image, shown[..., None]], axis=2)
     both = pixel_means(torch.from_numpy(both))
     return both[..., :3], both[..., 3:]
 

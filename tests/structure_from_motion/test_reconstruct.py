@@ -236,9 +236,6 @@ def test_each_size_and_lens_has_a_camera(tmp_path: Path):
     Image.open(tmp_path / "00.jpg").resize((160, 120)).save(tmp_path / "04.jpg")
     names = [f"0{i}.jpg" for i in range(5)]
 
-    def rows(cameras: str) -> list[tuple[int, ...]]:
-        return [group.rows for group in group_by_camera(tmp_path, names, cameras)]
-
-    assert rows("auto") == [(0, 1, 2), (3,), (4,)]
-    assert rows("one") == [(0, 1, 2, 3), (4,)]
-    assert rows("several") == [(0,), (1,), (2,), (3,), (4,)]
+    assert group_by_camera(tmp_path, names, "auto") == [[0, 1, 2], [3], [4]]
+    assert group_by_camera(tmp_path, names, "one") == [[0, 1, 2, 3], [4]]
+    assert group_by_camera(tmp_path, names, "several") == [[0], [1], [2], [3], [4]]

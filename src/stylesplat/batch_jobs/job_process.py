@@ -127,13 +127,11 @@ def run_job(job: Job, output: Path, threads: int, stopping: Event | None = None)
 
 
 def ended_job(job: Job, status: Status, reason: str) -> JobRecord:
-    """The record of a job that has ended now."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return JobRecord(job=job.name, verb=job.verb.name, status=status, reason=reason, ended=now)
 
 
 def process_command(job: Job, output: Path) -> list[str]:
-    """The words of the process of a job."""
     parent, launcher = [], []
     if sys.platform.startswith("linux"):
         parent = [sys.executable, "-IS", "-c", END_WITH_PARENT, str(os.getpid())]

@@ -34,12 +34,7 @@ from stylesplat.progress import say, task
 
 BATCH_PAGE = "jobs.html"
 BATCH_TEMPLATE = Path(__file__).with_name(BATCH_PAGE)
-BATCH_PICTURES = (
-    "before_after",
-    "picture",
-    "preview",
-    "sheet",
-)  # keys of results that name a picture
+BATCH_PICTURES = ("before_after", "picture", "preview", "sheet")  # keys of results that name one
 BATCH_SIDE = 420  # pixels of a picture at most: some 25 KB for each job
 BATCH_MAX_NUMBERS = 14  # of a job: its record has all
 

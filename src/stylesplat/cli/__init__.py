@@ -21,29 +21,18 @@ from stylesplat.interrupts import raise_if_interrupted
 from stylesplat.progress import observed, write_lines
 
 COMMANDS = (
-    Demo,
-    Check,
-    Sfm,
-    MaskCommand,
-    Train,
-    Import,
-    LabelsCommand,
-    Objects,
-    Select,
-    Rename,
-    Delete,
+    *(Demo, Check, Sfm, MaskCommand, Train, Import, LabelsCommand, Objects, Select, Rename, Delete),
+    *(Stylize, Recolor, Adjust, Sheet, Render, Export, Evaluate, Batch),
+    *(ViewCommand, StudioCommand, Mcp, Doctor),
 )
-COMMANDS += (Stylize, Recolor, Adjust, Sheet, Render, Export, Evaluate, Batch)
-COMMANDS += (ViewCommand, StudioCommand, Mcp, Doctor)
 VERBS = {each.__name__.removesuffix("Command").lower(): each for each in COMMANDS}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb.
 
-    Returns:
-        0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
-        after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2, after a few lines on stderr.
+    Returns 0 if it is done, 1 if the user's input is at fault (one line on stderr says what), 130
+    after Ctrl-C, 143 after SIGTERM. Wrong usage exits with 2, after a few lines on stderr.
     """
     command = None
     try:

@@ -59,11 +59,7 @@ From photos to a painted splat:
 
 
 def read_arguments(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
-    """The command that the user typed.
-
-    Raises:
-        SystemExit: After help, version or completion (0), or wrong usage (2).
-    """
+    """The command that the user typed; exits after help, version or completion, or wrong usage."""
     name = arguments[0] if arguments else "--help"
     if name == "--version":
         print(PROGRAM, version(PROGRAM))
@@ -81,11 +77,7 @@ def read_arguments(verbs: Mapping[str, type], arguments: Sequence[str]) -> Any:
 
 
 def read_command(kind: Any, words: Sequence[str], prog: str, **options: Any) -> Any:
-    """A command, or one of a union of commands, with the options in the words after `prog`.
-
-    Raises:
-        StyleSplatError: If a setting is out of its range.
-    """
+    """A command, or one of a union of commands, with the options in the words after `prog`."""
     command = tyro.cli(kind, prog=prog, args=words, **TYRO, **options)
     for name, declared in settings_of(type(command)).items():
         with_settings(CONFIGS[declared](), getattr(command, name))
@@ -106,12 +98,7 @@ def help_texts(config: type) -> dict[str, str]:
 
 
 def from_config(config: type, *names: str) -> Any:
-    """Annotates a dict as settings of a config, which holds only those that the user gave.
-
-    Args:
-        config: Declares its options, their types, defaults and help.
-        names: Which of them a command offers; by default all but those for research.
-    """
+    """Annotates a dict as settings of a config, with these names or all but those for research."""
     texts, offered = help_texts(config), {}
     for field, option in options_of(config).items():
         if field not in names and (names or option.research):

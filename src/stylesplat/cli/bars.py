@@ -43,12 +43,7 @@ class Bars(Observer):
     """The observer of the command line. It says no line twice."""
 
     def __init__(self, *, terminal: bool | None = None, delay: int | float | None = None) -> None:
-        """Draw bars or write lines.
-
-        Args:
-            terminal: Whether there is one, for bars; by default as stderr is.
-            delay: Seconds until a task is shown, and between two lines of one in a log.
-        """
+        """`delay` is seconds until a task is shown, and between two lines of one in a log."""
         self._terminal = sys.stderr.isatty() if terminal is None else terminal
         self._delay = (MOMENT if self._terminal else EVERY) if delay is None else delay
         self._said, self._drawn = set[str](), list[_Bar]()

@@ -139,10 +139,7 @@ BUG = "This is a mistake in stylesplat. Please report it, with all these lines."
 
 @contextmanager
 def new_scene(output: Path, *, overwrite: bool) -> "Iterator[Callable[[ss.Scene], None]]":
-    """Check the place of a scene before the work, and lock it; yields what saves the scene there.
-
-    If that fails, the scene is saved in the temporary directory, and the error says so.
-    """
+    """Check and lock the place of a scene before the work; yields what saves it there."""
     from stylesplat.io.atomic import locked_folder, refuse_occupied
     from stylesplat.io.kinds import SCENE
     from stylesplat.io.scene_folder import save
@@ -166,11 +163,7 @@ def new_scene(output: Path, *, overwrite: bool) -> "Iterator[Callable[[ss.Scene]
 
 
 def rewrite_scene(
-    source: Path,
-    output: Path | None,
-    change: "Callable[[ss.Scene], ss.Scene]",
-    *,
-    overwrite: bool,
+    source: Path, output: Path | None, change: "Callable[[ss.Scene], ss.Scene]", *, overwrite: bool
 ) -> "ss.Scene":
     """Open a scene, change it, and save it to `output`, or without that in its own folder."""
     from stylesplat.io.atomic import locked_folder, refuse_unwritable
@@ -202,11 +195,7 @@ def _update_pictures(before: "ss.Scene", after: "ss.Scene", folder: Path) -> Non
 
 
 def selection_file(scene: Path, name: str) -> Path:
-    """The picture of a selection.
-
-    Raises:
-        StyleSplatError: If the folder of pictures leads out of the scene.
-    """
+    """The picture of a selection."""
     return resolve_within(scene, f"selections/{file_stem(name)}.png")
 
 
@@ -297,10 +286,7 @@ def mask_command(capture: Path, view: str = "PHOTO") -> str:
 def object_commands(
     scene: Path, names: Sequence[str], *, labelled: bool, photos: bool = True
 ) -> list[str]:
-    """The way to an object to paint, which has a name, a label id, or neither.
-
-    Of a scene that was not made from photos, the views can be masked.
-    """
+    """The way to an object to paint, which has a name, a label id, or neither."""
     if names:
         return [stylize_command(scene, names[0])]
     if labelled:
@@ -314,10 +300,7 @@ def object_commands(
 
 
 def exit_status(error: BaseException, command: object = None) -> int | None:
-    """Say why a command failed, and what to do about it; return None if the error is a bug.
-
-    After Ctrl-C the command's `after_interruption` says how to continue.
-    """
+    """Say why a command failed, and what to do about it; None if the error is a bug."""
     if isinstance(error, KeyboardInterrupt):
         return report_interruption(error, getattr(command, "after_interruption", WHOLE))
     if isinstance(error, BrokenPipeError):

@@ -21,11 +21,8 @@ from stylesplat.io.json_yaml import write_json
 from stylesplat.progress import say
 
 COMPARISON_PAGE = ".html"
-COMPARISON_COMPARED = (
-    ("psnr", "PSNR", 2),
-    ("ssim", "SSIM", 3),
-    ("miou", "IoU", 3),
-)  # and how many digits
+# Names of metrics, what lines call them, and how many digits they have there
+COMPARISON_COMPARED = (("psnr", "PSNR", 2), ("ssim", "SSIM", 3), ("miou", "IoU", 3))
 EXAMPLE = "`stylesplat evaluate A B --compare -o page.html`"
 
 

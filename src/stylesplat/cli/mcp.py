@@ -48,11 +48,7 @@ class Mcp(Command):
 
 
 def mcp_server(root: Path, verbs: Mapping[str, type]) -> "MCPServer":
-    """A server with a tool for each verb, whose paths are confined to a folder.
-
-    Raises:
-        StyleSplatError: If the folder does not exist, or the extra is not installed.
-    """
+    """A server with a tool for each verb, whose paths are confined to a folder."""
     try:
         from mcp.server.mcpserver import MCPServer
     except ImportError as error:
@@ -126,10 +122,7 @@ def _values(value: Any) -> Iterator[str]:
 
 
 def _possible_paths(value: str) -> Iterator[str]:
-    """What verbs may take for a path in a value such as OBJECT=IMAGE,IMAGE.
-
-    A separator may also belong to a path, of which it is the rest of the value then.
-    """
+    """What verbs may take for a path in OBJECT=IMAGE,IMAGE; paths may contain separators."""
     yield from SEPARATORS.split(value)
     yield value
     yield from (value[found.end() :] for found in SEPARATORS.finditer(value))

@@ -106,7 +106,7 @@ class Check(MakingCommand):
         if not is_posed(folder):
             folder = find_earlier_capture(folder, beside=folder) or folder
         files = open_capture(folder)
-        capture = files.at(files.cameras.shrink_to(MEASURE_SIDE))
+        capture = files.at(files.whole.cameras.shrink_to(MEASURE_SIDE))
         report = ss.check(capture)
         values = report.summary()
         width = max(map(len, values["findings"]))
@@ -165,8 +165,7 @@ def find_photos_capture(given: Path, *, beside: Path, drawn: DrawnBoxes = ()) ->
     if foreign := find_foreign_poses(given):
         say(
             f"{join_names(foreign, whole=True)} may hold poses, in a form or a place that is not "
-            "read: "
-            "poses are found anew. To use those, export them as COLMAP's text into sparse/0."
+            "read: poses are found anew. To use those, export them as COLMAP's text into sparse/0."
         )
     say(f"{given} has no camera poses: finding them first, to be kept in {output}.")
     sfm(given, output)

@@ -1,10 +1,11 @@
 """`stylesplat stylize`; `recolor`, without a style; `adjust`, how strong paint is; `sheet`."""
 
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import UseAppendAction
+from tyro.conf import Positional, UseAppendAction
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, parse_style
@@ -23,7 +24,7 @@ from stylesplat.cli.command import (
     new_scene,
     next_command,
 )
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.atomic import locked_folder
 from stylesplat.progress import say
 from stylesplat.runtime import tidy_heap
@@ -31,11 +32,6 @@ from stylesplat.stylization.config import RecolorConfig, StyleConfig
 
 if TYPE_CHECKING:
     from stylesplat.stylization.style import Recipe
-from itertools import product
-
-from tyro.conf import Positional
-
-from stylesplat.errors import check_choice
 
 SETTINGS = from_config(StyleConfig)
 SHOWN = ("intensity", "form")  # settings that a recipe may give another value after painting
@@ -254,25 +250,13 @@ class Sheet(MakingCommand):
         if self.pick is not None:
             check_choice(self.pick, "cell", cells)
             return Answer({"command": cells[self.pick]}, [cells[self.pick]])
-        drawn = self._draw(variations)
-        lines = (
-            f"{self.output}: {drawn['cells']} pictures, seen from {drawn['view']}.",
-            "To paint the scene like one of the cells (--pick ROW,COLUMN prints its line again):",
-            *(f"{cell}:  {command}" for cell, command in cells.items()),
-        )
-        return Answer({**drawn, "commands": commands}, lines)
-
-    def _draw(self, variations: dict[str, tuple[Any, ...]]) -> dict[str, Any]:
-        from stylesplat.io.atomic import locked_folder
         from stylesplat.io.images import write_image
-        from stylesplat.io.scene_folder import open
-        from stylesplat.verbs.sheet import sheet
 
         preset = {} if self.preset == "default" else {"preset": self.preset}
         with locked_folder(self.output):
             self.refuse_picture(self.output)
-            made = sheet(
-                open(self.scene),
+            made = ss.sheet(
+                ss.open(self.scene),
                 parse_style(self.style[0])[0],
                 [pictures for _, pictures in map(parse_style, self.style)],
                 vary=variations,
@@ -284,8 +268,14 @@ class Sheet(MakingCommand):
                 **self.settings,
             )
             write_image(made.picture, self.output)
-        counts = {"cells": made.cells, "repainted": made.repainted}
-        return {"sheet": self.output, "view": made.view, **counts}
+        values = {"sheet": self.output, "view": made.view, "cells": made.cells}
+        values |= {"repainted": made.repainted, "commands": commands}
+        lines = (
+            f"{self.output}: {made.cells} pictures, seen from {made.view}.",
+            "To paint the scene like one of the cells (--pick ROW,COLUMN prints its line again):",
+            *(f"{cell}:  {command}" for cell, command in cells.items()),
+        )
+        return Answer(values, lines)
 
     def _variations(self) -> dict[str, tuple[Any, ...]]:
         """The values of each option that varies."""

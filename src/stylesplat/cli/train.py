@@ -30,13 +30,7 @@ from stylesplat.io.atomic import progress_path
 from stylesplat.io.files import is_there
 from stylesplat.progress import Observer, observed, say
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished
-from stylesplat.training.config import (
-    PRESETS,
-    SEGMENTS,
-    Segment,
-    TrainConfig,
-    refuse_two_lengths,
-)
+from stylesplat.training.config import PRESETS, SEGMENTS, Segment, TrainConfig, refuse_two_lengths
 
 # Pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
 TRAIN_LARGE = 1600
@@ -184,14 +178,7 @@ def _mention_load() -> None:
 def judge(
     metrics: Mapping[str, Any], config: TrainConfig, photos: int, *, check: str
 ) -> tuple[Worth, str]:
-    """How good the pictures of held-out photos are, and advice; none where they are good.
-
-    Args:
-        metrics: Those of the scene: `psnr`, `train_psnr`, `steps` and `gaussians`.
-        config: How it was trained.
-        photos: How many photos were trained on.
-        check: The command that checks the capture.
-    """
+    """How good the pictures of held-out photos are, and advice; none where they are good."""
     psnr, trained = metrics["psnr"], metrics["train_psnr"]
     if psnr >= GOOD:
         return "good", ""

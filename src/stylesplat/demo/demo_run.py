@@ -56,10 +56,7 @@ def write_report(
     paintings: Mapping[str, Path],
     seconds: float,
 ) -> None:
-    """Write the report of a demo whose other results are in `output` already.
-
-    `paintings` are by object. Raises a StyleSplatError if the file cannot be written.
-    """
+    """Write the report of a demo whose other results are in `output` already."""
     sections = _sections(output, capture, paintings, style_lines(styled.metrics, paintings))
     numbers = _numbers(scene.metrics, styled.metrics, paintings, seconds)
     page = Template(DEMO_TEMPLATE.read_text(encoding="utf-8")).substitute(
@@ -166,13 +163,8 @@ def run_demo(
 ) -> dict[str, Any]:
     """Copy the still life, train, list the objects, repaint two, render, export, report.
 
-    A run that was interrupted continues when it is started again.
-
-    Returns:
-        The paths of what was made, and the seconds that it took.
-
-    Raises:
-        StyleSplatError: If `output` holds something else or cannot be written.
+    A run that was interrupted continues when it is started again. Returns the paths of what was
+    made, and the seconds that it took.
     """
     unfinished = (output / CAPTURE).is_dir() and not (output / REPORT).exists()
     refuse_occupied(output, marker=REPORT, overwrite=overwrite or unfinished)
@@ -180,10 +172,7 @@ def run_demo(
     capture = copy_capture(output / CAPTURE, archive)
     scene = _train(capture, output / "scene", training, overwrite=overwrite)
     paintings = {name: capture / "styles" / f"{style}.jpg" for name, style in STYLES.items()}
-    styled = stylize(
-        scene,
-        {name: Style(path, config=styling) for name, path in paintings.items()},
-    )
+    styled = stylize(scene, {name: Style(path, config=styling) for name, path in paintings.items()})
     save(styled, output / "styled", overwrite=True)
     _render(scene, styled, output)
     for name in (SPLAT, PAGE):

@@ -61,10 +61,8 @@ def view_consistency(
     neighbours and between views farther apart (StyleGaussian, Liu et al. 2024). Here depth
     rendered from the Gaussians stands in for the optical flow. Errors of that depth, highlights
     and the resampling of fine texture count too, hence the same numbers of the base scene.
-
-    Returns:
-        `short_range_rmse` and `long_range_rmse` of the styled scene, and both with `_base` of
-        the other; a range whose views share no visible surface is left out.
+    Returns `short_range_rmse` and `long_range_rmse` of the styled scene, and both with `_base` of
+    the other; a range whose views share no visible surface is left out.
     """
     boxes = boxes or find_boxes(base, cameras, picked)
     pairs = {name: view_pairs(len(boxes), gap) for name, gap in RANGES.items()}
@@ -81,14 +79,10 @@ def view_consistency(
 
 
 def view_pairs(count: int, gap: int) -> list[tuple[int, int]]:
-    """Up to `CHANGE_MAX_PAIRS` pairs of `count` views, `gap` apart or else as far as there are
-    views."""
+    """Some pairs of `count` views, `gap` apart or else as far as there are views."""
     gap = min(gap, count - 1)
-    return (
-        evenly_spaced([(i, i + gap) for i in range(count - gap)], CHANGE_MAX_PAIRS)
-        if gap > 0
-        else []
-    )
+    pairs = [(i, i + gap) for i in range(count - gap)] if gap > 0 else []
+    return evenly_spaced(pairs, CHANGE_MAX_PAIRS)
 
 
 def warped_difference(a: ObjectRender, b: ObjectRender) -> Float[Tensor, "P 6"]:
@@ -140,10 +134,7 @@ CHANGE_MOST = 0.5  # share of the label maps in which a place has to lie beside 
 
 @torch.no_grad()
 def measure_changes(
-    base: Splats,
-    styled: Splats,
-    cameras: Cameras,
-    picked: Bool[Tensor, " N"],
+    base: Splats, styled: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]
 ) -> dict[str, int | float]:
     """Compare at most 4 renders before and after where the painted Gaussians are not visible.
 
@@ -183,10 +174,8 @@ def largest_stain(
     Label maps err: by a few pixels at the borders of objects, in some views by whole parts. So a
     pixel counts if it changed, lies farther from the objects in its view's label map than borders
     err, and shows a place that most label maps leave out. Thin rims and specks do not count.
-
-    Returns:
-        `stain_pixels`, at the size that the scene was made at, 0 if there is no stain; and the
-        name of its view, `stain_view`, if there is one. Empty if no label map shows an object.
+    Returns `stain_pixels`, at the size that the scene was made at, 0 if there is no stain; and the
+    name of its view, `stain_view`, if there is one. Empty if no label map shows an object.
     """
     base, styled = before.splats.to(device), after.splats.to(device)
     cameras = after.cameras.downscale(after.downscale)
@@ -218,10 +207,7 @@ def _beside(
     ids: Mapping[str, Sequence[int]],
     picks: Mapping[str, Bool[Tensor, " N"]],
 ) -> Iterator[tuple[int, Mask]]:
-    """Yield rows of cameras far from each other, and the pixels beside all objects in each.
-
-    Where a label map lacks an object, its rendered mask is used.
-    """
+    """Rows of cameras far from each other, and the pixels beside all objects in each."""
     photos = {name: row for row, name in enumerate(capture.cameras.names)}
     for row in farthest_views(cameras, len(cameras)):
         photo = photos.get(cameras.names[row])

@@ -76,15 +76,11 @@ def evaluate_views(
     that the capture's masks leave out are not compared. What is fitted to each photo is fitted to
     its left half on the right one, and the other way round.
 
-    Returns:
-        `psnr` and `ssim`, averaged over the views; with fits, also `psnr_unfitted` and
-        `ssim_unfitted`; none of them if the masks leave nothing. If the splats have identities and
-        these views have label maps, also `iou` and `boundary_iou` by label id, and their means over
-        the objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know are left
-        out, and these ids are listed in `unknown_ids`.
-
-    Raises:
-        StyleSplatError: If `rows` is empty.
+    Returns `psnr` and `ssim`, averaged over the views; with fits, also `psnr_unfitted` and
+    `ssim_unfitted`; none of them if the masks leave nothing. If the splats have identities and
+    these views have label maps, also `iou` and `boundary_iou` by label id, and their means over the
+    objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know are left out, and
+    these ids are listed in `unknown_ids`.
     """
     if not rows:
         raise StyleSplatError(
@@ -183,12 +179,7 @@ def fitted_render(
 
 
 def _fit_camera(
-    splats: Splats,
-    camera: Cameras,
-    photo: Tensor,
-    columns: slice,
-    fits: Fits,
-    valid: Tensor | None,
+    splats: Splats, camera: Cameras, photo: Tensor, columns: slice, fits: Fits, valid: Tensor | None
 ) -> Cameras:
     """Shift a camera so that the render of some columns matches its photo."""
     target = photo[:, columns]

@@ -54,16 +54,10 @@ def measure_painted(
 ) -> dict[str, Any]:
     """Measure how painting some objects changed them and the rest of the scene.
 
-    Args:
-        setups: For each object the scene before, the views that were optimised on, its network.
-        paintings: The objects and their styles.
-        styled: The scene after; new Gaussians are at its end.
-        held_out: Views to measure on instead.
-        surveys: By name, the boxes of objects in the views, if they are known.
-
-    Returns:
-        The result of `measure_changes`, and `objects`, by name the results of `measure_style`,
-        which are empty where the style is too small to be compared.
+    Of each object a setup has the scene before and the views that were optimised on, `surveys` its
+    boxes in them if they are known; `held_out` are views to measure on instead. Returns the result
+    of `measure_changes`, and `objects`, by name the results of `measure_style`, which are empty
+    where the style is too small to be compared.
     """
     base, cameras = setups[0].splats, held_out or setups[0].cameras
     paintings = [painting.to(base) for painting in paintings]
@@ -146,17 +140,9 @@ def measure_look(
 
 @torch.no_grad()
 def content_ssim(
-    base: Splats,
-    styled: Splats,
-    cameras: Cameras,
-    picked: Bool[Tensor, " N"],
+    base: Splats, styled: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]
 ) -> float | None:
-    """SSIM of an object's luminance before and after: how much of its content is left.
-
-    Returns:
-        1 if nothing changed. The mean over the object's pixels, then over the views that show
-        it; None if none does.
-    """
+    """SSIM of an object's luminance before and after, over its pixels; None if no view shows it."""
     scores = []
     for index in range(len(cameras)):
         before, coverage = colors_and_coverage(base, cameras[index], picked)
@@ -215,9 +201,7 @@ def own_nnfm(
 
     Each feature is compared with those whose receptive fields do not overlap its own. Another
     picture by the same artist would hardly come closer, so an object can reach this, not 0.
-
-    Returns:
-        The mean cosine distance; None if the pictures are too small for two such features.
+    Returns the mean cosine distance; None if the pictures are too small for two such features.
     """
     cells = network.cells(block)
     features, places = [], []

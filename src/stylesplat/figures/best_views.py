@@ -45,21 +45,12 @@ class ObjectMask:
 
 @torch.no_grad()
 def find_views(
-    splats: Splats,
-    cameras: Cameras,
-    picked: Bool[Tensor, " N"],
-    *,
-    count: int = BEST_VIEWS,
+    splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, count: int = BEST_VIEWS
 ) -> list[ObjectMask]:
-    """The views that show most of an object from sides that differ, the best one first.
-
-    There are fewer than `count` if it is visible in fewer.
-    """
+    """Some views that show most of an object from sides that differ, the best one first."""
     surface = splats.means[opaque_rows(splats, picked)]
     shares = share_in_images(surface, cameras)
-    likely = (shares > 0) & (
-        shares >= BEST_MOST * shares.max()
-    )  # though something may hide it there
+    likely = (shares > 0) & (shares >= BEST_MOST * shares.max())  # though it may be hidden there
     rows = evenly_spaced(likely.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)
 
     def mask(row: int) -> Tensor:

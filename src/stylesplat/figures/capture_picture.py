@@ -97,9 +97,8 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
     name = "" if capture.path is None else f"{capture.path.resolve().name}, "
     coverage = report.coverage
     captions = (
-        f"{name}{len(capture)} photos, {len(points):,} points, from above\n"
-        f"{coverage.arc:.0f} of 360 degrees are covered, the largest gap is "
-        f"{coverage.largest_gap:.0f}",
+        f"{name}{len(capture)} photos, {len(points):,} points, from above\n{coverage.arc:.0f} of "
+        f"360 degrees are covered, the largest gap is {coverage.largest_gap:.0f}",
         f"from the side: {coverage.elevations}\n"
         f"Each panel is {units / report.frame.scale:.3g} units wide",
     )

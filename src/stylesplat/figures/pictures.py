@@ -27,9 +27,7 @@ HEX = re.compile("#?([0-9a-f]{6})")
 # By default black is behind colours and white behind these; ids and distances have no background
 PICTURE_BEHIND: dict[str, Background] = {
     "color": BLACK,
-    "identities": WHITE,
-    "depth": WHITE,
-    "object": WHITE,
+    **dict.fromkeys(("identities", "depth", "object"), WHITE),
 }
 PERCENTILES = (0.02, 0.98)  # are the ends of the range of colours; values beyond are clamped
 MAX_SAMPLE = 100_000  # Gaussians that ranges are measured on; torch.quantile sorts them all
@@ -50,8 +48,7 @@ def parse_background(text: str) -> Background:
     if not match:
         raise StyleSplatError(
             f"There is no background {shorten(text)!r}. Use {', '.join(PICTURE_NAMED)}, or a "
-            "colour as "
-            "#rrggbb."
+            "colour as #rrggbb."
         )
     red, green, blue = (byte / 255 for byte in bytes.fromhex(match[1]))
     return red, green, blue
@@ -180,9 +177,7 @@ def _depth_picture(
     return _on_background(bgr.flip(-1) / 255 * alpha, alpha, behind)
 
 
-def _robust_range(
-    values: Float[Tensor, "M D"],
-) -> tuple[Float[Tensor, " D"], Float[Tensor, " D"]]:
+def _robust_range(values: Float[Tensor, "M D"]) -> tuple[Float[Tensor, " D"], Float[Tensor, " D"]]:
     levels = values.new_tensor(PERCENTILES)
     low, high = torch.quantile(_sample(values), levels, dim=0)
     return low, high

@@ -19,14 +19,7 @@ from stylesplat.figures.best_views import (
     survey_view,
     visibility,
 )
-from stylesplat.figures.grid import (
-    CARD,
-    GRID_CELL,
-    Row,
-    add_legend,
-    draw_grid,
-    wrap_cells,
-)
+from stylesplat.figures.grid import CARD, GRID_CELL, Row, add_legend, draw_grid, wrap_cells
 from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
 from stylesplat.imaging.similarity import psnr
 from stylesplat.io.captures.capture_folder import open_capture
@@ -66,10 +59,7 @@ SHEET_LONGEST = 2048  # pixels of a side: photos of phones have more than a scre
 
 @torch.no_grad()
 def object_sheet(
-    splats: Splats,
-    cameras: Cameras,
-    *,
-    names: Mapping[int, str] | None = None,
+    splats: Splats, cameras: Cameras, *, names: Mapping[int, str] | None = None
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw each object with its id, its name and the number of its Gaussians.
 
@@ -86,9 +76,8 @@ def object_sheet(
     views = [survey_view(cameras[row]) for row in searched]
     scores: dict[int, dict[int, float]] = {id: {} for id in ids}  # by object and row
     labelled = map_views(lambda view: render_labels(splats, view), views, splats.device)
-    for row, labels in zip(
-        searched, track(labelled, "looking for objects", total=len(views)), strict=True
-    ):
+    labelled = track(labelled, "looking for objects", total=len(views))
+    for row, labels in zip(searched, labelled, strict=True):
         for id in {*labels.unique().tolist()} & scores.keys():
             scores[id][row] = visibility(labels == id)
     seen = survey(splats, views)
@@ -145,10 +134,7 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
 
 
 def draw_contact_contours(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H W 3"]:
-    """Draw the outlines of objects where they stand, in the three views that differ most.
-
-    A row for each object, as wide as the object is; `names` holds the objects by id.
-    """
+    """Draw outlines of objects, by id, where they stand, in three views that differ."""
     small = at_most(capture, PHOTO_SIDE)
     views = small.cameras.viewmats[:, 2, :3]
     maps = [small.labels(row) for row in range(len(small))]

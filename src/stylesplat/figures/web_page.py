@@ -98,11 +98,8 @@ def pack(splats: Splats, base: Splats, *, sh_degree: int, level: int = 9) -> Pac
     before = before[painted]
     about: dict[str, Any] = {"count": len(splats), "painted": len(before)}
     about |= {"bands": splats.shN.shape[1], "antialiased": splats.antialiased}
-    columns = [
-        *_shapes(splats, about),
-        *_looks(splats, before, painted, about),
-        *_bands(splats, before, about),
-    ]
+    columns = [*_shapes(splats, about), *_looks(splats, before, painted, about)]
+    columns += _bands(splats, before, about)
     content = b"".join(column.contiguous().numpy().tobytes() for column in columns)
     return Packed(zlib.compress(content, level), about)
 
@@ -119,15 +116,10 @@ def _shapes(splats: Splats, about: dict[str, Any]) -> Iterator[Column]:
     yield torch.stack([steps >> 8, steps & 255]).byte().permute(2, 0, 1)  # [3, 2, N]
     scales = splats.scales.clamp(min=WEB_SMALLEST)
     yield _rounded(scales.T, *_range(about, "scales", scales))
-    yield from _turns(splats.quats)
-    yield _rounded(torch.sigmoid(splats.opacities), 0.0, 1.0)
-
-
-def _turns(quats: Float[Tensor, "N 4"]) -> Iterator[Column]:
-    """Which part of a rotation is largest, and the others; it follows from them."""
-    largest, others = smallest_three(quats)
+    largest, others = smallest_three(splats.quats)  # the largest follows from the others
     yield largest.byte()
     yield _rounded(others.T, -PACKED_LARGEST, PACKED_LARGEST)
+    yield _rounded(torch.sigmoid(splats.opacities), 0.0, 1.0)
 
 
 def _looks(
@@ -229,13 +221,8 @@ def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
     for name, mask in {**painted, **named}.items():
         if mask.any():
             extent = extent_of(scene.base, mask)
-            radius, is_painted = float(extent.size.norm()) / 2, name in painted
-            yield {
-                "name": name,
-                "centre": extent.centre.tolist(),
-                "radius": radius,
-                "painted": is_painted,
-            }
+            place = {"centre": extent.centre.tolist(), "radius": float(extent.size.norm()) / 2}
+            yield {"name": name, **place, "painted": name in painted}
 
 
 def _filled(values: dict[str, str]) -> str:

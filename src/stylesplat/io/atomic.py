@@ -1,8 +1,7 @@
 """Write files and folders whole or not at all: beside their place, then renamed into it.
 
-One process at a time changes a place: `locked_folder` holds a lock on it. A killed process
-leaves at
-most a hidden draft, which nobody reads.
+One process at a time changes a place: `locked_folder` holds a lock on it. A killed process leaves
+at most a hidden draft, which nobody reads.
 """
 
 import ctypes
@@ -265,10 +264,7 @@ def _replace_folder(draft: Path, path: Path) -> None:
 
 
 def _move_files(draft: Path, path: Path, gone: Sequence[Path]) -> None:
-    """Move the files of a draft into a folder one by one, and delete some there.
-
-    Whatever could be refused is refused before the first one is moved.
-    """
+    """Move the files of a draft into a folder and delete some there, once nothing is in the way."""
     for name in (*_files_in(draft), *gone):
         target = path / name
         there = next(parent for parent in target.parents if os.path.lexists(parent))

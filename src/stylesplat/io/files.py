@@ -58,10 +58,7 @@ def open_binary(path: Path | str) -> Iterator[BinaryIO]:
 
 @contextmanager
 def reading(path: Path | str, remedy: str, *, what: str = "") -> Iterator[None]:
-    """Turn any error that damaged content causes in the block into a StyleSplatError.
-
-    The message names the file, perhaps says `what` it should have been, and ends with `remedy`.
-    """
+    """Name the file, perhaps `what` it should be, and a remedy in any error of damaged content."""
     try:
         yield
     except (StyleSplatError, AssertionError):
@@ -92,10 +89,7 @@ def require_regular(path: Path | str) -> None:
 
 
 def resolve_within(folder: Path, name: str) -> Path:
-    """The path of a name within a folder, for names that come from a file.
-
-    Raises a StyleSplatError if the path leaves the folder, also through a link.
-    """
+    """The path of a name that a file contains; a StyleSplatError if it leaves the folder."""
     path = folder / name
     here, there = folder.resolve(), path.parent.resolve()
     if path.name in ("", "..") or not there.is_relative_to(here):

@@ -91,10 +91,7 @@ class ModelFolder:
 
 
 def find_model(name: str, types: Collection[str], *, job: str) -> ModelFolder:
-    """Find a model by folder or hub name, and download it if it is not on this machine.
-
-    It has to be of one of the `types`; `job`, such as `propose masks`, is for messages.
-    """
+    """Find a model of one of the `types`, or download it; `job` is for messages."""
     if find_spec("transformers") is None:
         raise StyleSplatError(f"Cannot {job} without `transformers`. {INSTALL}")
     folder = _local_folder(name)
@@ -201,7 +198,6 @@ def _check_type(config: Path, name: str, types: Collection[str], job: str) -> st
 
 
 def _download(name: str, types: Collection[str], job: str) -> Path:
-    """Download a model into the hub's cache."""
     from huggingface_hub import constants, hf_hub_download, is_offline_mode, snapshot_download
 
     by_hand = (

@@ -56,10 +56,7 @@ ViewPicture = ColorPicture | Int[Tensor, "H W"] | Float[Tensor, "H W"]
 
 @contextmanager
 def open_image(path: Path) -> Iterator[Image.Image]:
-    """Open a picture and read its header; any error in the block names the file.
-
-    HEIC needs pillow-heif.
-    """
+    """Open a picture and read its header; any error in the block names the file."""
     require_regular(path)
     # Pillow warns of damaged EXIF data and the like, which the user cannot act on
     with decoding(path), warnings.catch_warnings(action="ignore"), path.open("rb") as file:
@@ -90,11 +87,7 @@ def decoding(path: Path) -> Iterator[None]:
 
 
 def read_image(path: Path | str) -> UInt8[Tensor, "H W 3"]:
-    """Read a picture upright, as sRGB.
-
-    The EXIF rotation is applied, transparency becomes white, grey becomes RGB, and 16 bits become
-    the upper 8.
-    """
+    """Read a picture upright, as 8-bit sRGB; transparency becomes white, grey becomes RGB."""
     with decoding(Path(path)):
         pixels = flatten_alpha(decode(Path(path), upright=True), WHITE)
         return torch.from_numpy(np.ascontiguousarray(pixels[..., :3]))
@@ -225,6 +218,5 @@ def _open_heic(file: BinaryIO, path: Path) -> Image.Image:
 def _too_large(path: Path) -> StyleSplatError:
     return StyleSplatError(
         f"The picture {path} has more than {IMAGE_MAX_PIXELS // 10**6} megapixels. Scale it to "
-        "half its "
-        "width and height."
+        "half its width and height."
     )

@@ -101,9 +101,7 @@ def find_masks(folder: Path, names: Sequence[str]) -> FoundMasks:
 
     They may be pictures of ids or of one object, named like the photos, in any sub-folder; or a
     sub-folder per object with a mask of it per photo. How they are read is told from all together.
-
-    Raises:
-        StyleSplatError: If a mask is of several photos, or they are neither ids nor masks.
+    Raises a StyleSplatError if a mask is of several photos, or they are neither ids nor masks.
     """
     files = mask_files(folder)
     exact = {without_suffix(name) for name in names} | {*names}
@@ -121,10 +119,7 @@ def find_masks(folder: Path, names: Sequence[str]) -> FoundMasks:
 
 
 def mask_files(folder: Path) -> dict[str, Path]:
-    """The pictures in a folder and below, by their path in it, without suffix.
-
-    Those of other formats count only where there is no PNG: JPEGs beside PNGs are to look at.
-    """
+    """The pictures below a folder by path without suffix; only PNGs if there are some."""
     found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PHOTOS)
     files = [path for path in found if path.suffix.lower() == ".png"] or found
     return {path.relative_to(folder).with_suffix("").as_posix(): path for path in files}
@@ -246,10 +241,7 @@ def match_label_maps(folder: Path, names: Sequence[str]) -> FoundMasks:
 def fitted_maps(
     found: FoundMasks, names: Sequence[str], photos: Sequence[Photo]
 ) -> Lazy[Int[Tensor, "H W"] | None]:
-    """The label map of each photo, read on access at the size of `photos`; None without one.
-
-    Raises a StyleSplatError if one is no picture or not of its photo's shape.
-    """
+    """The label map of each photo, read on access at the size of `photos`; None without one."""
     maps = found.maps
     return Lazy(
         [

@@ -28,15 +28,9 @@ def match_masks(keys: Iterable[str], names: Sequence[str]) -> dict[str, str]:
     """The photo of each mask; masks of no photo are left out.
 
     If no name fits, upper and lower case do not count; if none fits then, something before or
-    after all names, as in `0001_mask`, does not.
-
-    Args:
-        keys: Paths of masks without their suffix, which may still have that of the photo.
-        names: The photos' names.
-
-    Raises:
-        StyleSplatError: If two masks are of one photo, or one is of one of several of which not
-            all have another.
+    after all names, as in `0001_mask`, does not. The `keys` are paths of masks without their
+    suffix, which may still have that of the photo. Raises a StyleSplatError if two masks are of one
+    photo, or one is of one of several of which not all have another.
     """
     keys = [*keys]
     found = _match(keys, names)
@@ -199,10 +193,7 @@ def read_mask(path: Path, reading: Reading) -> OwnLabels:
 
 
 def find_reading(paths: Sequence[Path]) -> tuple[Reading | None, str]:
-    """What the pixels of a folder's pictures mean, by some of them together, and why, for users.
-
-    None if they are neither ids nor masks.
-    """
+    """What the pixels of a folder's pictures mean, if ids or masks, and why, for users."""
     sample = evenly_spaced(paths, MASK_SAMPLED)
     if all(map(_is_own, sample)):
         return "ids", ""
@@ -311,14 +302,9 @@ def _is_mask(looks: Sequence[_Look]) -> bool:
 
 def _is_flat(ids: Integer[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """Which pixels have a neighbour of their value beside them, and one above or below."""
-    found = []
-    for axis in (0, 1):
-        same = np.diff(ids, axis=axis) == 0
-        edge = [(0, 0), (0, 0)]
-        first, last = edge.copy(), edge.copy()
-        first[axis], last[axis] = (1, 0), (0, 1)
-        found.append(np.pad(same, first) | np.pad(same, last))
-    return found[0] & found[1]
+    below, beside = (np.diff(ids, axis=axis) == 0 for axis in (0, 1))
+    vertical = np.pad(below, ((1, 0), (0, 0))) | np.pad(below, ((0, 1), (0, 0)))
+    return vertical & (np.pad(beside, ((0, 0), (1, 0))) | np.pad(beside, ((0, 0), (0, 1))))
 
 
 def _is_own(path: Path) -> bool:

@@ -78,7 +78,6 @@ def read_ply(
 
 
 def read_header(path: Path | str) -> PlyHeader:
-    """What stands before the rows of a PLY file."""
     with open_binary(path) as file, reading(path, PLY_REMEDY):
         return parse_header(file.read(PLY_MAX_HEADER))
 
@@ -127,16 +126,12 @@ def _read_ascii(file: BinaryIO, header: PlyHeader, index: int) -> Table:
     lines = re.split(r"[\r\n]+", file.read().decode("ascii", errors="replace"))
     lines = [line for line in lines if line.strip()]
     lines = lines[sum(element.rows for element in header.elements[:index]) :]
-    rows, dtype = _check_plain(header.elements[index]), np.dtype(header.elements[index].columns)
-    _check_size(header.elements[index], rows, len(lines), "lines")
-    dtype = _with_doubles(dtype)
+    element = header.elements[index]
+    rows = _check_plain(element)
+    _check_size(element, rows, len(lines), "lines")
+    # A text may have more digits than the float that its header says
+    dtype = np.dtype([(name, "f8" if kind == "f4" else kind) for name, kind in element.columns])
     return np.loadtxt(lines[:rows], dtype, ndmin=1) if rows else np.empty(0, dtype)
-
-
-def _with_doubles(dtype: np.dtype) -> np.dtype:
-    """The columns of a text, which may have more digits than the float that its header says."""
-    kinds = {name: dtype[name] for name in dtype.names or ()}
-    return np.dtype([(n, "f8" if kind == np.float32 else kind) for n, kind in kinds.items()])
 
 
 def _check_plain(element: PlyElement) -> int:

@@ -137,8 +137,7 @@ def refuse_taken(output: Path, *, overwrite: bool) -> None:
         raise StyleSplatError(
             f"Cannot render into {output}: {suffix} is not among the formats. Use "
             f"{', '.join(CODECS)} for a video, {', '.join((*VIDEO_COLORS, *TIFF))} for one "
-            "picture, or "
-            "the name of a folder."
+            "picture, or the name of a folder."
         )
     if not _is_file(output):
         refuse_occupied(output, marker="", overwrite=overwrite)

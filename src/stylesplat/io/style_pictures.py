@@ -33,11 +33,7 @@ def is_material(picture: Any) -> bool:
 
 
 def picture_file(picture: Path | str) -> Path:
-    """The file of a picture; those of materials come with the package.
-
-    Raises:
-        StyleSplatError: If there is no such material.
-    """
+    """The file of a picture; those of materials come with the package."""
     if not is_material(picture):
         return Path(picture)
     name = str(picture).removeprefix(PREFIX)
@@ -52,16 +48,9 @@ def read_style(
 ) -> Float[Tensor, "_ _ 3"]:
     """Read a picture to take a style from, as colours in 0..1.
 
-    Longer sides than 4096 pixels are scaled down, which the user is told.
-
-    Args:
-        picture: A file with one frame; a material, such as `material:bronze`; or colours.
-        rotate: Degrees counter-clockwise; of what is turned, the largest upright rectangle of the
-            picture's shape is kept. Multiples of 90 keep every pixel as it is.
-        region: x0, y0, x1, y1 to crop to before all else, in pixels of the upright picture.
-
-    Raises:
-        StyleSplatError: If the picture or the region is unfit, or too little of it remains.
+    It is first cropped to the `region` x0, y0, x1, y1, in pixels of the upright picture; then sides
+    over 4096 pixels are scaled down, which the user is told. Last it is turned counter-clockwise by
+    degrees: the largest upright rectangle of the picture's shape is kept of what is turned.
     """
     if isinstance(picture, Tensor):
         name, pixels = "the style tensor", _colors_of(picture)

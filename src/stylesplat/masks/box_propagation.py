@@ -55,17 +55,10 @@ def pick_in_boxes(
     boxes: Sequence[tuple[int, DrawnBox]],
     cuts: Mapping[int, Mask],
 ) -> Bool[Tensor, " N"] | None:
-    """The Gaussians of an object that boxes in some views hold.
+    """The Gaussians of an object that boxes, by row of view, hold, as GrabCut's `cuts` do.
 
-    Args:
-        splats: The splat.
-        cameras: One per view.
-        boxes: Rows of views, and boxes in their pixels.
-        cuts: By row of view, what GrabCut finds in the box.
-
-    Returns:
-        The pick whose renders agree best with boxes and cuts; None if none fills the boxes as well
-        as the cuts do.
+    Returns the pick whose renders agree best with boxes and cuts; None if none fills the boxes as
+    well as the cuts do.
     """
     box_masks = {row: torch.from_numpy(pixels_inside(box, cameras[row].size)) for row, box in boxes}
     needed = {
@@ -231,16 +224,8 @@ def propagate_boxes(
     rendered into the nearest other views and their contours moved to edges; then the next views,
     until all have one; then all again until they settle.
 
-    Args:
-        splats: A scene of the views; its labels do not matter.
-        cameras: One per view.
-        images: Of `view_images`.
-        boxes: Rows of views, and boxes in their pixels.
-        strokes: Rows of views with a box, and strokes in them.
-        name: The object's, for the progress bar.
-
-    Returns:
-        A mask per view; empty where the object does not show.
+    Boxes and strokes are by row of view, in its pixels. A mask is empty where the object does not
+    show.
     """
     cuts = {}
     for row, box in boxes:

@@ -66,9 +66,8 @@ class RunLengths(msgspec.Struct):
 def read_coco(source: Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[int, str]]:
     """Read the masks in a file; an object is a track, or else a category.
 
-    Returns:
-        By photo's name without suffix the objects' ids and their run lengths, unchecked; and by
-        id the names of categories.
+    Returns by photo's name without suffix the objects' ids and their run lengths, unchecked; and by
+    id the names of categories.
     """
     # Some programs write ids as 3.0 or "3"
     content = read_json_as(source, CocoFile, IMPORT_REMEDY, most=JSON_MAX_BYTES, strict=False)
@@ -99,18 +98,7 @@ def read_coco(source: Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[int,
     return found, names
 
 
-def rle_size(rle: Any, source: Path) -> tuple[int, int]:
-    """Width and height of a mask, without decoding it."""
-    height, width = _run_lengths(rle, source).size
-    return width, height
-
-
 def decode_rle(rle: Any, source: Path) -> Mask:
-    """Decode a mask.
-
-    Raises:
-        StyleSplatError: If the runs do not fill the mask, or it has more pixels than a photo.
-    """
     checked = _run_lengths(rle, source)
     height, width = checked.size
     runs = _unpack(checked.counts) if isinstance(checked.counts, str) else checked.counts
@@ -162,21 +150,15 @@ class FromFiles:
         found = import_label_maps(self.source, capture.cameras.names)
         maps = (drawn.read() for drawn in found.maps.values())
         refuse_plain(maps, f"The masks in {self.source}", "Make them anew.")
-        return with_drawn_maps(capture, found.maps, found.names)
+        return with_drawn_maps(capture, found)
 
 
 def import_label_maps(source: Path, names: Sequence[str]) -> FoundMasks:
     """Find the masks of photos in another program's output.
 
     It may be pictures of ids named like the photos, in any sub-folder (DEVA, Gaussian Grouping); a
-    sub-folder per object with a binary mask per photo; or COCO JSON with RLE masks.
-
-    Args:
-        source: A folder, or a .json file.
-        names: The photos' names.
-
-    Raises:
-        StyleSplatError: If there is nothing of these photos, or the masks contradict each other.
+    sub-folder per object with a binary mask per photo; or COCO JSON with RLE masks. Raises a
+    StyleSplatError if there is nothing of these photos, or the masks contradict each other.
     """
     check_mask_source(source)
     is_coco = source.suffix.lower() == ".json"
@@ -201,11 +183,7 @@ def refuse_plain(maps: Iterable[OwnLabels | None], whose: str, remedy: str) -> N
 
 
 def check_mask_source(source: Path) -> None:
-    """Refuse what cannot be masks of another program, before the photos are read.
-
-    Raises:
-        StyleSplatError: If it is neither a folder nor a .json file, or a capture or a scene.
-    """
+    """Refuse what cannot be masks of another program, before the photos are read."""
     kind = kind_of(source)
     if kind in ("capture", "scene"):
         raise StyleSplatError(
@@ -225,7 +203,8 @@ def _import_coco(source: Path, names: Sequence[str]) -> FoundMasks:
     maps = {}
     for file, photo in match_masks(by_photo, names).items():
         layers, what = by_photo[file], f"of {file} in {source}"
-        sizes = sorted({rle_size(rle, source) for _, rle in layers})
+        shapes = {_run_lengths(rle, source).size for _, rle in layers}
+        sizes = sorted((width, height) for height, width in shapes)
         if len(sizes) > 1:
             raise sizes_differ(what, *sizes[:2])
         maps[photo] = DrawnLabels(size=sizes[0], read=partial(decode, layers), what=what)

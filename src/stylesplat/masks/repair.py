@@ -48,10 +48,7 @@ def repair_ids(splats: Splats, cameras: Cameras, maps: Sequence[OwnLabels]) -> l
     had: an id that went over to another object is cut, ids of one object become one. Then every
     part takes the group that the Gaussians vote for, as all other views see them; parts that show
     two objects are cut, objects that a view has missed are filled in. Borders stay where they
-    were drawn. What only one view shows is no object.
-
-    Returns:
-        New label maps; ids count from 1, larger objects first.
+    were drawn. What only one view shows is no object. New ids count from 1, larger objects first.
     """
     repaired = _group_parts(splats, cameras, maps)
     for _ in range(REPAIR_ROUNDS):
@@ -119,10 +116,7 @@ def map_labels(labels: Labels, ids: Mapping[int, int]) -> Labels:
 def cluster_parts(
     intersections: Float[np.ndarray, "P P"], unions: Float[np.ndarray, "P P"]
 ) -> Int[np.ndarray, " P"]:
-    """Groups of parts: the two with the greatest IoU united, until none have enough.
-
-    The tables, of every two parts, are overwritten to save memory.
-    """
+    """Groups of parts: the two with the greatest IoU united, until none have enough, in place."""
     group = np.arange(len(intersections))
     np.fill_diagonal(intersections, 0)
     best, most = np.zeros(len(group), int), np.zeros(len(group), intersections.dtype)
@@ -165,14 +159,10 @@ def _number_parts(labels: Labels, first: int) -> tuple[Labels, dict[int, int]]:
 def _overlaps(
     parts: csr_array, roots: Float[np.ndarray, "V N"], view_of: Int[np.ndarray, " P"]
 ) -> tuple[Float[np.ndarray, "P P"], Float[np.ndarray, "P P"]]:
-    """Intersection and union of every two parts, in what both their views see.
+    """Intersection and union of every two parts, in what both their views see, or 0.
 
-    Both are 0 where that is too little to say anything.
-
-    Args:
-        parts: Pixels of every Gaussian in a part, over the root of its pixels in the view.
-        roots: Root of the pixels of every Gaussian in a view.
-        view_of: The view of every part.
+    `parts` are pixels of every Gaussian in a part, over the root of its pixels in the view, which
+    `roots` holds; `view_of` is the view of every part. 0 says that both views see too little.
     """
     visible = np.asarray(parts @ roots.T)  # [P, V]
     whole = visible[np.arange(len(view_of)), view_of]
@@ -210,10 +200,7 @@ def _unite_by_id(
 
 
 def _vote(splats: Splats, cameras: Cameras, maps: list[OwnLabels]) -> bool:
-    """Give every part of the label maps, in place, the id that all other views vote for.
-
-    Returns whether that changed anything.
-    """
+    """Give parts, in place, the ids that all other views vote for; whether any changed."""
     counted = track(maps, "votes for ids", unit="photo")
     votes = [_gaussian_pixels(splats, cameras[row], labels) for row, labels in enumerate(counted)]
     ids = torch.tensor(sorted({id for some, _ in votes for id in some}))
@@ -278,12 +265,9 @@ def _apply_votes(labels: Labels, winner: Labels, certainty: Float[Tensor, "H W"]
             voted[box][part] = max(counts, key=lambda id: counts[id])
     for id in areas:
         there = (winner == id) & (certainty > 0.5)
-        known = (there & (voted == id)).sum()
-        if (
-            id != BACKGROUND
-            and there.sum() >= REPAIR_SMALL * pixels
-            and known < REPAIR_LOST * there.sum()
-        ):
+        known, area = (there & (voted == id)).sum(), there.sum()
+        is_large = id != BACKGROUND and area >= REPAIR_SMALL * pixels
+        if is_large and known < REPAIR_LOST * area:
             voted[there & (voted == BACKGROUND)] = id
     return voted
 

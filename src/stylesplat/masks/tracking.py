@@ -38,10 +38,8 @@ class VideoPropagator:
     ) -> list[dict[int, Mask]]:
         """Find the objects whose masks in the first photo are `seeds`, by id, in all photos.
 
-        Returns:
-            Masks by id for each photo, on the seeds' device. The first photo's are the seeds.
-            Later masks do not overlap: pixels go to the object with the highest logit. Objects
-            that a photo does not show are left out.
+        Masks are on the seeds' device. Later ones do not overlap: pixels go to the object with the
+        highest logit. Objects that a photo does not show are left out.
         """
         seeds = {id: mask for id, mask in seeds.items() if mask.any()}
         if not seeds or len(photos) < 2:
@@ -80,10 +78,7 @@ class VideoPropagator:
 def split_by_logit(
     logits: Float[Tensor, "M h w"], presence: Float[Tensor, " M"], size: Sequence[int]
 ) -> dict[int, Mask]:
-    """The masks of the objects that are present, by row; each pixel is of one of them at most.
-
-    They are enlarged one by one, since there may be a hundred.
-    """
+    """The masks of the objects that are present, by row; each pixel is of one of them at most."""
     best = torch.zeros(*size, device=logits.device)  # what is not above 0 is no object
     owner = torch.full_like(best, -1, dtype=torch.int64)
     for row in (presence >= 0).nonzero().flatten().tolist():
@@ -106,10 +101,7 @@ def _drop_masks(session: Any, row: int) -> None:
 def propagate_through_splat(
     splats: Splats, cameras: Cameras, rows: Sequence[int], seeds: Mapping[int, Mask]
 ) -> list[dict[int, Mask]]:
-    """Propagate masks of the first of some photos by lifting them onto the Gaussians there.
-
-    Returns masks by id for each photo; those of the first are the seeds, which do not overlap.
-    """
+    """Propagate masks of the first photo, which do not overlap, by lifting them there."""
     if not seeds:
         return [{} for _ in rows]
     labels = masks_to_labels(seeds, next(iter(seeds.values())).shape)
@@ -178,10 +170,7 @@ def split_clips(cameras: Cameras) -> list[list[int]]:
 
 
 def camera_path(cameras: Cameras) -> list[int]:
-    """Rows in an order in which neighbours show much the same.
-
-    That of the files, as in a video, unless going to the nearest camera each time is shorter.
-    """
+    """Rows in the order of the files, or of the nearest cameras if that path is shorter."""
     positions = cameras.positions.cpu().numpy()
     forward = cameras.viewmats[:, 2, :3].cpu().numpy()
     scale = max(float(cdist(positions, positions.mean(axis=0)[None]).mean()), 1e-9)
@@ -203,10 +192,7 @@ def camera_path(cameras: Cameras) -> list[int]:
 def track_clip(
     rows: Sequence[int], state: TrackingState, segmenter: Segmenter
 ) -> tuple[dict[int, Labels], TrackingState]:
-    """Label one clip: detect objects in its keyframe, the first photo, and propagate them.
-
-    Returns the label maps by row, and the state for the clip that begins with the last row.
-    """
+    """Label a clip by objects detected in its first photo; the maps by row, and the next state."""
     views = list(_hypotheses(rows[:TRACK_WINDOW], segmenter))
     size = segmenter.size(rows[0])
     same_size = state.known is not None and state.known.shape == size
@@ -257,9 +243,8 @@ def associate_ids(
 ) -> tuple[dict[int, Mask], set[int]]:
     """Give masks of a photo, which do not overlap, the ids of `known` ones propagated there.
 
-    Returns:
-        Masks by id that do not overlap: the found ones with the ids of known ones, known ones that
-        were not found again, and new ones where nothing is known; and the ids that were found.
+    Returns masks by id that do not overlap: the found ones with the ids of known ones, known ones
+    that were not found again, and new ones where nothing is known; and the ids that were found.
     """
     ids = [*known]
     ious = _ious([*known.values()], found)

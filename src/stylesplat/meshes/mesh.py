@@ -29,18 +29,10 @@ def make_mesh(
     name: str = "The object",
     paint: tuple[Layer, Splats] | None = None,
 ) -> TexturedMesh:
-    """Make a mesh of splats that are one object.
+    """Make a mesh of splats that are one object, seen from `photos` if these are known.
 
-    Args:
-        splats: The object alone.
-        photos: From where it was photographed; None if that is unknown.
-        config: What the mesh is to be like.
-        name: What messages call the object.
-        paint: Of a painted object its layer, and the object alone without paint, to repaint it.
-
-    Raises:
-        StyleSplatError: If the object has no surface, as smoke has none, packages are missing, or
-            it cannot be repainted.
+    `paint` holds, of a painted object, its layer and the object alone without paint, to repaint it.
+    Raises a StyleSplatError if the object has no surface, as smoke has none.
     """
     if not all(map(find_spec, MODULES)):
         raise StyleSplatError(

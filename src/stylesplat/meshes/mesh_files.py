@@ -33,10 +33,7 @@ def refuse_mesh_file(path: Path, *, overwrite: bool) -> None:
 
 
 def write_mesh(mesh: TexturedMesh, path: Path, offset: Offset = ORIGIN) -> None:
-    """Write a mesh with y up, as programs expect it: turned by half about z, as splats in a GLB.
-
-    Its vertices are relative to the world's offset, and are written in the world.
-    """
+    """Write a mesh in the world, with y up: turned by half about z, as splats in a GLB."""
     if path.suffix.lower() == ".glb":
         with atomic_path(path) as draft:
             draft.write_bytes(_glb(mesh, offset))

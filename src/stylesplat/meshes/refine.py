@@ -24,12 +24,7 @@ from stylesplat.stylization.views import per_view
 
 OFFSETS = (-1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0)  # along the normal, in mean edges
 REFINE_STEPS = (1.0, 1.0, 1.0, 0.5)  # of the offsets, in turn
-REFINE_PLACES = (
-    (4, 1, 1),
-    (1, 4, 1),
-    (1, 1, 4),
-    (2, 2, 2),
-)  # samples of a face, in sixths of its corners
+REFINE_PLACES = (4, 1, 1), (1, 4, 1), (1, 1, 4), (2, 2, 2)  # of a face, in sixths of its corners
 REFINE_HIDDEN = 0.005  # of the extent: what lies farther behind the depth buffer is hidden
 REFINE_LEAST_COSINE = 0.3  # between normal and ray: below it a pixel is too long on the surface
 REFINE_OPAQUE = 0.9  # coverage below which a pixel's colour is not the object's alone
@@ -45,10 +40,7 @@ FACING, FEW = 0.3, 0.1  # weights of views that show a vertex from the front, an
 
 @torch.no_grad()
 def refine(surface: FusedSurface, splats: Splats, views: MeshViews) -> FusedSurface:
-    """Move vertices along their normals.
-
-    By turns to where the trusted views agree most about colours, and to the outlines in them.
-    """
+    """Move vertices along normals, by turns to where views agree about colours and to outlines."""
     shape, rows = geometry_only(splats), views.trusted.nonzero()[0].tolist()
 
     def look(row: int) -> np.ndarray:
@@ -71,16 +63,14 @@ def _moved(surface: FusedSurface, splats: Splats, views: MeshViews, step: float)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edge = float(np.linalg.norm(np.subtract(*vertices[edges.T]), axis=1).mean())
     offsets = edge * step * np.array(OFFSETS)
-    costs, weights = photo_inconsistency(
-        surface, points, directions, offsets, splats, views
-    )  # [L, B F]
+    found = photo_inconsistency(surface, points, directions, offsets, splats, views)
     corners, samples = np.tile(faces, (len(REFINE_PLACES), 1)), np.arange(len(points))
     to_corners = csr_array(
         (shares.repeat(len(faces), axis=0).ravel(), (corners.ravel(), samples.repeat(3))),
         shape=(len(vertices), len(points)),
     )
     around = neighbor_mean_matrix(edges, len(vertices))
-    costs, weights = to_corners @ costs.T, to_corners @ weights.T  # [V, L]
+    costs, weights = (to_corners @ each.T for each in found)  # [V, L]
     for _ in range(COMMON):
         costs, weights = around @ costs, around @ weights
     variances = costs / np.maximum(weights, 1e-6) + STAY * np.square(step * np.array(OFFSETS))

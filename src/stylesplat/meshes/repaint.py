@@ -64,12 +64,10 @@ class TexelView(PaintView):
     background: Float[Tensor, "H W 3"]
 
     def render(self, colors: Float[Tensor, "P 3"]) -> Float[Tensor, "H W 3"]:
-        """See `PaintView`."""
         own = rgb_from_sh0(colors.index_select(0, self.texels))
         return _Product.apply(own, self.matrix).view_as(self.background) + self.background
 
     def backproject(self, image: Float[Tensor, "H W D"]) -> Float[Tensor, "P D"]:
-        """See `PaintView`."""
         sums = torch.from_numpy(self.matrix.T @ image.flatten(0, 1).numpy())
         return image.new_zeros(self.count, image.shape[-1]).index_add_(0, self.texels, sums)
 
@@ -90,15 +88,7 @@ class _Product(Function):
 def repaint(
     mesh: TexturedMesh, unpainted: Splats, views: MeshViews, layer: Layer, name: str
 ) -> TexturedMesh:
-    """Paint the texture anew, from the paint that it has.
-
-    Args:
-        mesh: The mesh with the paint of the Gaussians.
-        unpainted: The object alone before it was painted, for its form.
-        views: From where to paint.
-        layer: The object's paint: its style, whose pictures are there, and settings.
-        name: What messages call the object.
-    """
+    """Paint the texture anew, from the paint that it has; `unpainted` gives the object's form."""
     texels = texels_of(mesh)
     setup, style = _setup(unpainted, views, layer)
     config, every = style.config, torch.ones(len(unpainted), dtype=torch.bool)

@@ -13,7 +13,6 @@ from scipy.spatial import KDTree
 
 from stylesplat.meshes.rasterize import (
     NOTHING,
-    Fragments,
     draw_mesh,
     draw_triangles,
     pixel_of,
@@ -23,7 +22,6 @@ from stylesplat.meshes.surface import FusedSurface, MeshViews, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import TINY_COVERAGE
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import per_view
 
@@ -46,28 +44,6 @@ class TexturedMesh:
     faces: Int[np.ndarray, "F 3"]
     texture: Float[np.ndarray, "S S 3"]
     """Colours in 0..1."""
-
-    def draw(self, camera: Cameras) -> tuple[Float[np.ndarray, "H W 3"], Fragments]:
-        """The mesh before black, and where it shows."""
-        fragments = draw_mesh(self.vertices, self.faces, camera)
-        image = np.zeros((*fragments.faces.shape, 3), np.float32)
-        uvs = fragments.of_corners(self.uvs, self.faces)
-        image[fragments.faces != NOTHING] = sample(self.texture, uvs * len(self.texture))
-        return image, fragments
-
-
-def sample(
-    image: Float[np.ndarray, "H W D"], places: Float[np.ndarray, "P 2"]
-) -> Float[np.ndarray, "P D"]:
-    """An image between its pixels, whose centres lie at +0.5."""
-    height, width, _ = image.shape
-    x, y = (places - 0.5).T
-    left, top = np.clip(x, 0, width - 1.001), np.clip(y, 0, height - 1.001)
-    column, row = left.astype(int), top.astype(int)
-    right, down = ((part - part.astype(int))[:, None] for part in (left, top))
-    upper = image[row, column] * (1 - right) + image[row, column + 1] * right
-    lower = image[row + 1, column] * (1 - right) + image[row + 1, column + 1] * right
-    return (upper * (1 - down) + lower * down).astype(np.float32)
 
 
 def unwrap(surface: FusedSurface, size: int) -> TexturedMesh:

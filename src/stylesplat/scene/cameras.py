@@ -158,8 +158,7 @@ def are_rigid(
 def focus_point(cameras: Cameras) -> Float[Tensor, "3"]:
     """The point nearest to all view axes, in the least-squares sense.
 
-    Raises:
-        StyleSplatError: If the axes are parallel, or most cameras look away from the point.
+    Raises a StyleSplatError if the axes are parallel, or most cameras look away from the point.
     """
     directions = cameras.viewmats[:, 2, :3].double()
     positions = cameras.positions.double()

@@ -137,10 +137,7 @@ class Capture:
         )
 
     def without_outliers(self) -> "Capture":
-        """The capture without cameras and points that lie far from all others; a line names them.
-
-        `load` has left them out.
-        """
+        """The capture without cameras and points far from all others, which a line names."""
         near, points, found = find_outliers(self.cameras, self.points)
         if not found:
             return self
@@ -205,10 +202,7 @@ Size = Sequence[int]  # height and width
 
 
 def at_most(capture: Capture, length: int) -> Capture:
-    """The capture with photos, label maps and cameras whose sides have at most so many pixels.
-
-    Smaller photos are made on first access and cached.
-    """
+    """The capture with sides of at most so many pixels; photos are made on access and cached."""
     cameras = capture.cameras.at_most(length)
     if cameras is capture.cameras:
         return capture

@@ -214,16 +214,9 @@ def diagnose_photos(photos: PhotoStatistics, names: Sequence[str]) -> list[Findi
 
 
 def _graded(
-    what: str,
-    number: float | int,
-    bounds: tuple[float | int, float | int],
-    says: str,
-    advice: str,
+    what: str, number: float | int, bounds: tuple[float | int, float | int], says: str, advice: str
 ) -> Finding:
-    """A finding on a number that is good up to one bound, and fair up to the next.
-
-    More is better if the first bound is the larger one. Advice is given only where it is needed.
-    """
+    """A finding on a number, with advice unless it is good; more is better if good > fair."""
     good, fair = bounds
     sign = 1 if good > fair else -1
     if sign * number >= sign * good:

@@ -66,9 +66,8 @@ def sharpness(
     """Energy of the Laplacian along the direction that has least of it, over the variance.
 
     Motion blurs one direction only, which the full Laplacian hardly shows where edges run along
-    it. The variance makes dark and bright photos comparable. The picture has `MEASURE_SIDE`
-    pixels, of
-    which all count or the valid ones.
+    it. The variance makes dark and bright photos comparable. The picture has `MEASURE_SIDE` pixels,
+    of which all count or the valid ones.
     """
     pixels, counted = grey.astype(np.float32), slice(None)
     if valid is not None:
@@ -114,10 +113,7 @@ class CornerTracker:
         self.corners = cv2.goodFeaturesToTrack(self.grey, MAX_CORNERS, QUALITY, CORNER_DISTANCE)
 
     def displacement(self, grey: UInt8[np.ndarray, "h w"]) -> float | None:
-        """How far most corners move into a picture of the same size, in longer sides.
-
-        Returns None if too few corners could be tracked.
-        """
+        """How far most corners move, in longer sides; None if too few could be tracked."""
         if self.corners is None or grey.shape != self.grey.shape:
             return None
         other = _normalized(grey)

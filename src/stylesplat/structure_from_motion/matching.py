@@ -123,10 +123,7 @@ def similar_pairs(similarity: Int[Tensor, "P P"], neighbours: int) -> Pairs:
 
 
 def image_similarity(workspace: Workspace) -> Int[Tensor, "P P"]:
-    """How many of the largest features of two photos match.
-
-    0 for a photo and itself, and where one has no features.
-    """
+    """How many of the largest features of two photos match; 0 for a photo and itself."""
     feats = torch.stack([_largest_features(workspace, file) for file in workspace.files])
     rows = track(range(len(feats)), "comparing photos", unit="photo")
     matches = torch.stack([_count_matches(feats[row], feats) for row in rows])

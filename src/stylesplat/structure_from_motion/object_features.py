@@ -22,11 +22,7 @@ from stylesplat.io.files import resolve_within
 from stylesplat.io.images import decode, image_sizes, open_image
 from stylesplat.progress import track
 from stylesplat.scene.sequences import evenly_spaced
-from stylesplat.structure_from_motion.workspace import (
-    Workspace,
-    mask_file,
-    numbered_files,
-)
+from stylesplat.structure_from_motion.workspace import Workspace, mask_file, numbered_files
 
 STILL, MOVED = 0.003, 0.01  # displacements of matches, in longer sides of the photo
 MIN_MATCHES = 15  # of each motion, COLMAP's least number for a geometry of two photos
@@ -187,16 +183,11 @@ def cut_out_mask(path: Path) -> Bool[np.ndarray, "H W"]:
 
 
 def write_masks(masks: MaskReaders, photos: Path, names: Sequence[str], folder: Path) -> Path:
-    """Write the masks of photos at their sizes, for COLMAP, and return the folder.
-
-    Raises:
-        StyleSplatError: If a photo has none, or they all show nothing but one thing.
-    """
+    """Write the masks of photos at their sizes, for COLMAP, and return the folder."""
     if missing := [name for name in names if name not in masks]:
         raise StyleSplatError(
             f"There is no mask of {join_names(missing)} ({len(missing)} of {len(names)} photos). "
-            "Add "
-            "them, or leave these photos out."
+            "Add them, or leave these photos out."
         )
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -230,9 +221,8 @@ def stands_still(photos: Path, files: Sequence[str], masks: Path) -> bool:
             return np.asarray(grey).astype(int), left_out
 
     sizes, same = [], []
-    for row in track(
-        evenly_spaced(range(len(files) - 1), COMPARED), "looking at what stands still"
-    ):
+    rows = evenly_spaced(range(len(files) - 1), COMPARED)
+    for row in track(rows, "looking at what stands still"):
         (grey, left_out), (after, also) = look(files[row]), look(files[row + 1])
         both = left_out & also
         sizes.append(both.mean())

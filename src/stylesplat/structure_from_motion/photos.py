@@ -44,29 +44,13 @@ Base = ExifTags.Base
 # Tags that COLMAP reads the focal length from, and that identify the camera. GPS tags are dropped
 CAMERA_TAGS = (Base.Make, Base.Model)
 LENS_TAGS = (Base.FocalLength, Base.FocalLengthIn35mmFilm, Base.LensModel)
-SENSOR_TAGS = (
-    *(Base.FocalPlaneXResolution, Base.FocalPlaneYResolution, Base.FocalPlaneResolutionUnit),
-)
+SENSOR_TAGS = Base.FocalPlaneXResolution, Base.FocalPlaneYResolution, Base.FocalPlaneResolutionUnit
 MAX_TEXT = 64  # characters of a camera's name
 MAX_NUMBER = 1e6  # millimetres or pixels in an inch: no camera has as many
 
-# Photos of one camera that OPENCV's two focal lengths and four distortion coefficients need; with
-# fewer, one of each is found. On desk, whose pixels are not square, OPENCV is three times as exact
-MIN_FOR_OPENCV = 10
 
-
-@dataclass(frozen=True)
-class CameraGroup:
-    rows: tuple[int, ...]
-
-    @property
-    def model(self) -> str:
-        """COLMAP's name of the camera model to fit."""
-        return "OPENCV" if len(self.rows) >= MIN_FOR_OPENCV else "SIMPLE_RADIAL"
-
-
-def group_by_camera(photos: Path, names: Sequence[str], cameras: str) -> tuple[CameraGroup, ...]:
-    """Group photos by size and lens, reading headers only."""
+def group_by_camera(photos: Path, names: Sequence[str], cameras: str) -> list[list[int]]:
+    """Rows of photos by size and lens, reading headers only."""
     rows: dict[tuple[object, ...], list[int]] = {}
     for row, name in enumerate(names):
         with open_image(resolve_within(photos, name)) as image:
@@ -79,14 +63,11 @@ def group_by_camera(photos: Path, names: Sequence[str], cameras: str) -> tuple[C
                 lens = (str(details.get(tag)) for tag in LENS_TAGS)
                 key = (*key, str(exif.get(Base.Model)), *lens)
         rows.setdefault(key, []).append(row)
-    return tuple(CameraGroup(tuple(found)) for found in rows.values())
+    return [*rows.values()]
 
 
 def lens_exif(path: Path) -> bytes:
-    """EXIF data with the camera and its lens, without rotation and position.
-
-    They are empty if unknown or damaged: the photo itself may be whole.
-    """
+    """EXIF data with the camera and its lens alone; empty if unknown or damaged."""
     with open_image(path) as image:
         try:
             found, kept = exif_of(image), Image.Exif()

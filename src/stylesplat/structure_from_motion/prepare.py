@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -55,7 +56,9 @@ def prepare(source: Path, folder: Path, *, frames: int = 100) -> PreparedPhotos:
         parts = [*photos, *files.left_out, *files.videos]
     text = "\n".join((str(PREPARE_VERSION), *parts))
     identity = hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()
-    record = _read_record(folder)
+    record = None
+    with suppress(StyleSplatError):  # there is none, or it is damaged
+        record = read_json_as(folder / PREPARE_RECORD, _Record, "It is made again.")
     if record is None or record.source != identity:
         chosen = select_keyframes(path, frames) if files is None else select_photos(path, files)
         record = _Record(identity, chosen)
@@ -102,14 +105,6 @@ class _Record:
 
     source: str
     prepared: PreparedPhotos
-
-
-def _read_record(folder: Path) -> _Record | None:
-    """The record of an earlier call; None if there is none, or it is damaged."""
-    try:
-        return read_json_as(folder / PREPARE_RECORD, _Record, "It is made again.")
-    except StyleSplatError:
-        return None
 
 
 def _stamp(path: Path) -> str:

@@ -59,10 +59,8 @@ def write_colmap(model: pycolmap.Reconstruction, photos: Path, folder: Path) -> 
 
     def write(image: pycolmap.Image) -> None:
         lens = lenses[image.camera_id]
-        source, target = (
-            resolve_within(photos, image.name),
-            resolve_within(folder / "images", image.name),
-        )
+        source = resolve_within(photos, image.name)
+        target = resolve_within(folder / "images", image.name)
         photo = Photo(source, upright=True, lens=lens, size=lens.pinhole().size)
         write_image(photo.read_with_alpha(), target, icc_profile=color_profile(source))
 
@@ -143,14 +141,13 @@ def reconstruct(
         counts = feature_counts(workspace)
         check_features(counts, len(names))
         times.append(time.perf_counter())
-        every = partial(choose_pairs, workspace, ordered=prepared.ordered)
         models, table, matched = list[pycolmap.Reconstruction](), None, 0.0
         if folder is not None and _may_be_orbit(workspace, prepared, folder):
             table, matched = match_pairs(workspace, orbit_pairs(len(names))), time.perf_counter()
             if (names[0], names[-1]) in table.matches:
                 models = _map_photos(workspace)
         if table is None or not models or models[0].num_reg_images() < MIN_POSED * len(names):
-            table = match_pairs(workspace, every())
+            table = match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
             check_matches(table)
             matched = time.perf_counter()
             models = _map_photos(workspace)
@@ -207,12 +204,9 @@ def _masks_of(
 
 def _may_be_orbit(workspace: Workspace, prepared: PreparedPhotos, masks: Path) -> bool:
     """Whether the photos seem to show, in order, an object that turns before a still camera."""
-    by_order = prepared.ordered and workspace.config.matching == "auto"
-    return (
-        by_order
-        and not prepared.cut_outs
-        and stands_still(workspace.photos, workspace.files, masks)
-    )
+    if prepared.cut_outs or not prepared.ordered or workspace.config.matching != "auto":
+        return False
+    return stands_still(workspace.photos, workspace.files, masks)
 
 
 def _map_photos(workspace: Workspace) -> list[pycolmap.Reconstruction]:

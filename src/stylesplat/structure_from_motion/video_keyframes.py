@@ -79,8 +79,7 @@ class Video:
             if frame.width * frame.height > IMAGE_MAX_PIXELS:
                 raise StyleSplatError(
                     f"The frames of {self.path} have more than {IMAGE_MAX_PIXELS // 10**6} "
-                    "megapixels. "
-                    "Scale the video down."
+                    "megapixels. Scale the video down."
                 )
             if not frame.is_corrupt:
                 yield number, frame

@@ -20,10 +20,12 @@ from stylesplat.progress import say
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.structure_from_motion.colmap_process import FATAL, is_disk_full, run_stage
 from stylesplat.structure_from_motion.config import SfmConfig
-from stylesplat.structure_from_motion.photos import CameraGroup, group_by_camera
+from stylesplat.structure_from_motion.photos import group_by_camera
 
-# Photos of one object alone do not tell OPENCV's distortion: the test's turntable fell to pieces
-OBJECT_LENS = "SIMPLE_RADIAL"
+# Photos of one camera that OPENCV's two focal lengths and four distortion coefficients need; with
+# fewer, one of each is found. On desk, whose pixels are not square, OPENCV is three times as exact.
+# Photos of one object alone do not tell its distortion: the test's turntable fell to pieces
+MIN_FOR_OPENCV = 10
 UNMASKED = 4  # times more features are found where most are ignored: an object fills a quarter
 # Photos of a camera that decide at which size features of its photos are found
 WORKSPACE_SAMPLE = 3
@@ -38,7 +40,8 @@ class Workspace:
     """The photos, as the caller names them."""
     files: tuple[str, ...]
     """The same, as the database names them."""
-    groups: tuple[CameraGroup, ...]
+    groups: list[list[int]]
+    """Rows of photos by camera."""
     config: SfmConfig
     masks: Path | None = None
     """The folder of black and white pictures, by `mask_file`, of which features are taken."""
@@ -90,11 +93,7 @@ class Workspace:
 
 
 def open_workspace(
-    folder: Path,
-    photos: Path,
-    names: Sequence[str],
-    config: SfmConfig,
-    masks: Path | None = None,
+    folder: Path, photos: Path, names: Sequence[str], config: SfmConfig, masks: Path | None = None
 ) -> Workspace:
     """Continue an earlier call for the same photos and settings, or start a new database."""
     files = numbered_files(names)
@@ -165,13 +164,11 @@ def _create_database(workspace: Workspace, photos: Path) -> None:
             shutil.copyfile(resolve_within(photos, name), workspace.photos / file)
     except OSError as error:
         raise cannot_write(workspace.folder, error) from error
-    groups = [
-        {
-            "names": [workspace.files[row] for row in group.rows],
-            "model": group.model if workspace.masks is None else OBJECT_LENS,
-        }
-        for group in workspace.groups
-    ]
+    groups = list[dict[str, Any]]()
+    for rows in workspace.groups:
+        is_simple = workspace.masks is not None or len(rows) < MIN_FOR_OPENCV
+        model = "SIMPLE_RADIAL" if is_simple else "OPENCV"
+        groups.append({"names": [workspace.files[row] for row in rows], "model": model})
     workspace.run("import_photos", "reading photos", len(workspace.files), "photo", groups=groups)
 
 
@@ -181,8 +178,8 @@ def extract_features(workspace: Workspace) -> None:
         images = database.read_all_images()
         done = {i.name for i in images if database.exists_descriptors(i.image_id)}
     groups = []
-    for group in workspace.groups:
-        files = [workspace.files[row] for row in group.rows]
+    for rows in workspace.groups:
+        files = [workspace.files[row] for row in rows]
         if missing := [file for file in files if file not in done]:
             groups.append({"names": missing, "sample": evenly_spaced(files, WORKSPACE_SAMPLE)})
     if groups:

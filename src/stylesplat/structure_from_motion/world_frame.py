@@ -169,9 +169,7 @@ def _geometric_median(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Float[T
 
 
 # Coverage; lengths are in units of the cameras' median distance from the centre
-WORLD_STRIDE = math.radians(
-    45.5
-)  # around the centre: the gap between photos 45 degrees apart is covered
+WORLD_STRIDE = math.radians(45.5)  # around the centre: gaps of 45 degrees are covered
 STEEP = math.radians(75)  # elevation above or below which a camera is on no side
 HEIGHT_STEP = math.radians(15)  # elevations that differ by less are one height
 
@@ -217,7 +215,7 @@ def measure_coverage(cameras: Cameras, frame: Frame, *, outward: bool) -> Covera
     """Measure from where cameras look at the origin of a `working_frame`."""
     positions = frame.place(cameras.positions.double())
     views = cameras.viewmats[:, 2, :3].double() @ frame.rotation.T.double()
-    away = views if outward else torch.nn.functional.normalize(positions, dim=1)
+    away = views if outward else normalize(positions, dim=1)
     elevations = torch.asin((-away[:, 1]).clamp(-1, 1))
     level = away[elevations.abs() < STEEP]
     # Angles around the up axis; 0 is -z, in front of what the cameras look at
@@ -227,10 +225,9 @@ def measure_coverage(cameras: Cameras, frame: Frame, *, outward: bool) -> Covera
         gaps[-1] += 2 * math.pi
     distances = positions.norm(dim=1)
     low, high = elevations.quantile(torch.tensor([0.05, 0.95]).double()).tolist()
+    arc = 2 * math.pi - float(gaps[gaps > WORLD_STRIDE].sum()) if len(gaps) else 0.0
     return Coverage(
-        arc=math.degrees(2 * math.pi - float(gaps[gaps > WORLD_STRIDE].sum()))
-        if len(gaps)
-        else 0.0,
+        arc=math.degrees(arc),
         largest_gap=math.degrees(float(gaps.max())) if len(gaps) else 360.0,
         sides=sides.rad2deg(),
         heights=_count_heights(elevations),

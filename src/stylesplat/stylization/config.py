@@ -211,14 +211,11 @@ class StyleConfig(Config):
         return int(finer * (min(growth, MOST_GROWTH) - 1) * gaussians)
 
     def stages(self, photo_length: float) -> list[Stage]:
-        """The sizes at which the object is rendered, coarse first.
+        """The sizes at which the object, so many pixels long in photos, is rendered, coarse first.
 
         In the coarse stages the style image has the same size in pixels whatever its scale, and
         the object becomes smaller beside it, or larger. Fine stages render windows at the photos'
         size, and the style image becomes larger, so that large strokes have sharp edges.
-
-        Args:
-            photo_length: The object's longer side in the photos, in pixels.
         """
         if self.published:
             return [Stage(min(photo_length, self.object_size or math.inf), self.all_steps)]

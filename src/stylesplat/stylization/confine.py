@@ -62,10 +62,7 @@ def trim_surfels(
 
     Discs that show beside it in a camera become smaller; those that still do are removed. Without
     the canvas painted in the colours of the strokes, discs stay round. Nor may discs show on what
-    is protected of the Gaussians before.
-
-    Returns:
-        The canvas, and which of its Gaussians are left.
+    is protected of the Gaussians before. Returns also which Gaussians of the canvas are left.
     """
     splats, round_discs = canvas.before, canvas.splats
     if painted is not None:

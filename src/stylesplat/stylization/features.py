@@ -102,12 +102,7 @@ class FeatureNetwork:
     ) -> tuple[Float[Tensor, "_ _ _"], ...]:
         """For each block, counted from 1, an image of features, in the network's precision.
 
-        Args:
-            image: Colours in 0..1, which they may exceed, as renders do.
-            blocks: Which blocks.
-
-        Raises:
-            StyleSplatError: If the network has no such block.
+        Colours are in 0..1, which they may exceed, as renders do.
         """
         height, width = image.shape[:2]
         strides = [self.cells(block).stride for block in blocks]
@@ -204,20 +199,12 @@ MARKS = {  # layers that the other network does not have
 def load_weights(
     network: Network, path: Path | str | None = None, *, depth: int = 3, download: bool = True
 ) -> FeatureNetwork:
-    """Load a feature network, as deep as needed.
+    """Load a feature network, of VGG up to the block `depth`, from .safetensors, .pth or .pt.
 
-    Args:
-        network: Which one; `compact` ships with the package.
-        path: A .safetensors, .pth or .pt file. Of VGG it holds at least the convolutions, named as
-            in torchvision (`features.0.weight`) or as in the original (`conv1_1.weight`), whose
-            first layer expects colours in 0..255, blue first, unless the file's metadata say
-            otherwise. By default the package's own; of VGG what is in torch's cache, or else a
-            download of a few megabytes into it.
-        depth: The deepest block of VGG that is needed.
-        download: Whether to download VGG.
-
-    Raises:
-        StyleSplatError: If there is no such file, or it is unreadable or of another network.
+    VGG's convolutions are named as in torchvision (`features.0.weight`) or as in the original
+    (`conv1_1.weight`), whose first layer expects colours in 0..255, blue first, unless the file's
+    metadata say otherwise. Without a path, VGG is in torch's cache or, a few megabytes of it, is
+    downloaded; `compact` ships with the package.
     """
     if network == "compact":
         path = Path(path or PACKAGED)
@@ -239,11 +226,7 @@ def load_weights(
 
 
 def compact_from(tensors: Mapping[str, Tensor], source: Path | str) -> FeatureNetwork:
-    """Assemble the compact network from tensors named `block1.conv1.weight`, and so on.
-
-    Raises:
-        StyleSplatError: If one is missing or does not fit the one before.
-    """
+    """Assemble the compact network from tensors named `block1.conv1.weight`, and so on."""
     names = [
         [f"block{block}.conv{layer + 1}" for layer in range(count)]
         for block, count in enumerate(DEPTHS["compact"], start=1)

@@ -87,11 +87,7 @@ class StyleIndex:
     def nearest(
         self, feats: Float[Tensor, "P D"], potentials: Potentials
     ) -> tuple[Int[Tensor, " P"], Potentials]:
-        """The row of the (almost always) most similar style feature of each feature.
-
-        Returns:
-            The rows, and the potentials for the next search.
-        """
+        """The rows of (almost always) the most similar style features, and the next potentials."""
         favour = potentials.favour[self.kinds]
         if self.directions.device.type == "cpu":
             found = self._search(feats, favour)

@@ -81,10 +81,7 @@ class Objective:
     ) -> list[ViewTarget]:
         """What the paint is compared with in each view.
 
-        Args:
-            views: Views of what is painted.
-            original: The unpainted scene, in other Gaussians perhaps.
-            painted: The colours whose large shapes are to stay; None leaves them free.
+        The `original` is the unpainted scene; the large shapes of `painted` colours are to stay.
         """
 
         def look(view: PaintView) -> ViewTarget:
@@ -109,16 +106,10 @@ class Objective:
         image: Float[Tensor, "H W 3"],
         potentials: Potentials | None = None,
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""], Potentials]:
-        """The losses of one view.
+        """The losses of one view, by its render with the paint and the potentials before.
 
-        Args:
-            target: The view.
-            image: Its render with the paint.
-            potentials: Those of the step before, if there was one.
-
-        Returns:
-            NNFM of the object's own features; its sum with form, content, large shapes and the
-            distance from the palette; and the potentials for the next step.
+        Returns NNFM of the object's own features; its sum with form, content, large shapes and the
+        distance from the palette; and the potentials for the next step.
         """
         view, feats = target.view, self._features(image, target.cells)
         if potentials is None:

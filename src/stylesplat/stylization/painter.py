@@ -119,20 +119,10 @@ Finish = Callable[[Colors, Sequence[ObjectView]], Colors]
 def paint_steps(
     setup: PaintSetup, painting: Painting, *, preview: bool = False
 ) -> Iterator[PaintState]:
-    """Paint one object of a scene.
+    """Paint one object of a scene; yields the state after every step.
 
-    Args:
-        setup: The scene and its views.
-        painting: The object and its style.
-        preview: Show first strokes on the object's own Gaussians before the canvas is laid. These
-            steps come in addition, and change nothing in the result.
-
-    Returns:
-        The state after every step. Whoever stops asking keeps what there is; whoever asks again
-        goes on.
-
-    Raises:
-        StyleSplatError: If the object is not seen, or nothing is its own.
+    With `preview` first strokes show on the object's own Gaussians before the canvas is laid. These
+    steps come in addition, and change nothing in the result.
     """
     if painting.config.published:
         return paint_as_published(setup, painting)

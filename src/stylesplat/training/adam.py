@@ -71,7 +71,6 @@ class AdamUpdate(NamedTuple):
     params: dict[str, Tensor]
     """Tensors that share their memory with those that are stepped, gradients in `.grad`."""
     rates: dict[str, float]
-    """Learning rate of each."""
     step: int
     """Number of the last photo of this step, from 1."""
     visible: Bool[Tensor, " N"] | None = None
@@ -151,10 +150,7 @@ def adam_cuda(changed: Changed, turns: Sequence[AdamTurn], kept: tuple[float, fl
 
 
 def adam_cpu(changed: Changed, turns: Sequence[AdamTurn], kept: tuple[float, float]) -> None:
-    """Step a tensor in place, all turns in one pass through memory, whose speed is the limit.
-
-    `kept` are the shares of the moments that stay.
-    """
+    """Step a tensor in place, all turns in one pass; `kept` are shares of the moments that stay."""
     packed = [tensor.contiguous() for tensor in changed]  # a copy of those that are not contiguous
     arrays = tuple(_rows(tensor) for tensor in packed)
     grads = tuple(_rows(turn.grad) for turn in turns)

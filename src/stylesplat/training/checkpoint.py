@@ -26,10 +26,7 @@ CHECKPOINT_SECONDS = 60.0
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The file of a run, and what it has to contain for the run to continue.
-
-    `capture` is the fingerprint of the capture; `photos` is how many are trained on.
-    """
+    """The file of a run; the settings and the fingerprint of the capture that continue it."""
 
     path: Path
     config: TrainConfig
@@ -71,13 +68,10 @@ def require_checkpoint(path: Path | None) -> None:
 
 
 def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: bool = False) -> State:
-    """The state that `save_checkpoint` wrote.
+    """The state that `save_checkpoint` wrote, if the settings and the capture are the same.
 
     The length of the run may differ from that in `checkpoint.config` if the steps taken suffice for
     it; with `finish` they always do.
-
-    Raises:
-        StyleSplatError: If the file is damaged, or its run had other settings or another capture.
     """
     path = checkpoint.path
     try:

@@ -35,6 +35,7 @@ DECLARED = GAUSSIANS | {"identities": IDENTITIES}
 
 Params = dict[str, Tensor]
 Optimizers = dict[str, TensorOptimizer]
+Info = dict[str, Any]
 
 
 @runtime_checkable
@@ -76,16 +77,11 @@ class MCMCStrategy:
     extent: float
     """Unit of length of the scene."""
 
-    def initialize_state(self) -> dict[str, Any]:
+    def initialize_state(self) -> Info:
         return {}  # all follows from the seed and the step, so a checkpoint needs nothing of it
 
     def step_pre_backward(
-        self,
-        params: Params,
-        optimizers: Optimizers,
-        state: dict[str, Any],
-        step: int,
-        info: dict[str, Any],
+        self, params: Params, optimizers: Optimizers, state: Info, step: int, info: Info
     ) -> None:
         """Add the regularisers to the loss; draw the noise, here because photos run in parallel."""
         means = params["means"]
@@ -93,12 +89,7 @@ class MCMCStrategy:
         info["loss"] = info["loss"] + regularizer(params, self.extent)
 
     def step_post_backward(
-        self,
-        params: Params,
-        optimizers: Optimizers,
-        state: dict[str, Any],
-        step: int,
-        info: dict[str, Any],
+        self, params: Params, optimizers: Optimizers, state: Info, step: int, info: Info
     ) -> None:
         """Add noise to the means; relocate and grow at the end of each interval."""
         config, progress, photos = self.config, info["progress"], info["photos"]
@@ -125,12 +116,7 @@ def regularizer(params: Params, extent: float) -> Float[Tensor, ""]:
 
 @torch.no_grad()
 def perturb_means(
-    params: Params,
-    extent: float,
-    decay: float,
-    noise: Float[Tensor, "N 3"],
-    *,
-    photos: int = 1,
+    params: Params, extent: float, decay: float, noise: Float[Tensor, "N 3"], *, photos: int = 1
 ) -> None:
     """Add noise to the means, in place, along each Gaussian's covariance, more to fainter ones.
 
@@ -278,10 +264,7 @@ def _spread_terms() -> Float[Tensor, "n k"]:
 
 @torch.no_grad()
 def growth_preference(splats: Splats, object_growth: float) -> Float[Tensor, " N"] | None:
-    """Factors on the chances of being copied: `object_growth` for objects, 1 for the background.
-
-    None without identities.
-    """
+    """Factors on the chances of being copied, 1 for the background; None without identities."""
     if splats.identities is None or splats.classifier is None:
         return None
     scores = splats.classifier.some_at_a_time(splats.identities)

@@ -44,9 +44,6 @@ def first_splats(
     Colours that none of the `views` shows are replaced; see `photo_colors`. Of more than
     `max_gaussians` points some are taken at random. With label ids, background first, the Gaussians
     get random identities and an untrained classifier.
-
-    Raises:
-        StyleSplatError: If there are no points and no space that several cameras see.
     """
     points, colors = _points(capture, generator)
     if len(points) > max_gaussians:
@@ -158,11 +155,7 @@ def _shown(
 def commonly_visible_points(
     cameras: Cameras, count: int, generator: torch.Generator
 ) -> Float[Tensor, "N 3"]:
-    """Random points in the space that several cameras see, near what they look at.
-
-    Raises:
-        StyleSplatError: If the cameras look at no common space.
-    """
+    """Random points in the space that several cameras see, near what they look at."""
     positions = cameras.positions.float()
     focus = focus_point(cameras).float()
     reach = float((positions - focus).norm(dim=-1).median())

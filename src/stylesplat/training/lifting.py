@@ -22,12 +22,7 @@ LIFT_MANY = 2048  # classes beyond which they stay where chance put them
 
 
 @torch.no_grad()
-def lift(
-    splats: Splats,
-    capture: Capture,
-    *,
-    rows: Sequence[int] | None = None,
-) -> Splats:
+def lift(splats: Splats, capture: Capture, *, rows: Sequence[int] | None = None) -> Splats:
     """Give every Gaussian the labels of the pixels that it contributes to.
 
     A render is linear in what Gaussians carry, so how much each contributes to the pixels of a

@@ -38,9 +38,7 @@ MOST_AT_ONCE = 4  # photos of a round on the CPU, unless the settings say otherw
 TRAINING_SMOOTHING = 0.98  # per step, of the loss and PSNR shown: single photos differ a lot
 GPU_STEPS = 10  # between reports, each of which waits for the GPU; a CPU has done the step anyway
 GPU_SECONDS = 1.0  # but slow steps are reported one by one
-TRAINING_PATIENCE = timedelta(
-    days=7
-)  # of processes for each other: torchrun ends all when one fails
+TRAINING_PATIENCE = timedelta(days=7)  # for other processes: torchrun ends all when one fails
 ESTIMATE_ROUNDS = 10  # of the copy
 # A run shorter than so many copies gets no estimate, which would cost over 10 %
 ESTIMATE_LEAST = 20
@@ -178,14 +176,7 @@ def rank_and_processes() -> tuple[int, int]:
 
 @contextmanager
 def torchrun(device: str) -> Iterator[tuple[int, int]]:
-    """Join the processes that `torchrun` has started, if any, each with a GPU of its own.
-
-    Yields:
-        The `rank_and_processes` within the block.
-
-    Raises:
-        StyleSplatError: If there are more processes than GPUs, or they are to use the CPU.
-    """
+    """Join the processes that `torchrun` has started, if any; yields `rank_and_processes`."""
     if "TORCHELASTIC_RUN_ID" not in os.environ or os.environ.get("WORLD_SIZE", "1") == "1":
         yield rank_and_processes()
         return
@@ -279,11 +270,7 @@ def _begin(
 
 
 def finished(state: State) -> State:
-    """The state at the end of a run, without runaways; a line says how many these were.
-
-    Raises:
-        StyleSplatError: If nothing else is left.
-    """
+    """The state at the end of a run, without runaways; a line says how many these were."""
     kept = state.without_runaways()
     lost = len(state.splats) - len(kept.splats)
     if not len(kept.splats):
@@ -297,10 +284,7 @@ def finished(state: State) -> State:
 
 
 def warm_up_training(run: TrainingRun, state: State) -> None:
-    """Compile the kernels before the clock starts, by rounds on a copy of the state.
-
-    The rounds are those of one process.
-    """
+    """Compile the kernels before the clock starts, by rounds of one process on a copy."""
     batch = run.batch if run.processes == 1 else 1
     run = replace(run, batch=batch, pool=RenderPool(1), rank=0, processes=1, exchange=tuple)
     if run.progress(state) < 1:
@@ -373,10 +357,7 @@ def estimate_seconds(run: TrainingRun, state: State) -> float:
 
 
 def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
-    """Say in one line how long a run will take, if it is not a short one or limited by time.
-
-    For a long run the line has settings for a first look as well.
-    """
+    """Say how long a long run will take, and how to get a first look."""
     config, ours = run.config, isinstance(run.strategy, MCMCStrategy)
     short = config.steps < ESTIMATE_LEAST * ESTIMATE_ROUNDS * run.batch
     if short or config.max_seconds is not None or run.processes > 1 or not ours:

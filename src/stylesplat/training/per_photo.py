@@ -38,10 +38,7 @@ PER_PHOTO_VARIED = 0.09
 def initial_photo_params(
     run: TrainingRun, points: Float[Tensor, "M 3"] | None
 ) -> dict[str, Tensor]:
-    """The `PER_PHOTO` tensors that a run learns, as it begins; one row per training photo.
-
-    Sparse points in the world give the first exposures.
-    """
+    """The `PER_PHOTO` tensors that a run learns, as it begins; one row per training photo."""
     first = dict[str, Tensor]()
     if run.config.refine_poses:
         first["pose_shifts"] = torch.zeros(len(run.rows), 6, device=run.device)
@@ -55,9 +52,8 @@ def initial_photo_params(
         photos = ((_valid_photo(view), view.camera) for view in views)
         gains = photo_gains(points, photos).nan_to_num()
     if wanted == "auto":
-        if (
-            gains.std(dim=0, correction=0).max() < PER_PHOTO_VARIED
-        ):  # of the channel that differs most
+        spread = gains.std(dim=0, correction=0).max()  # of the channel that differs most
+        if spread < PER_PHOTO_VARIED:
             return first
         say(
             "The photos differ in exposure or white balance. Training learns these differences "
@@ -121,10 +117,7 @@ def fit_color_map(
     photo: Float[Tensor, "H W 3"],
     valid: Bool[Tensor, "H W"] | None = None,
 ) -> Float[Tensor, "3 4"]:
-    """The change with which a render over black is closest to a photo, by ridge regression.
-
-    Pixels that are blown out in the photo, or not valid, do not count.
-    """
+    """The change with which a render is closest to a photo's valid pixels, by ridge regression."""
     inputs = torch.cat([image, alpha], dim=-1).flatten(0, 1).double()
     missing = (photo - image).flatten(0, 1).double()
     counted = (photo < BLOWN_OUT).all(dim=-1)

@@ -156,14 +156,12 @@ class TrainingRun:
     rows: tuple[int, ...]
     """Photos to train on."""
     views: TrainingViews
-    """Loads them."""
     cameras: Cameras
     """Of all photos."""
     extent: float
     """Unit of length of the scene."""
     device: torch.device
     strategy: Strategy
-    """Moves, adds and removes Gaussians."""
     batch: int = 1
     """Photos of a round: their gradients are computed together, before the first step."""
     pool: RenderPool = field(default_factory=lambda: RenderPool(1))

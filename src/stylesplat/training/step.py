@@ -36,13 +36,7 @@ from stylesplat.training.views import VIEW_AHEAD
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
-STEP_RATES = {
-    "quats": 1e-3,
-    "scales": 5e-3,
-    "opacities": 5e-2,
-    "sh0": 2.5e-3,
-    "identities": 2.5e-3,
-}
+STEP_RATES = {"quats": 1e-3, "scales": 5e-3, "opacities": 5e-2, "sh0": 2.5e-3, "identities": 2.5e-3}
 NEIGHBOR_EVERY = 5  # identity steps between uses of the 3D loss (Gaussian Grouping)
 NEIGHBOR_SAMPLES = 1000
 STEP_NEIGHBORS = 5
@@ -55,11 +49,8 @@ def train_step(run: TrainingRun, state: State) -> tuple[State, Float[Tensor, "2"
     gradients that are as old as the round. For a few photos this costs no measurable quality
     (Langford, Smola and Zinkevich 2009, "Slow learners are fast") and needs no other rates. The
     strategy then moves, adds and removes Gaussians. Several GPUs exchange their gradients, and take
-    one step for the whole round by the mean.
-
-    Returns:
-        The next state, in the same tensors unless Gaussians were moved or added; and the means of
-        loss and PSNR.
+    one step for the whole round by the mean. Returns the next state, in the same tensors unless
+    Gaussians were moved or added; and the means of loss and PSNR.
     """
     compute = partial(photo_gradients, run, state)
     photos = run.exchange([*run.pool.in_order(compute, run.own_steps(state))])
@@ -85,9 +76,8 @@ def photo_gradients(run: TrainingRun, state: State, step: int) -> PhotoGradients
     classes = view.classes if learns_identities else None
     splats, changes, camera = state.splats, params.get("color_maps"), view.camera
     if "pose_shifts" in params:
-        camera = per_photo.shift_cameras(
-            camera, params["pose_shifts"][place : place + 1], run.extent
-        )
+        shifts = params["pose_shifts"][place : place + 1]
+        camera = per_photo.shift_cameras(camera, shifts, run.extent)
     background, target = None, view.photo
     if view.alpha is not None:
         level = LEVELS.get(config.background)

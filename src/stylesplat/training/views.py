@@ -107,7 +107,6 @@ class TrainingViews:
         self._expected[row, factor] = self._pool.submit(self._pixels, row, factor)
 
     def end(self) -> None:
-        """End the threads."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
@@ -197,9 +196,8 @@ def learned_ids(capture: Capture, rows: Sequence[int]) -> tuple[int, ...]:
         objects = join_names([f"{id} ({names[id]})" if id in names else str(id) for id in ids])
         photos = join_names([capture.cameras.names[row] for row in unseen])
         say(
-            f"Only held-out photos show object {objects}, so training does not learn it: "
-            f"{photos}. Use `--test-every 0` to train on all photos, or another value to hold out "
-            "others."
+            f"Only held-out photos show object {objects}, so training does not learn it: {photos}. "
+            "Use `--test-every 0` to train on all photos, or another value to hold out others."
         )
     return tuple(sorted(trained)) if labelled else ()
 

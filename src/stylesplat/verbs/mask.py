@@ -91,8 +91,7 @@ def _with_masks(scene: Scene, masks: Path | str | None) -> Capture:
         masks = photos / OBJECT_MASK
     cpu = pick_device("cpu")
     capture = rendered_capture(scene, cpu) if photos is None else load(photos, masks=False)
-    found = import_label_maps(Path(masks), capture.cameras.names)
-    return with_drawn_maps(capture, found.maps, found.names)
+    return with_drawn_maps(capture, import_label_maps(Path(masks), capture.cameras.names))
 
 
 Photos = TypeVar("Photos", Capture, Scene)

@@ -301,7 +301,7 @@ def _record(
 def _checked(folder: Path, output: Path) -> CaptureReport:
     """Check the new capture, and write a picture of its cameras and points into it."""
     files = open_capture(folder)
-    capture = files.at(files.cameras.shrink_to(MEASURE_SIDE))
+    capture = files.at(files.whole.cameras.shrink_to(MEASURE_SIDE))
     report = check(capture)
     write_image(capture_picture(replace(capture, path=output), report), folder / SFM_PICTURE)
     return report

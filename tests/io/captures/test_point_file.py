@@ -36,30 +36,30 @@ def test_colors_in_many_forms(tmp_path: Path, names: tuple[str, ...], kind: str,
     whole = kind[0] in "ui"
     numbers = [[round(factor * c) if whole else factor * c for c in color] for color in COLORS]
     rows = [(i, 500_000.123, -1, *color) for i, color in enumerate(numbers)]
-    points = read_points(write(tmp_path / "points.ply", columns, rows))
-    assert points is not None
-    assert points.colors.tolist() == [[*color] for color in COLORS]
-    assert points.means[2].tolist() == [2, 500_000.123, -1]
+    means, colors = read_points(write(tmp_path / "points.ply", columns, rows))
+    assert means is not None and means[2].tolist() == [2, 500_000.123, -1]
+    assert colors is not None and colors.tolist() == [[*color] for color in COLORS]
 
 
 def test_colors_of_a_splat(tmp_path: Path):
     columns = dict.fromkeys("xyz", "float") | {f"f_dc_{i}": "float" for i in range(3)}
-    points = read_points(write(tmp_path / "p.ply", columns, [(0, 0, 0, 0, 1, -99)]))
-    assert points is not None and points.colors.tolist() == [[128, 199, 0]]
+    _, colors = read_points(write(tmp_path / "p.ply", columns, [(0, 0, 0, 0, 1, -99)]))
+    assert colors is not None and colors.tolist() == [[128, 199, 0]]
 
 
 def test_points_without_colors_are_grey(tmp_path: Path, said: list[str]):
-    points = read_points(write(tmp_path / "p.ply", dict.fromkeys("xyz", "float"), [(1, 2, 3)]))
-    assert points is not None and points.colors.tolist() == [[128] * 3]
+    path = write(tmp_path / "p.ply", dict.fromkeys("xyz", "float"), [(1, 2, 3)])
+    _, colors = read_points(path)
+    assert colors is not None and colors.tolist() == [[128] * 3]
     assert "no colours" in said[0]
 
 
 def test_points_that_are_no_numbers_are_left_out(tmp_path: Path, said: list[str]):
     columns = dict.fromkeys("xyz", "float") | dict.fromkeys(("r", "g", "b"), "uchar")
     rows = [(np.nan, 0, 0, 1, 1, 1), (1, 2, 3, 9, 8, 7), (0, np.inf, 0, 1, 1, 1)]
-    points = read_points(write(tmp_path / "p.ply", columns, rows))
-    assert points is not None and torch.equal(points.means, torch.tensor([[1.0, 2, 3]]).double())
-    assert points.colors.tolist() == [[9, 8, 7]]
+    means, colors = read_points(write(tmp_path / "p.ply", columns, rows))
+    assert means is not None and torch.equal(means, torch.tensor([[1.0, 2, 3]]).double())
+    assert colors is not None and colors.tolist() == [[9, 8, 7]]
     assert "2 of the 3 points" in said[0]
 
 

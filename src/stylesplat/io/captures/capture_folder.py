@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import compress
@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Int, UInt8
 from msgspec import Meta
 from torch import Tensor
 
@@ -31,20 +31,13 @@ from stylesplat.io.captures.posed_files import (
 from stylesplat.io.captures.transforms import read_transforms
 from stylesplat.io.json_yaml import FilePath, read_json_as, write_json
 from stylesplat.io.kinds import find_poses, wrong_kind_error
-from stylesplat.io.label_maps import (
-    DrawnLabels,
-    FoundMasks,
-    fit_labels,
-    fitted_maps,
-    match_label_maps,
-)
+from stylesplat.io.label_maps import FoundMasks, fitted_maps, match_label_maps
 from stylesplat.options import check_arguments
 from stylesplat.progress import say, track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.outliers import Outliers, find_outliers
 from stylesplat.scene.sequences import Cache, Lazy, evenly_spaced
-from stylesplat.scene.world_offset import ORIGIN, Offset, announced
+from stylesplat.scene.world_offset import ORIGIN, announced
 
 SFM_FILE = "sfm.json"
 SFM_FORMAT = 1
@@ -105,31 +98,22 @@ MaskFolder = Path | str | Literal[False] | None
 class CaptureFiles:
     """A capture whose headers are read, to be opened at one size or several."""
 
-    path: Path
-    cameras: Cameras
-    """One per photo, at full size."""
+    whole: Capture
+    """At full size, without what masks and cut-outs say."""
     photos: list[Photo]
     """At full size."""
     masks: Path | Literal[False] | None
     """The folder of label maps; False if none are wanted."""
-    points: Float[Tensor, "M 3"] | None
-    point_colors: UInt8[Tensor, "M 3"] | None
     cut_out: bool
     """Whether the photos are transparent around the object."""
-    world_offset: Offset
-    """What cameras and points are relative to."""
-    outliers: Outliers
-    """Photos and points that were left out, as they lay far from all others."""
-    valid_masks: tuple[Path | None, ...] | None = None
+    valid_masks: Sequence[Path | None] | None
     """The files of the photos' masks, 0 where pixels are not to be used."""
-    held_out: frozenset[str] | None = None
-    """Names of the photos that the files hold out of training; None if they do not say."""
 
     def at(self, downscale: float | int) -> Capture:
         """The capture with photos, label maps and cameras that are `downscale` times smaller."""
         if not 1 <= downscale < math.inf:
             raise StyleSplatError(f"Cannot downscale by {downscale}. Give a factor of 1 or more.")
-        cameras = self.cameras.downscale(downscale)
+        cameras = self.whole.cameras.downscale(downscale)
         sizes = cameras.sizes.tolist()
         files = [photo.resized(*size) for photo, size in zip(self.photos, sizes, strict=True)]
         photos, alphas = Lazy([file.read for file in files]), None
@@ -141,35 +125,26 @@ class CaptureFiles:
             names = self._found_masks.names
         elif alphas is not None and self.masks is None:
             label_maps, names = _opaque_maps(alphas), CUT_OUT_NAMES
-        return Capture(
+        return replace(
+            self.whole,
             cameras=cameras,
             photos=photos,
             label_maps=label_maps,
-            points=self.points,
-            point_colors=self.point_colors,
-            path=self.path,
             object_names=names,
-            outliers=self.outliers,
             alphas=alphas,
             valid_masks=None if self.valid_masks is None else valid_pixels(self.valid_masks, files),
-            held_out=self.held_out,
-            full=self.cameras,
+            full=self.whole.cameras,
             downscale=float(downscale),
-            world_offset=self.world_offset,
         )
 
     @cached_property
     def _found_masks(self) -> FoundMasks:
         assert self.masks
-        return match_label_maps(self.masks, self.cameras.names)
+        return match_label_maps(self.masks, self.whole.cameras.names)
 
 
 def open_capture(path: Path | str, *, masks: MaskFolder = None) -> CaptureFiles:
-    """Read the headers of a capture; `masks` is described at `load`.
-
-    Raises a StyleSplatError if the folder is no capture, or a file of it is missing, damaged or
-    does not fit the others.
-    """
+    """Read the headers of a capture; `masks` is described at `load`."""
     folder = Path(path)
     posed = drop_bad_points(drop_bad_poses(_read_poses(folder), folder), folder)
     posed, offset = split_offset(posed)
@@ -192,9 +167,8 @@ def open_capture(path: Path | str, *, masks: MaskFolder = None) -> CaptureFiles:
     if stored:
         say(
             f"Used as stored, not as their EXIF rotation shows them: {join_names(stored)} "
-            f"({len(stored)} "
-            f"of the {len(photos)} photos in {folder}). Poses, boxes and label maps belong to the "
-            "stored pixels."
+            f"({len(stored)} of the {len(photos)} photos in {folder}). Poses, boxes and label maps "
+            "belong to the stored pixels."
         )
     pinholes = [photo.lens.pinhole() for photo in photos]
     cameras = Cameras(
@@ -203,30 +177,26 @@ def open_capture(path: Path | str, *, masks: MaskFolder = None) -> CaptureFiles:
         sizes=torch.tensor([pinhole.size for pinhole in pinholes]),
         names=posed.names,
     )
-    points, point_colors, valid_masks = posed.points, posed.point_colors, posed.masks
-    near, near_points, outliers = find_outliers(cameras, points)
-    if outliers:
-        say(f"Left out: {outliers}.")
-        cameras, photos = cameras[near.nonzero()[:, 0].tolist()], [*compress(photos, near)]
-        valid_masks = None if valid_masks is None else tuple(compress(valid_masks, near))
-    if points is not None and near_points is not None:
-        points = points[near_points]
-        point_colors = None if point_colors is None else point_colors[near_points]
+    whole = Capture(
+        cameras=cameras,
+        photos=Lazy([photo.read for photo in photos]),
+        points=posed.points,
+        point_colors=posed.point_colors,
+        path=folder,
+        held_out=posed.held_out,
+        world_offset=offset,
+    ).without_outliers()
+    near = [row not in whole.outliers.rows for row in range(len(photos))]
+    photos = [*compress(photos, near)]
     if masks is None and (folder / OBJECT_MASK).is_dir():
         masks = folder / OBJECT_MASK
     with_alpha = evenly_spaced([photo for photo in photos if photo.has_alpha()], CUT_OUT_SAMPLE)
     return CaptureFiles(
-        path=folder,
-        cameras=cameras,
+        whole=whole,
         photos=photos,
         masks=masks if masks is None or masks is False else Path(masks),
-        points=points,
-        point_colors=point_colors,
         cut_out=any(photo.is_cut_out() for photo in with_alpha),
-        world_offset=offset,
-        valid_masks=valid_masks,
-        held_out=posed.held_out,
-        outliers=outliers,
+        valid_masks=None if posed.masks is None else [*compress(posed.masks, near)],
     )
 
 
@@ -260,10 +230,7 @@ def exact_masks(folder: Path) -> Path | None:
 
 
 def unposed_photos(folder: Path, posed: Collection[str]) -> tuple[dict[str, str], int]:
-    """The photos without a pose and why (perhaps empty), and how many were not tried.
-
-    `sfm` wrote this down; in other captures they are the other files in the folder of photos.
-    """
+    """The photos without a pose and why, as `sfm` wrote down, and how many were not tried."""
     record = read_sfm(folder)
     if record is not None:
         return dict(record.unregistered), len(record.left_out)
@@ -284,35 +251,25 @@ def photos_besides(folder: Path, posed: Collection[str]) -> list[str]:
     return others
 
 
-def with_drawn_maps(
-    capture: Capture, maps: Mapping[str, DrawnLabels], names: Mapping[int, str]
-) -> Capture:
-    """A capture with label maps that were drawn on its photos as they were taken, at any size.
-
-    `maps` is by photo, `names` holds the objects' names by id.
-    """
-    photos = _photos_of(capture)
-    readers = [
-        fit_labels(maps[name], photos[name]) if name in maps else lambda: None
-        for name in capture.cameras.names
-    ]
-    return replace(capture, label_maps=Lazy(readers), object_names=dict(names))
+def with_drawn_maps(capture: Capture, found: FoundMasks) -> Capture:
+    """A capture with label maps that were drawn on its photos as they were taken, at any size."""
+    label_maps = fitted_maps(found, capture.cameras.names, _photos_of(capture))
+    return replace(capture, label_maps=label_maps, object_names=dict(found.names))
 
 
-def _photos_of(capture: Capture) -> dict[str, Photo]:
-    """The photos by name, with their lenses; those of a capture in memory have pinholes."""
-    cameras = capture.cameras
+def _photos_of(capture: Capture) -> list[Photo]:
+    """The photos with their lenses; those of a capture in memory have pinholes."""
+    cameras, sizes = capture.cameras, capture.cameras.sizes.tolist()
     if capture.path is not None:
         files = open_capture(capture.path, masks=False)
-        sizes = zip(cameras.names, cameras.sizes.tolist(), strict=True)
-        return {
-            name: files.photos[files.cameras.index(name)].resized(*size) for name, size in sizes
-        }
-    rows = zip(cameras.names, cameras.Ks.tolist(), cameras.sizes.tolist(), strict=True)
-    return {
-        name: Photo(Path(name), True, Lens("PINHOLE", w, h, (fx, fy, cx, cy)), (w, h))
-        for name, ((fx, _, cx), (_, fy, cy), _), (w, h) in rows
-    }
+        photos = (files.photos[files.whole.cameras.index(name)] for name in cameras.names)
+        return [photo.resized(*size) for photo, size in zip(photos, sizes, strict=True)]
+    return [
+        Photo(Path(name), True, Lens("PINHOLE", w, h, (fx, fy, cx, cy)), (w, h))
+        for name, ((fx, _, cx), (_, fy, cy), _), (w, h) in zip(
+            cameras.names, cameras.Ks.tolist(), sizes, strict=True
+        )
+    ]
 
 
 def _split_alpha(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -23,7 +23,7 @@ from stylesplat.io.captures.colmap_files import (
 )
 from stylesplat.io.captures.lens import Lens
 from stylesplat.io.captures.photo_names import FoundPhotos, find_photos
-from stylesplat.io.captures.posed_files import PosedFiles, read_points
+from stylesplat.io.captures.posed_files import PosedFiles, SparsePoints, read_points
 from stylesplat.io.files import is_file
 from stylesplat.io.kinds import find_poses
 from stylesplat.progress import SILENCE, observed, say
@@ -48,12 +48,7 @@ class _Model:
 
 
 def read_colmap(folder: Path, models: Sequence[Path]) -> PosedFiles:
-    """Read the poses, cameras and points of a capture; photos are sorted by name.
-
-    Args:
-        folder: The capture.
-        models: The folders of its reconstructions; that of most photos is used.
-    """
+    """Read poses, cameras and points, of the model of most photos; photos are sorted by name."""
     model = _largest(folder, models)
     found, lenses = model.photos, _lenses(model)
     if not model.images:
@@ -87,16 +82,14 @@ def read_colmap(folder: Path, models: Sequence[Path]) -> PosedFiles:
     )
 
 
-def _points(
-    model: _Model,
-) -> tuple[Float64[Tensor, "M 3"], UInt8[Tensor, "M 3"]] | tuple[None, None]:
+def _points(model: _Model) -> SparsePoints:
     """Positions and colours; of a PLY file, as INRIA's code writes, if there are no others."""
     if "points3D" in model.files:
         points = read_point_records(model.files["points3D"])
         if len(points.means):
             return torch.from_numpy(points.means), torch.from_numpy(points.colors)
     elif is_file(model.folder / POINTS_PLY):
-        return read_points(model.folder / POINTS_PLY) or (None, None)
+        return read_points(model.folder / POINTS_PLY)
     say(f"{model.folder} has no points: training starts from random ones.")
     return None, None
 
@@ -134,7 +127,6 @@ def _read_model(folder: Path, path: Path) -> _Model:
 
 
 def _lenses(model: _Model) -> dict[int, Lens]:
-    """The lenses of the images by camera."""
     lenses = dict[int, Lens]()
     found = (image for image in model.images if image.name in model.photos.names)
     for id in sorted({image.camera_id for image in found}):
@@ -181,15 +173,16 @@ class ModelFigures:
 
 def read_figures(folder: Path) -> ModelFigures | None:
     """Read the figures of a capture; None without a COLMAP model, or if its points lack tracks."""
-    found = find_poses(folder)
-    if not found or found[0].form != "colmap":
+    poses = find_poses(folder)
+    if not poses or poses[0].form != "colmap":
         return None
     with observed(SILENCE):  # `read_colmap` says what is left out
-        model = _largest(folder, found[0].paths)
+        model = _largest(folder, poses[0].paths)
         if "points3D" not in model.files:
             return None
         points = read_point_records(model.files["points3D"], tracks=True)
-    ids = np.array([image.id for image in model.images if image.name in model.photos.names])
+    found = [image for image in model.images if image.name in model.photos.names]
+    ids = np.array([image.id for image in found])
     known = np.isin(points.images, ids)
     if not known.any():
         return None
@@ -198,9 +191,5 @@ def read_figures(folder: Path) -> ModelFigures | None:
     return ModelFigures(
         error=float(errors.mean()) if len(errors) else None,
         track_length=int(known.sum()) / len(points.means),
-        shared={
-            model.photos.names[i.name]: counts[i.id]
-            for i in model.images
-            if i.name in model.photos.names
-        },
+        shared={model.photos.names[image.name]: counts[image.id] for image in found},
     )

@@ -64,10 +64,7 @@ class PointRecords:
 
 
 def model_files(sparse: Path) -> dict[str, Path]:
-    """The files of a model by kind: `cameras`, `images` and perhaps `points3D`.
-
-    They are the binary ones, as COLMAP prefers, unless there are more as text.
-    """
+    """The files of a model by kind: binary ones, as COLMAP prefers, unless more are text."""
     kinds = ("cameras", "images", "points3D")
     sets = [
         {kind: path for kind in kinds if is_file(path := sparse / f"{kind}{suffix}")}
@@ -180,10 +177,8 @@ def _parse_image(line: str) -> ImageRecord | None:
     id, *pose, camera_id = map(_number, fields[:9])
     if not (id.is_integer() and camera_id.is_integer()):
         return None
-    if (
-        COLMAP_NUMBERS.fullmatch(line) and len(line.split()) % 3 == 0
-    ):  # 2D points: x, y and an id each
-        return None
+    if COLMAP_NUMBERS.fullmatch(line) and len(line.split()) % 3 == 0:
+        return None  # 2D points: x, y and an id each
     return ImageRecord(int(id), tuple(pose), int(camera_id), fields[9])
 
 

@@ -63,8 +63,7 @@ class Lens:
         if model not in known:
             raise StyleSplatError(
                 f"There is no camera model {shorten(model)}. Convert it to one of COLMAP's, such "
-                "as "
-                "OPENCV."
+                "as OPENCV."
             )
         if not 1 <= min(width, height) <= max(width, height) <= LENS_MAX_SIDE:
             raise StyleSplatError(
@@ -99,10 +98,7 @@ class Lens:
         return Lens.from_colmap(camera)
 
     def pinhole(self) -> "Lens":
-        """The lens of the undistorted photo, cropped as COLMAP does.
-
-        Raises a StyleSplatError if that photo would show next to nothing.
-        """
+        """The lens of the undistorted photo, cropped as COLMAP does."""
         return self if self.is_pinhole else _pinhole(self)
 
     def undistort(

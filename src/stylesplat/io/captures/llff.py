@@ -30,8 +30,7 @@ def read_llff(folder: Path) -> PosedFiles:
     if rows.ndim != 2 or rows.shape[1] != LLFF_ROW or not len(rows):
         raise StyleSplatError(
             f"{path} has numbers of the shape {rows.shape}, not [photos, {LLFF_ROW}] as LLFF "
-            "writes. "
-            f"{LLFF_AGAIN}"
+            f"writes. {LLFF_AGAIN}"
         )
     photos = _photos(folder, len(rows))
     matrices = torch.from_numpy(rows[:, :15].astype(np.float64)).view(-1, 3, 5)

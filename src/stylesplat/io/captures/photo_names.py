@@ -55,15 +55,11 @@ class FoundPhotos:
 
 
 def find_photos(folder: Path, names: Sequence[str], model: Path) -> FoundPhotos:
-    """Find posed photos in the folder of a capture that has most of them.
+    """Find the posed photos in the folder of a capture that has most of them.
 
     A file fits a name with other folders above it, in another case or with another extension, if it
-    is the only such file; so names may come from another machine.
-
-    Args:
-        folder: The capture.
-        names: Of the photos, as the reconstruction has them.
-        model: The folder of the reconstruction; photos beside it are preferred.
+    is the only such file; so names may come from another machine. Photos beside the folder of the
+    `model` are preferred.
     """
     beside = folder.joinpath(*takewhile("sparse".__ne__, model.relative_to(folder).parts))
     places = sorted(photo_places(folder), key=lambda place: place.parent != beside)
@@ -129,19 +125,13 @@ def _best(name: str, by_stem: dict[str, list[str]]) -> str | None:
     ranked = defaultdict[tuple[int, bool], list[str]](list)
     for file in by_stem.get(keys[0], ()) if keys else ():
         others = [*_keys(file)]
-        same = sum(1 for _ in _same_start(keys, others))
+        pairs = zip(keys, others, strict=False)
+        same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
         if same == min(len(keys), len(others)):  # one is the end of the other
             alike = _suffix(name).casefold() == _suffix(file).casefold()
             ranked[same, alike].append(file)
     best = ranked[max(ranked)] if ranked else []
     return best[0] if len(best) == 1 else None
-
-
-def _same_start(a: Sequence[str], b: Sequence[str]) -> Iterator[str]:
-    for one, other in zip(a, b, strict=False):
-        if one != other:
-            return
-        yield one
 
 
 def _keys(name: str) -> Iterator[str]:
@@ -209,11 +199,11 @@ def _parts(name: str) -> list[str]:
 
 
 def _plain(name: str) -> PureWindowsPath:
-    return PureWindowsPath(os.path.normpath(name.replace("\\", "/")))
+    return PureWindowsPath(os.path.normpath(_slashed(name)))
 
 
 def _find(folder: Path, name: str, suffixes: Sequence[str], listed: Listed) -> _Match | None:
-    for path in (folder / name, folder / name.replace("\\", "/")):
+    for path in (folder / name, folder / _slashed(name)):
         exact = [Path(f"{path}{suffix}") for suffix in ("", *suffixes)]
         if there := [each for each in exact if os.path.isfile(each)]:  # noqa: PTH113 - any name
             return _Match(there[0], 0)
@@ -257,5 +247,5 @@ def _expected(folder: Path, name: str, *, dropped: int) -> Path:
     parts = _parts(name)
     is_foreign = _plain(name).anchor or ".." in _plain(name).parts
     if not is_foreign and not dropped:
-        return folder / name.replace("\\", "/")
+        return folder / _slashed(name)
     return folder.joinpath(*(parts[dropped:] or parts[-1:]))

@@ -153,20 +153,14 @@ def valid_pixels(
 
 
 def read_valid(path: Path, photo: Photo) -> Bool[Tensor, "H W"]:
-    """Read a mask undistorted, at the photo's size.
-
-    A pixel is valid if no masked one contributes to it, since photos are interpolated and averaged.
-    """
+    """Read a mask at the photo's size: valid pixels, to which no masked one contributes."""
     used = resize_labels(_read(path), photo.lens.size[::-1])
     pixels = photo.lens.undistort(255 * used.to(torch.uint8).numpy())
     return shrink_mask(torch.from_numpy(pixels == 255), photo.size[::-1])
 
 
 def check_masks(masks: Sequence[Path | None], photos: Sequence[Photo]) -> None:
-    """Check the masks' shapes, and say in a line how much they leave out.
-
-    Raises a StyleSplatError for a mask of another shape than its photo's, or no picture.
-    """
+    """Check the masks' shapes, and say in a line how much they leave out."""
     shares = list[float]()
     pairs = [(path, photo) for path, photo in zip(masks, photos, strict=True) if path]
     for path, photo in track(pairs, "reading masks", unit="photo"):

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -71,10 +70,7 @@ class PosedFiles:
 
 
 def split_offset(posed: PosedFiles) -> tuple[PosedFiles, Offset]:
-    """The poses and points relative to an offset of the world if they need one, and the offset.
-
-    Points have 32 bits from here on; the poses still have 64.
-    """
+    """The poses, and points in 32 bits, relative to an offset of the world; and the offset."""
     viewmats, points = posed.viewmats, posed.points
     positions = -torch.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])
     offset = choose_offset(positions if points is None else torch.cat([positions, points]))
@@ -99,11 +95,7 @@ def drop_missing(posed: PosedFiles, folder: Path) -> PosedFiles:
 
 
 def _keep_existing(
-    posed: PosedFiles,
-    folder: Path,
-    paths: Sequence[Path | None],
-    names: Sequence[str],
-    photos: str,
+    posed: PosedFiles, folder: Path, paths: Sequence[Path | None], names: Sequence[str], photos: str
 ) -> PosedFiles:
     # Unlike Path's, lexists takes any name
     there = [path is None or os.path.lexists(path) for path in paths]
@@ -161,7 +153,6 @@ def drop_bad_points(posed: PosedFiles, folder: Path) -> PosedFiles:
 
 
 def _only(posed: PosedFiles, kept: Sequence[bool]) -> PosedFiles:
-    """Some of the photos."""
     columns = zip(posed.names, posed.paths, posed.lenses, strict=True)
     names, paths, lenses = zip(*compress(columns, kept), strict=True)
     return replace(
@@ -201,20 +192,18 @@ POSED_GREY = 128
 DEEP = 257  # 16-bit colours over 8-bit ones
 
 
-class SparsePoints(NamedTuple):
-    means: Float[Tensor, "M 3"]
-    """64 bits."""
-    colors: UInt8[Tensor, "M 3"]
+SparsePoints = tuple[Float[Tensor, "M 3"], UInt8[Tensor, "M 3"]] | tuple[None, None]
+"""Positions, of 64 bits, and colours, if there are any points."""
 
 
-def read_points(path: Path) -> SparsePoints | None:
+def read_points(path: Path) -> SparsePoints:
     """Read points; what is missing or no number is left out, with a line.
 
     Colours are bytes, 16-bit integers, or floats of 0..1 or 0..255; without any, points are grey.
     """
     if not is_there(path):
         say(f"The file of points {path} is not there: training starts from random points.")
-        return None
+        return None, None
     table = read_ply_table(path)
     columns = {name.lower(): name for name in table.dtype.names or ()}
     missing = {*XYZ} - columns.keys()
@@ -230,7 +219,7 @@ def read_points(path: Path) -> SparsePoints | None:
         say(f"The points in {path} have no colours, so they start grey.")
         colors = np.full(means.shape, POSED_GREY, np.uint8)
     means, colors = (torch.from_numpy(each[finite]) for each in (means, colors))
-    return SparsePoints(means, colors) if len(means) else None
+    return (means, colors) if len(means) else (None, None)
 
 
 def _colors(

@@ -112,7 +112,10 @@ def read_transforms(folder: Path) -> PosedFiles:
     by path, and named relative to their common folder.
     """
     posed, splits, points = list[_Posed](), dict[str, _Split](), None
-    files = _files(folder)
+    if is_file(folder / TRANSFORMS):
+        files = [folder / TRANSFORMS]
+    else:
+        files = [folder / name for name in SPLIT_TRANSFORMS if is_file(folder / name)]
     for path in files:
         frames, listed, named_points = _read_file(path)
         posed += frames
@@ -128,23 +131,17 @@ def read_transforms(folder: Path) -> PosedFiles:
     reserved = None if held_out is None else {n for n, each in pairs if each.place in held_out}
     viewmats = [_viewmat(each) for each in posed]
     masks = tuple(each.mask for each in posed)
-    sparse = _read_points(folder, points)
+    means, colors = _read_points(folder, points)
     return PosedFiles(
         names=names,
         paths=tuple(each.photo for each in posed),
         lenses=tuple(_read_lens(each) for each in posed),
         viewmats=torch.stack(viewmats),
-        points=sparse and sparse.means,
-        point_colors=sparse and sparse.colors,
+        points=means,
+        point_colors=colors,
         masks=masks if any(masks) else None,
         held_out=None if reserved is None else frozenset(reserved),
     )
-
-
-def _files(folder: Path) -> list[Path]:
-    if is_file(folder / TRANSFORMS):
-        return [folder / TRANSFORMS]
-    return [folder / name for name in SPLIT_TRANSFORMS if is_file(folder / name)]
 
 
 def _read_file(path: Path) -> tuple[list[_Posed], dict[str, _Split], str | None]:
@@ -310,10 +307,10 @@ def _focal(focal: float | None, angle: float | None, side: int, axis: str) -> fl
     return side / (2 * math.tan(angle / 2))
 
 
-def _read_points(folder: Path, name: str | None) -> SparsePoints | None:
+def _read_points(folder: Path, name: str | None) -> SparsePoints:
     if name is not None:
         return read_points(find_files(folder, [name], "ply_file_paths")[0])
     if is_file(folder / TRANSFORMS_POINTS):
         say(f"The points are those of {TRANSFORMS_POINTS}.")
         return read_points(folder / TRANSFORMS_POINTS)
-    return None
+    return None, None

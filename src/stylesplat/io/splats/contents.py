@@ -121,11 +121,7 @@ def _something_else(head: bytes, path: Path) -> tuple[str, str] | None:
         if head.startswith(magic):
             return what
     with suppress(UnicodeDecodeError):
-        text = (
-            head[: len(head) - MAX_CHARACTER].decode()
-            if len(head) == CONTENT_HEAD
-            else head.decode()
-        )
+        text = (head[:-MAX_CHARACTER] if len(head) == CONTENT_HEAD else head).decode()
         if not re.search(r"[\x00-\x08\x0e-\x1f]", text):
             return f"text, which begins {shorten(text.strip()[:CONTENT_SHOWN])!r}", OTHER
     return None

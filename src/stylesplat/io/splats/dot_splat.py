@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, Shaped, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
-from stylesplat.io.splats.packing import PACKED_SMALLEST, unit_quats
+from stylesplat.io.splats.packing import PACKED_SMALLEST, to_bytes, to_floats, unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, of_degree
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 
@@ -61,8 +61,8 @@ def write_dot_splat(splats: Splats, path: Path | str) -> None:
     rows = np.empty(len(splats), DOT_SPLAT_ROW)
     rows["mean"] = splats.means[order].numpy()
     rows["scale"] = splats.scales[order].exp().clamp(min=PACKED_SMALLEST).numpy()
-    rows["rgba"] = _bytes(255 * torch.cat([colors, alphas[:, None]], dim=1))[order]
-    rows["quat"] = _bytes(128 + 128 * unit_quats(splats.quats))[order]
+    rows["rgba"] = to_bytes(255 * torch.cat([colors, alphas[:, None]], dim=1))[order]
+    rows["quat"] = to_bytes(128 + 128 * unit_quats(splats.quats))[order]
     with atomic_path(path) as draft:
         draft.write_bytes(rows.tobytes())
 
@@ -71,14 +71,6 @@ def dot_splat_order(splats: Splats) -> Int[Tensor, " N"]:
     """The Gaussian of each row: the largest and most opaque first."""
     sizes = splats.scales.sum(dim=1).exp() * torch.sigmoid(splats.opacities)
     return torch.argsort(sizes, descending=True, stable=True)
-
-
-def _bytes(values: torch.Tensor) -> np.ndarray:
-    return values.round().clamp(0, 255).to(torch.uint8).numpy()
-
-
-def to_floats(values: Shaped[np.ndarray, "*B"]) -> Float[Tensor, "*B"]:
-    return torch.from_numpy(np.array(values, np.float32))
 
 
 DOT_SPLAT_MAGIC = b"\0\1\0\0"  # version 0.1, and what is 0; no .splat begins at x = 4e-43

@@ -148,10 +148,7 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
 
 
 def _log_scales(gltf: Gltf, scales: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-    """Logarithms of scales, which the extension's first draft, of January 2026, stores themselves.
-
-    The release candidate, of April, has no negative scales, of which such a file has many.
-    """
+    """Logarithms of scales: the first draft, of January 2026, had these and so negative ones."""
     made = OF_FIRST_DRAFT.match(str(gltf.document.asset.get("generator", "")))
     written = made is not None and (int(made[1]), int(made[2])) < FIRST_LINEAR
     if written or (scales < 0).float().mean() > MOST_NEGATIVE:
@@ -283,10 +280,7 @@ def write_gltf(splats: Splats, path: Path | str, *, spz: bool = False) -> None:
 
 
 def half_turned_node(offset: Offset, *, as_matrix: bool = False) -> dict[str, list[float]]:
-    """The transform of a node from places relative to an offset of our world to glTF's world.
-
-    CesiumJS knows no other transform of splats than a matrix.
-    """
+    """The transform from an offset of our world to glTF's; CesiumJS knows a matrix only."""
     shift = HALF_TURN @ offset + 0.0  # no -0
     if as_matrix:
         matrix = np.diag([*HALF_TURN.diagonal(), 1.0])

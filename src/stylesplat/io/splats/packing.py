@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int, Shaped, UInt8
 from scipy.cluster.vq import kmeans2, vq
 from torch import Tensor
 
@@ -23,9 +23,8 @@ SPREADS = (
     (2, 0x1249249249249249),
 )
 PACKED_LARGEST = 0.5**0.5  # bound of a component of a unit quaternion that is not its largest
-PACKED_OTHERS = torch.tensor(
-    [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]
-)  # components but the largest
+# Components but the largest
+PACKED_OTHERS = torch.tensor([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 CODEBOOK_SIZE = 256  # values that a byte can name
 QUANTILES = 2**14  # of the sorted numbers, for the first guess of a codebook
 LLOYD_ROUNDS = 20  # more change little
@@ -49,6 +48,14 @@ def morton_order(means: Float[Tensor, "N 3"]) -> Int[Tensor, " N"]:
     for shift, mask in SPREADS:
         cells = (cells | cells << shift) & mask
     return (cells << torch.arange(3)).sum(dim=1).argsort(stable=True)
+
+
+def to_bytes(values: Float[Tensor, "*B"]) -> UInt8[np.ndarray, "*B"]:
+    return values.round().clamp(0, 255).to(torch.uint8).numpy()
+
+
+def to_floats(values: Shaped[np.ndarray, "*B"]) -> Float[Tensor, "*B"]:
+    return torch.from_numpy(np.array(values, np.float32))
 
 
 def unit_quats(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:

@@ -34,6 +34,7 @@ from stylesplat.io.splats.packing import (
     from_smallest_three,
     morton_order,
     smallest_three,
+    to_bytes,
     tree_kmeans,
 )
 from stylesplat.io.splats.splat_ply import BANDS, refuse_faulty
@@ -65,9 +66,8 @@ Reader = Callable[[str], bytes]
 SogTexels = UInt8[np.ndarray, "M D"]
 Logarithm = Annotated[float, Meta(ge=-SOG_FARTHEST, le=SOG_FARTHEST)]
 Corner = tuple[Logarithm, Logarithm, Logarithm]
-SogNumber = Annotated[
-    float, Meta(ge=-1e30, le=1e30)
-]  # float32 holds it; `check_splats` does the rest
+# float32 holds it; `drawable` does the rest
+SogNumber = Annotated[float, Meta(ge=-1e30, le=1e30)]
 Codebook = Annotated[tuple[SogNumber | None, ...], Meta(min_length=1, max_length=CODEBOOK_SIZE)]
 """Values of bytes; the first may be null, where splat-transform had no number for it."""
 
@@ -124,10 +124,7 @@ class _Meta(msgspec.Struct):
 
 
 def read_sog(path: Path | str) -> Splats:
-    """Read a bundle, or the folder of a meta.json, into PLY's conventions; rows keep their order.
-
-    Counts are checked against the size of the files before memory is allocated for them.
-    """
+    """Read a bundle, or the folder of a meta.json, into PLY's conventions, row by row."""
     path = Path(path)
     bundled = read_bytes(path, first=4).startswith(ZIP)
     member = _bundle_reader(path) if bundled else _folder_reader(path)
@@ -264,9 +261,9 @@ def write_sog(splats: Splats, path: Path | str) -> None:
     tags = (largest + FIRST_TAG).byte().numpy()
     scale_codes = fit_codebook(splats.scales.numpy())
     color_codes = fit_codebook(splats.sh0.numpy())
-    alphas = _to_bytes(torch.sigmoid(splats.opacities))
+    alphas = to_bytes(255 * torch.sigmoid(splats.opacities))
     colors = np.column_stack([encode(splats.sh0[:, 0].numpy(), color_codes), alphas])
-    quats = np.column_stack([_to_bytes((others / PACKED_LARGEST + 1) / 2), tags])
+    quats = np.column_stack([to_bytes(255 * ((others / PACKED_LARGEST + 1) / 2)), tags])
     scales = encode(splats.scales.numpy(), scale_codes)
     halves = {"means_l.webp": steps & 255, "means_u.webp": steps >> 8}
     means_files = [add(name, half.astype(np.uint8)) for name, half in halves.items()]
@@ -301,10 +298,6 @@ def write_sog(splats: Splats, path: Path | str) -> None:
     with atomic_path(path) as draft, zipfile.ZipFile(draft, "w") as bundle:
         for name, content in files.items():
             bundle.writestr(zipfile.ZipInfo(name, ZIP_DATE), content)
-
-
-def _to_bytes(shares: torch.Tensor) -> UInt8[np.ndarray, "..."]:
-    return (shares * 255).round().clamp(0, 255).byte().numpy()
 
 
 def _folder_reader(path: Path) -> Reader:

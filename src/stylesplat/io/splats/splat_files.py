@@ -49,10 +49,7 @@ DRAWABLE_SCALE = torch.tensor(PACKED_SMALLEST).log().item()  # its square, which
 
 
 def drawable(splats: Splats, path: Path) -> tuple[Splats, Int[Tensor, " M"]]:
-    """The Gaussians of a file that can be drawn, and their rows.
-
-    A line says how many are left out and why; a StyleSplatError, if all are.
-    """
+    """The Gaussians of a file that can be drawn, and their rows; a line says what is left out."""
     rows = torch.arange(len(splats))
     if not len(splats):
         raise StyleSplatError(f"There are no Gaussians in {path}. Choose another file.")
@@ -100,10 +97,8 @@ def _without_limits(splats: Splats) -> Splats:
 def _faults(splats: Splats) -> Iterator[tuple[Bool[Tensor, " N"], str]]:
     """Which Gaussians cannot be drawn, by the first reason that holds."""
     unturned = (splats.quats.abs() < SMALLEST_QUAT).all(dim=1)
-    empty = unturned & ~torch.stack([as_rows(t).any(dim=1) for t in splats.tensors().values()]).any(
-        0
-    )
-    yield empty, "rows of zeros"
+    filled = torch.stack([as_rows(t).any(dim=1) for t in splats.tensors().values()]).any(dim=0)
+    yield unturned & ~filled, "rows of zeros"
     names = {"means": "position", "scales": "size", "quats": "rotation", "opacities": "opacity"}
     for name, declared in GAUSSIANS.items():
         values, what = getattr(splats, name), names.get(name, "colour")

@@ -41,7 +41,10 @@ SMALLEST_QUAT = 1e-10  # of a component: squares of less vanish in float32
 
 def read_splat_ply(path: Path | str) -> Splats:
     """Read splats that we wrote ourselves: what `splat_fault` finds is a StyleSplatError."""
-    return check_splats(parse_splat_ply(path), path)
+    splats = parse_splat_ply(path)
+    if fault := splat_fault(splats):
+        raise StyleSplatError(f"Cannot read {path} as splats: {fault}. {SPLAT_PLY_REMEDY}")
+    return splats
 
 
 def parse_splat_ply(path: Path | str) -> Splats:
@@ -149,14 +152,6 @@ def is_antialiased(path: Path | str, comments: Sequence[str]) -> bool:
     if mode not in (PLAIN, ANTIALIASED, TWO_D):
         say(f"{path} asks for the render mode {shorten(mode)!r}, which is unknown: left out.")
     return mode == ANTIALIASED
-
-
-def check_splats(splats: Splats, path: Path | str) -> Splats:
-    """Return the splats of a file; raise a StyleSplatError if `splat_fault` finds one."""
-    fault = splat_fault(splats)
-    if fault:
-        raise StyleSplatError(f"Cannot read {path} as splats: {fault}. {SPLAT_PLY_REMEDY}")
-    return splats
 
 
 def splat_fault(splats: Splats) -> str | None:

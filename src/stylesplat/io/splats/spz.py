@@ -21,8 +21,7 @@ from stylesplat.errors import StyleSplatError, check_choice, join_names
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.compressed_ply import to_gsply
-from stylesplat.io.splats.dot_splat import to_floats
-from stylesplat.io.splats.packing import PACKED_LARGEST, PACKED_NEAR, from_smallest_three
+from stylesplat.io.splats.packing import PACKED_LARGEST, PACKED_NEAR, from_smallest_three, to_floats
 from stylesplat.io.splats.splat_ply import BANDS
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats
@@ -83,10 +82,7 @@ def read_spz(path: Path | str) -> Splats:
 
 
 def unpack_spz(content: bytes, path: Path | str) -> tuple[Splats, str]:
-    """The splats of an SPZ file's content, and the axes that they are in.
-
-    `path` is for lines about what is left out: bands of colour above the third, unknown records.
-    """
+    """The splats of an SPZ file's content, and their axes; `path` is for messages."""
     header, streams, records = _sections(content)
     count, degree = header.rows, min(header.degree, len(BANDS) - 1)
     places, alphas, colors, sizes, turns, bands = (
