@@ -20,7 +20,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.surface_cut import pick_masked
 from stylesplat.verbs.select import select
 
-# A table, two balls that touch, and one apart
+# A table, two balls that overlap, and one apart
 CENTRES = torch.tensor([[-0.29, 0.0, 0.35], [0.29, 0.0, 0.35], [0.0, 1.2, 0.35]])
 TABLE = torch.cartesian_prod(torch.linspace(-2, 2, 60), torch.linspace(-2, 2, 60))
 SHELL = 0.3 * F.normalize(randn(1200, 3), dim=1)
@@ -50,9 +50,11 @@ def agreement(found: Bool[torch.Tensor, " N"], *balls: int) -> float:
     return float((found & wanted).sum() / (found | wanted).sum())
 
 
-def test_a_click_picks_one_ball_and_a_group_all_that_touch():
-    assert agreement(picked(0), 0) > 0.7
-    assert agreement(picked(0, 2), 0, 2) > 0.7
+def test_a_click_picks_one_body_and_a_group_all_that_touch():
+    assert agreement(picked(2), 2) > 0.7
+    assert agreement(picked(0), 0, 1) > 0.7, "their neck is as wide as a toy's"
+    assert agreement(picked(0, but=1), 0) > 0.7
+    assert agreement(picked(0, 2), 0, 1, 2) > 0.7
     assert agreement(picked(0, size="group"), 0, 1) > 0.7
     assert agreement(picked(0, size="group", but=1), 0) > 0.7
 

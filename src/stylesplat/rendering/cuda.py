@@ -21,9 +21,11 @@ from stylesplat.rendering.reference import (
     View,
 )
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import pixel_centres
 
 CHANNELS_AT_ONCE = 32  # gsplat's default: its kernels become slow beyond
 TILE = 16  # pixels of a tile's side, gsplat's default
+EVERY_BATCH = 1 << 30  # as many batches of Gaussians as there are
 
 
 def spherical_harmonics(
@@ -72,11 +74,18 @@ def composite(
     """Composite values of projected Gaussians; see `reference.composite`."""
     if not len(values):
         return reference.composite(projected, values, size)
+    info = _tiled(projected, size)
+    parts = [_blended(part[None], info)[0] for part in values.split(CHANNELS_AT_ONCE, dim=-1)]
+    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=-1)
+
+
+def _tiled(projected: Projected, size: tuple[int, int]) -> dict[str, Any]:
+    """Projected Gaussians of one camera, sorted into tiles, as gsplat's functions take them."""
     width, height = size
     columns, rows = -(-width // TILE), -(-height // TILE)
     places = projected.means2d[None], projected.radii[None], projected.depths[None]
     _, tiles, order = gsplat.isect_tiles(*places, TILE, columns, rows)
-    info = {
+    return {
         "means2d": projected.means2d[None],
         "conics": projected.conics[None],
         "opacities": projected.opacities[None],
@@ -86,8 +95,43 @@ def composite(
         "isect_offsets": gsplat.isect_offset_encode(tiles, 1, columns, rows),
         "flatten_ids": order,
     }
-    parts = [_blended(part[None], info)[0] for part in values.split(CHANNELS_AT_ONCE, dim=-1)]
-    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=-1)
+
+
+@torch.no_grad()
+def quantile_depth(
+    projected: Projected,
+    planes: Float[Tensor, "N 3"],
+    counted: Float[Tensor, " N"],
+    size: tuple[int, int],
+    shares: tuple[float, float],
+) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
+    """The mean depth between two shares of a pixel's weight; see `reference.quantile_depth`.
+
+    gsplat lists which Gaussians each pixel shows, front to back.
+    """
+    if not len(planes):
+        return reference.quantile_depth(projected, planes, counted, size, shares)
+    (width, height), info = size, _tiled(projected, size)
+    light = planes.new_ones(1, height, width)
+    rows, pixels, _ = gsplat.rasterize_to_indices_in_range(
+        0, EVERY_BATCH, light, info["means2d"], info["conics"], info["opacities"], width, height,
+        TILE, info["isect_offsets"], info["flatten_ids"],
+    )  # fmt: skip
+    rows, pixels = rows.long(), pixels.long()
+    centres, (means2d, conics, opacities, *_) = pixel_centres(width, height).to(planes), projected
+    offsets = centres[pixels] - means2d[rows]
+    alphas = reference.alphas_at(offsets, conics[rows], opacities[rows])
+    # The light that is left in front of each, from logarithms: pixels differ in length
+    before = torch.log1p(-alphas.double()).cumsum(dim=0) - torch.log1p(-alphas.double())
+    starts = torch.searchsorted(pixels, torch.arange(len(centres)).to(pixels))
+    before -= before[starts.clamp(max=max(len(pixels) - 1, 0))][pixels]
+    weights = counted[rows] * alphas * before.exp().to(alphas)
+    kept = weights.nonzero()[:, 0]
+    pixels, rows, weights = pixels[kept], rows[kept], weights[kept]
+    depths = reference.depths_at(projected, planes, rows, centres[pixels])
+    image = reference.mean_depths(pixels, weights, depths, len(centres), shares)
+    depths, covered = image.reshape(height, width, 2).unbind(dim=2)
+    return depths, covered
 
 
 def rasterize(

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import pixel_centres
 from stylesplat.scene.splats import Splats, sh_basis
 
 Backend = Literal["auto", "reference", "cpu", "cuda"]
@@ -211,13 +212,10 @@ def blend(
 ) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
     """Composite one camera's projected Gaussians front to back; see `rasterize`."""
     width, height = size
-    visible = (projected.radii > 0).all(dim=-1).nonzero()[:, 0]
-    order = visible[torch.argsort(projected.depths[visible], stable=True)]
+    order = _front_to_back(projected)
     means2d, conics, opacities = (each[order] for each in projected[:3])
-    ys, xs = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    pixels = torch.stack([xs, ys], dim=-1).reshape(-1, 2).to(means2d) + 0.5  # [P, 2]
     parts = []
-    for chunk in pixels.split(PIXELS_AT_ONCE):
+    for chunk in pixel_centres(width, height).to(means2d).split(PIXELS_AT_ONCE):
         weights = _blend_weights(chunk, means2d, conics, opacities)  # [P, M]
         alphas = weights.sum(dim=1, keepdim=True)
         moving, other = colors[order].tensor_split([geometry_channels], dim=1)
@@ -233,17 +231,113 @@ def composite(
     return blend(projected, values, size, geometry_channels=0)[0]
 
 
-def _blend_weights(pixels: Tensor, means2d: Tensor, conics: Tensor, opacities: Tensor) -> Tensor:
-    dx, dy = (pixels[:, None] - means2d[None]).unbind(-1)  # [P, M]
+def depth_planes(
+    gaussians: Gaussians, view: View, conics: Float[Tensor, "N 3"]
+) -> Float[Tensor, "N 3"]:
+    """The depth of each Gaussian in one camera's pixels: at its centre, its slopes in x and y.
+
+    The mean along the ray through a pixel, which of a flat Gaussian lies in its plane (Zhang et
+    al.: RaDe-GS, 2024). The slopes are per pixel.
+    """
+    rotation = view.viewmat[:3, :3]
+    means_c = gaussians.means @ rotation.T + view.viewmat[:3, 3]
+    axes = rotation @ (rotation_matrices(gaussians.quats) * gaussians.scales[:, None, :])
+    along = (perspective_jacobian(means_c, view) @ axes) @ axes[:, 2, :, None]  # [N, 2, 1]
     a, b, c = conics.unbind(-1)
-    sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
-    alphas = (opacities * torch.exp(-sigma)).clamp(max=MAX_ALPHA)
-    alphas = torch.where((sigma >= 0) & (alphas >= MIN_ALPHA), alphas, 0)
+    slopes = torch.stack([a, b, b, c], dim=-1).view(-1, 2, 2) @ along
+    return torch.cat([means_c[:, 2:], slopes[..., 0]], dim=-1)
+
+
+def quantile_depth(
+    projected: Projected,
+    planes: Float[Tensor, "N 3"],
+    counted: Float[Tensor, " N"],
+    size: tuple[int, int],
+    shares: tuple[float, float],
+) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
+    """The mean depth of a part of each pixel's weight, from one share of it to another.
+
+    Args:
+        projected: One camera's Gaussians.
+        planes: Their depths, as `depth_planes`.
+        counted: How much the weight of each counts; with 0 it only hides what is behind.
+        size: Width and height.
+        shares: From 0, the front, to 1; of a Gaussian that lies on their border a part counts.
+
+    Returns:
+        The depth, 0 where nothing counts, and the sum of what counts.
+    """
+    (width, height), order = size, _front_to_back(projected)
+    means2d, conics, opacities = (each[order] for each in projected[:3])
+    centres, found = pixel_centres(width, height).to(means2d), []
+    for first in range(0, len(centres), PIXELS_AT_ONCE):
+        chunk = centres[first : first + PIXELS_AT_ONCE]
+        weights = counted[order] * _blend_weights(chunk, means2d, conics, opacities)  # [P, M]
+        pixels, ranks = weights.nonzero(as_tuple=True)
+        found.append((pixels + first, order[ranks], weights[pixels, ranks]))
+    pixels, rows, weights = (torch.cat(each) for each in zip(*found, strict=True))
+    depths = depths_at(projected, planes, rows, centres[pixels])
+    image = mean_depths(pixels, weights, depths, len(centres), shares)
+    depths, covered = image.reshape(height, width, 2).unbind(dim=2)
+    return depths, covered
+
+
+def depths_at(
+    projected: Projected,
+    planes: Float[Tensor, "N 3"],
+    rows: Int[Tensor, " L"],
+    centres: Float[Tensor, "L 2"],
+) -> Float[Tensor, " L"]:
+    """The depths of some Gaussians, each at a pixel of its own."""
+    offsets = centres - projected.means2d[rows]
+    return planes[rows, 0] + (offsets * planes[rows, 1:]).sum(dim=1)
+
+
+def mean_depths(
+    pixels: Int[Tensor, " L"],
+    weights: Float[Tensor, " L"],
+    depths: Float[Tensor, " L"],
+    count: int,
+    shares: tuple[float, float],
+) -> Float[Tensor, "P 2"]:
+    """Of so many pixels the mean depth between two shares of their weight, and the weight.
+
+    What each pixel shows follows one another, front to back; no weight is 0.
+    """
+    exact = weights.double()  # sums over all pixels
+    covered = exact.new_zeros(count).index_add(0, pixels, exact)
+    reached = exact.cumsum(dim=0) - (covered.cumsum(dim=0) - covered)[pixels]
+    low, high = (share * covered for share in shares)
+    inside = torch.minimum(reached, high[pixels]) - torch.maximum(reached - exact, low[pixels])
+    sums = torch.zeros_like(covered).index_add(0, pixels, inside.clamp(min=0) * depths)
+    means = sums / (high - low).where(covered > 0, 1)
+    return torch.stack([means, covered], dim=1).to(depths)
+
+
+def _front_to_back(projected: Projected) -> Int[Tensor, " M"]:
+    """The Gaussians in view, nearest first."""
+    visible = (projected.radii > 0).all(dim=-1).nonzero()[:, 0]
+    return visible[torch.argsort(projected.depths[visible], stable=True)]
+
+
+def _blend_weights(pixels: Tensor, means2d: Tensor, conics: Tensor, opacities: Tensor) -> Tensor:
+    alphas = alphas_at(pixels[:, None] - means2d[None], conics, opacities)  # [P, M]
     live = torch.cumprod(1 - alphas, dim=1) > MIN_TRANSMITTANCE
     alphas = torch.where(live, alphas, 0)
     after = torch.cumprod(1 - alphas, dim=1)
     before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
     return alphas * before
+
+
+def alphas_at(
+    offsets: Float[Tensor, "*B 2"], conics: Float[Tensor, "*#B 3"], opacities: Float[Tensor, "*#B"]
+) -> Float[Tensor, "*B"]:
+    """What Gaussians hide at pixels so far from their centres; 0 if they are too faint there."""
+    dx, dy = offsets.unbind(-1)
+    a, b, c = conics.unbind(-1)
+    sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
+    alphas = (opacities * torch.exp(-sigma)).clamp(max=MAX_ALPHA)
+    return torch.where((sigma >= 0) & (alphas >= MIN_ALPHA), alphas, 0)
 
 
 def rasterize(

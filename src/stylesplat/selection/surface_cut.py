@@ -1,11 +1,11 @@
 """Objects of a splat without labels, cut out of the graph of its surface, by clicks or by masks.
 
 Random walks over the graph start at a click and end on large planes, or with a small probability
-at each step. They visit the clicked object first: the patches, ordered by visits, are cut where
-the boundary is weakest for the size of what it encloses (Andersen, Chung, Lang: Local graph
-partitioning using PageRank vectors, FOCS 2006; Grady: Random walks for image segmentation, PAMI
-2006). What is enclosed is cut once more where two objects touch. Parts are found in the same way
-in a graph whose connections follow colours, planes included.
+at each step. They visit the clicked object first: of the patches, ordered by visits, the object is
+the largest set whose outline is hardly open (Andersen, Chung, Lang: Local graph partitioning using
+PageRank vectors, FOCS 2006; Grady: Random walks for image segmentation, PAMI 2006). It is cut once
+more where two objects touch. Parts are found in the same way in a graph whose connections follow
+colours, planes included.
 
 Masks of a few views are completed on a graph of small clusters of Gaussians, which follow colours
 and normals and so keep the feet of objects: with patches one box gave a teapot of the demo an IoU
@@ -41,6 +41,7 @@ from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.selection.shapes import robust_diameter
 from stylesplat.selection.shares import small_views
 from stylesplat.selection.surface_graph import (
+    GRAPH_TOUCH,
     NothingToPick,
     Plane,
     SurfaceGraph,
@@ -131,7 +132,10 @@ def occluding_share(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]
     """
     ring = np.ones((2 * WIDTH + 1, 2 * WIDTH + 1), np.uint8)
     farther, whole, shown = 0, 0, 0
-    jump = FARTHER * robust_diameter(splats.means[picked]) if picked.any() else 0.0
+    jump = 0.0
+    if picked.any():  # a surface is known to the size of its Gaussians
+        size = float(splats.scales[picked].exp().amax(dim=1).median())
+        jump = size + FARTHER * robust_diameter(splats.means[picked])
     for camera in evenly_spaced(small_views(cameras), CUT_VIEWS):
         depths = depths_of(splats.means, camera)
         values = torch.stack([depths, picked.to(depths), torch.ones_like(depths)], dim=1)
@@ -328,9 +332,14 @@ def _cut_part(
 
 CUT_FOLD = 8.0  # how fast connections weaken across folds
 CUT_NEAREST = 40_000  # patches around the clicks; farther ones are background
-# Cut connections over the root of the smaller side's, below which two objects touch: 0.1 on the
-# demo, where the weakest cuts through single objects have 1.3 and more, and 2.4 through the fox.
-WEAK = 1.0
+# Of the outline of a disc of its area, below which an object's is closed: a toy's is open by .2
+# where it stands, and by .04 at its neck, a bottle's by .3, a fox's on its plaque by .4. With .3
+# the fox and the bottle are the same, and a mouse takes its desk.
+OPEN = 0.5
+# Cut connections over the root of the smaller side's, below which two objects touch: those of the
+# demo have .2, a toy's neck .5, its single objects 2.9. Sharper folds divide the neck, too.
+CONTACT = 0.4
+ACROSS = 2 / 3 * GRAPH_TOUCH**3  # pairs of patches across an edge of a patch of a straight line
 # The same cost, below which a piece of a surface is bounded all around: the fox's plaque has 0.09
 # to 0.17 from seven clicks, smaller pieces of it 0.29 and more.
 BOUNDED = 0.2
@@ -374,7 +383,10 @@ def pick_clicked(
         seeds, rivals = (each[parts[each] == part] for each in (clicked, others))
         if len(np.intersect1d(seeds, rivals)):
             raise StyleSplatError("A point and a point to exclude hit the same place. Move one.")
-        chosen[_cut_click(graph, rows, seeds, rivals, size)] = True
+        own = _cut_click(graph, rows, seeds, rivals, size)
+        if size == "object":
+            own = two_sided(surface.connections(SOFT_FOLD), own, seeds, CONTACT)
+        chosen[own] = True
     picked = torch.from_numpy(chosen[surface.owners])
     if size != "part" and occluding_share(splats, cameras, picked) < MIN_OCCLUDING:
         raise _background_error(*places[0])
@@ -399,7 +411,7 @@ def _cut_click(
     if size == "part":
         return _piece(graph, rows, seeds)
     if size == "object":
-        return two_sided(graph, _enclosed(graph, rows, seeds), seeds, WEAK)
+        return _enclosed(graph, rows, seeds)
     return rows
 
 
@@ -427,10 +439,17 @@ def _nearest(surface: SurfaceGraph, rows: np.ndarray, seeds: np.ndarray) -> np.n
 
 
 def _enclosed(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """The patches around the seeds of which the smallest share of connections leads out."""
+    """The largest set of patches around the seeds whose outline is hardly open.
+
+    An outline is open where the surface goes on across it without a fold. Where that holds for no
+    set, it is the one of which the smallest share of connections leads out.
+    """
     order, boundary, sums = sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
     least = len(seeds) - 1
-    return rows[order[: least + 1 + int((boundary / sums)[least:].argmin())]]
+    discs = 2 * np.sqrt(np.pi * np.arange(1, len(rows) + 1))  # their outlines, in edges of a patch
+    closed = np.flatnonzero((boundary < OPEN * ACROSS * discs)[least:])
+    best = closed[-1] if len(closed) else (boundary / sums)[least:].argmin()
+    return rows[order[: least + 1 + int(best)]]
 
 
 def _patch_at(

@@ -14,21 +14,14 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-from torch import Tensor
-from torch.nn.functional import normalize
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.render import render
-from stylesplat.rendering.weights import (
-    COVERED,
-    TINY_COVERAGE,
-    geometry_only,
-    pixels_in,
-)
+from stylesplat.rendering.surface import average_in_voxels, depth_map, surface_points
+from stylesplat.rendering.weights import COVERED, geometry_only, pixels_in
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import depths_of, pixel_centres, unproject
 from stylesplat.scene.sequences import cached_while_alive
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.shares import small_views
@@ -142,17 +135,18 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     bare = geometry_only(splats)
     found, sums = [], torch.zeros(len(splats), 4)
     for camera in track(small_views(cameras), "finding the surface"):
-        points, valid, *others = _surface_points(bare, camera)
-        found.append([each[valid] for each in (points, *others)])
-        known = torch.cat([points * valid[..., None], valid[..., None]], dim=-1)
+        shown, (image, _) = depth_map(bare, camera), render(bare, camera, sh_degree=0)
+        found.append(surface_points(shown, image.clamp(0, 1), grazing=GRAPH_GRAZING))
+        valid = (shown.coverage > COVERED) & (shown.cosines > GRAPH_GRAZING)
+        known = torch.cat([shown.points * valid[..., None], valid[..., None]], dim=-1)
         sums += pixels_in(bare, camera, [known])
-    points, colors, normals, spacing = (
-        torch.cat(each).double().numpy() for each in zip(*found, strict=True)
-    )
+    points, normals, colors, sizes, _ = map(torch.cat, zip(*found, strict=True))
     if len(points) < MIN_POINTS * MIN_PATCHES:
         raise NothingToPick("Hardly any Gaussian shows in the views. Select by --box3d.")
-    edge = PATCH * float(np.median(spacing))
-    weights, points, colors, normals = _patches(edge, points, colors, normals)
+    edge = PATCH * float(sizes.median())
+    counts, means = average_in_voxels(edge, points.double(), colors.double(), normals.double())
+    enough = counts >= MIN_POINTS
+    weights, points, colors, normals = (each[enough].numpy() for each in (counts.double(), *means))
     tree = KDTree(points)
     touching = tree.query_pairs(GRAPH_TOUCH * edge, output_type="ndarray")
     beside = symmetric(np.ones(len(touching)), touching, len(points))
@@ -176,48 +170,6 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
         below = np.flatnonzero(~seen & (np.abs(plane.heights(places)) < FLAT * edge))
         owners[below] = np.flatnonzero(flat)[KDTree(points[flat]).query(places[below])[1]]
     return SurfaceGraph(owners, points, colors, normals, touching, flat | lone)
-
-
-@torch.no_grad()
-def _surface_points(splats: Splats, camera: Cameras) -> tuple[Tensor, ...]:
-    """What each pixel of a view shows.
-
-    Returns:
-        Points in the world [H,W,3], which pixels have one [H,W], colours [H,W,3], normals
-        [H,W,3], and the distance of points of adjacent pixels of a surface that faces the view
-        [H,W].
-    """
-    image, alphas = render(
-        splats, camera, features=depths_of(splats.means, camera)[:, None], sh_degree=0
-    )
-    alphas, (width, height) = alphas[..., 0], camera.size
-    depths = image[..., 3] / alphas.clamp(min=TINY_COVERAGE)
-    points = unproject(pixel_centres(width, height), depths.flatten(), camera)
-    points = points.unflatten(0, (height, width))
-    rays = normalize(points - camera.positions, dim=-1)
-    normals = torch.zeros_like(points)
-    down, right = points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2]
-    normals[1:-1, 1:-1] = normalize(torch.linalg.cross(right, down), dim=-1)
-    facing = -(normals * rays).sum(dim=-1)
-    normals *= facing.sign()[..., None]
-    valid = (alphas > COVERED) & (facing.abs() > GRAPH_GRAZING)
-    return points, valid, image[..., :3].clamp(0, 1), normals, depths / camera.Ks[0, 0, 0]
-
-
-def _patches(
-    edge: float, points: Float[np.ndarray, "M 3"], *values: Float[np.ndarray, "M 3"]
-) -> list[np.ndarray]:
-    """How many points each cell of a grid has, and the means of them and of their values."""
-    cells = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)
-    sizes = cells.max(axis=0) + 1
-    flat = (cells[:, 0] * sizes[1] + cells[:, 1]) * sizes[2] + cells[:, 2]
-    _, patch, counts = np.unique(flat, return_inverse=True, return_counts=True)
-    enough = counts >= MIN_POINTS
-    means = [
-        np.stack([np.bincount(patch, each) for each in value.T], axis=1) / counts[:, None]
-        for value in (points, *values)
-    ]
-    return [counts[enough].astype(float), *(mean[enough] for mean in means)]
 
 
 def find_planes(

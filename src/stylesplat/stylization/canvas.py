@@ -19,6 +19,7 @@ from torch import Tensor
 from stylesplat.progress import track
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import colors_of, rasterize
+from stylesplat.rendering.surface import average_in_voxels
 from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.visibility import in_view
 from stylesplat.rendering.weights import COVERED, coverage, geometry_only
@@ -28,7 +29,6 @@ from stylesplat.stylization.surface import (
     POOLED,
     SURFACE_LENGTH,
     UnpaintedView,
-    average_in_voxels,
     find_surface,
     poisson_disk_sample,
     project_to_planes,
@@ -147,12 +147,12 @@ def build_surfels(
     *surface, pixel = find_surface(splats, mask, views)
     if len(surface[0]) < CANVAS_FEW:
         return None
-    (cubes,) = average_in_voxels(CUBE * pixel, surface[0])
+    cubes, _ = average_in_voxels(CUBE * pixel, surface[0])
     most = CANVAS_SPARE * max_discs
     least = CUBE * pixel * math.sqrt(PER_CUBE * len(cubes) / most)
     spacing = max(SPACING * pixel * SURFACE_LENGTH / length, least)
     while True:
-        points, normals, colors = average_in_voxels(POOLED * spacing, *surface)
+        _, (points, normals, colors) = average_in_voxels(POOLED * spacing, *surface)
         rows = poisson_disk_sample(points, spacing, seed=seed)
         if len(rows) <= max_discs:
             break

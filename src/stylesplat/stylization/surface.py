@@ -176,19 +176,6 @@ def _look_up(
     return inside, values[y, x]
 
 
-def average_in_voxels(
-    size: float, points: Float[Tensor, "P 3"], *others: Float[Tensor, "P 3"]
-) -> list[Float[Tensor, "C 3"]]:
-    """The means of the points, and of their other values, in each cube of a grid."""
-    cells = (points / size).floor().long()
-    cells -= cells.amin(dim=0)
-    across, along, _ = (cells.amax(dim=0) + 1).tolist()
-    keys = cells @ cells.new_tensor([1, across, across * along])
-    _, index, counts = keys.unique(return_inverse=True, return_counts=True)
-    none = points.new_zeros(len(counts), 3)
-    return [none.index_add(0, index, v) / counts[:, None] for v in (points, *others)]
-
-
 def project_to_planes(
     points: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"], rows: Int[Tensor, " L"]
 ) -> tuple[Float[Tensor, "L 3"], Float[Tensor, "L 3"]]:

@@ -1,0 +1,128 @@
+"""Where the surface is that a camera sees: depths, normals, and points of it."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from stylesplat.rendering.reference import (
+    Backend,
+    activated,
+    backend_module,
+    depth_planes,
+    views_of,
+    with_matrices_of,
+)
+from stylesplat.rendering.visibility import in_view
+from stylesplat.rendering.weights import COVERED
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import normals_towards, pixel_centres, unproject
+from stylesplat.scene.splats import Splats
+
+# The part of a pixel's weight, from the front, that shows its surface. The mean of all lies between
+# the surface and what haze, or a pixel at a rim, shares with it: it has no table under a toy, and
+# makes one slab of a guitar's strings and body. One quantile jumps from Gaussian to Gaussian.
+SURFACE_SHARES = 0.1, 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """The surface that one camera sees."""
+
+    camera: Cameras
+    depths: Float[Tensor, "H W"]
+    """Along the camera's z axis; 0 where nothing shows."""
+    coverage: Float[Tensor, "H W"]
+    """The opaque share of what was asked for."""
+    points: Float[Tensor, "H W 3"]
+    """In the world."""
+    normals: Float[Tensor, "H W 3"]
+    """Towards the camera, from neighbouring pixels."""
+    cosines: Float[Tensor, "H W"]
+    """Between normals and rays: where it is small, depths are uncertain."""
+
+
+@torch.no_grad()
+def surface_depth(
+    splats: Splats,
+    camera: Cameras,
+    mask: Bool[Tensor, " N"] | None = None,
+    *,
+    shares: tuple[float, float] = SURFACE_SHARES,
+    backend: Backend = "auto",
+) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
+    """The depth of the surface in each pixel of one camera, 0 where nothing is, and its coverage.
+
+    Args:
+        splats: The scene.
+        camera: One camera.
+        mask: The Gaussians whose surface it is; others only hide them. All by default.
+        shares: The part of a pixel's weight whose mean depth it is, from the front.
+        backend: As `rasterize` takes it.
+    """
+    near = in_view(splats, camera, backend=backend)
+    gaussians = activated(splats.map(lambda tensor: tensor.index_select(0, near.rows)))
+    (view,) = views_of(with_matrices_of(splats, camera))
+    planes = depth_planes(gaussians, view, near.projected.conics)
+    counted = torch.ones_like(near.projected.opacities)
+    if mask is not None:
+        counted *= mask[near.rows]
+    module = backend_module(backend, splats.device)
+    return module.quantile_depth(near.projected, planes, counted, camera.size, shares)
+
+
+def depth_map(
+    splats: Splats,
+    camera: Cameras,
+    mask: Bool[Tensor, " N"] | None = None,
+    *,
+    shares: tuple[float, float] = SURFACE_SHARES,
+) -> DepthMap:
+    """The surface that one camera sees; see `surface_depth`."""
+    depths, coverage = surface_depth(splats, camera, mask, shares=shares)
+    width, height = camera.size
+    points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
+    points = points.view(height, width, 3)
+    normals, cosines = normals_towards(points, camera.positions.to(points))
+    return DepthMap(camera, depths, coverage, points, normals, cosines)
+
+
+class SurfacePoints(NamedTuple):
+    """What pixels of some views show of a surface, one row each."""
+
+    points: Float[Tensor, "P 3"]
+    normals: Float[Tensor, "P 3"]
+    """Towards the cameras."""
+    colors: Float[Tensor, "P 3"]
+    sizes: Float[Tensor, " P"]
+    """The distance of neighbouring pixels' points, if the surface faces the camera."""
+    coverage: Float[Tensor, " P"]
+
+
+def surface_points(
+    shown: DepthMap, image: Float[Tensor, "H W 3"], *, grazing: float
+) -> SurfacePoints:
+    """The points of a camera's pixels, without those of less than `COVERED` or at grazing angles.
+
+    `grazing` is a cosine.
+    """
+    reliable = (shown.coverage > COVERED) & (shown.cosines > grazing)
+    sizes = shown.depths / shown.camera.Ks[0, 0, 0].to(shown.depths)
+    every = shown.points, shown.normals, image, sizes, shown.coverage
+    return SurfacePoints(*(each[reliable] for each in every))
+
+
+def average_in_voxels(
+    side: float, points: Float[Tensor, "P 3"], *others: Float[Tensor, "P 3"]
+) -> tuple[Int[Tensor, " C"], list[Float[Tensor, "C 3"]]]:
+    """How many points each cube of a grid has, and the means of them and of their other values."""
+    cells = (points / side).floor().long()
+    cells -= cells.amin(dim=0)
+    across, along, _ = (cells.amax(dim=0) + 1).tolist()
+    keys = cells @ cells.new_tensor([1, across, across * along])
+    _, index, counts = keys.unique(return_inverse=True, return_counts=True)
+    none = points.new_zeros(len(counts), 3)
+    means = [none.index_add(0, index, v) / counts[:, None] for v in (points, *others)]
+    return counts, means

@@ -1,0 +1,158 @@
+"""Where the surface is that a camera sees: of balls and walls it is known."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from scenes import BACKENDS, cloud, leaf, random_splats, shell, two_cameras
+from stylesplat.rendering.reference import mean_depths
+from stylesplat.rendering.render import Backend
+from stylesplat.rendering.surface import (
+    SURFACE_SHARES,
+    average_in_voxels,
+    depth_map,
+    surface_depth,
+    surface_points,
+)
+from stylesplat.rendering.weights import COVERED, coverage
+from stylesplat.scene.splats import Splats
+
+ANY = ["reference", *BACKENDS]
+CLOUD, CAMERA = random_splats(), two_cameras()[1]
+PICKED = torch.arange(len(CLOUD)) % 3 == 0
+RADIUS = 0.6
+
+
+def wall(depth: float, normal: list[float], opacity: float = 9.0) -> Splats:
+    """One wide, flat Gaussian through (0, 0, depth), which fills the middle of the view."""
+    z = F.normalize(torch.tensor(normal), dim=0)
+    quat = torch.tensor([[1 + z[2], -z[1], z[0], 0.0]])  # turns the z axis to the normal
+    scales = torch.tensor([[0.6, 0.6, 1e-3]]).log()
+    place = CAMERA.positions[0] + torch.tensor([0.0, 0.0, depth])
+    return replace(cloud(place[None], opacity=opacity), quats=quat, scales=scales)
+
+
+def ball(count: int = 4000) -> Splats:
+    """Opaque discs on a sphere around the origin."""
+    normals = shell(count, 1.0)
+    x, y, z = normals.unbind(1)
+    quats = torch.stack([1 + z, -y, x, torch.zeros_like(z)], dim=1)
+    scales = torch.tensor([0.03, 0.03, 0.001]).log().expand(count, 3).clone()
+    return replace(cloud(RADIUS * normals, opacity=6.0), quats=quats, scales=scales)
+
+
+def middle(image: Tensor) -> Tensor:
+    return image[20:30, 28:38]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("picked", [None, PICKED], ids=["all", "some"])
+@pytest.mark.parametrize("shares", [(0.0, 1.0), SURFACE_SHARES, (0.45, 0.55)])
+def test_depths_are_the_references(
+    backend: Backend, picked: Tensor | None, shares: tuple[float, float]
+):
+    device = "cuda" if backend == "cuda" else "cpu"
+    splats, mask = CLOUD.to(device), None if picked is None else picked.to(device)
+    found, covered = surface_depth(splats, CAMERA, mask, shares=shares, backend=backend)
+    exact = leaf(CLOUD, torch.float64)
+    wanted, expected = surface_depth(exact, CAMERA, picked, shares=shares, backend="reference")
+    assert (covered.cpu() - expected).abs().max() < 1e-5 and expected.max() > 0.7
+    off = (found.cpu() - wanted).abs()
+    assert off.max() < 1e-3
+
+
+@pytest.mark.parametrize("backend", ANY)
+@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [-0.3, 0.6, 1.0]])
+def test_of_a_tilted_disc_each_pixel_has_a_depth_of_its_own(backend: Backend, normal: list[float]):
+    depths, covered = surface_depth(wall(3.0, normal), CAMERA, backend=backend)
+    y, x = torch.meshgrid(torch.arange(52) + 0.5, torch.arange(70) + 0.5, indexing="ij")
+    rays = torch.stack([(x - 33) / 60, (y - 25) / 70, torch.ones_like(x)], dim=2)
+    expected = 3.0 * normal[2] / (rays @ torch.tensor(normal))
+    assert (middle(covered) > 0.8).all()
+    # An affine camera per Gaussian: exact in its centre, and near it to second order
+    assert (middle(depths) - middle(expected)).abs().max() < 0.05
+    slopes = middle(depths)[4:6, 4:6] - middle(expected)[4:6, 4:6]
+    assert slopes.abs().max() < 5e-3
+
+
+@pytest.mark.parametrize("backend", ANY)
+def test_haze_does_not_move_the_surface_behind_it(backend: Backend):
+    flat = [0.0, 0.0, 1.0]
+    for haze, expected in ((0.05, 3.0), (0.3, 1.0 * 2 / 3 + 3.0 / 3), (0.45, 1.0)):
+        logit = math.log(haze / (1 - haze))
+        splats = Splats.cat([wall(1.0, flat, logit), wall(3.0, flat), wall(5.0, flat)])
+        depths, _ = surface_depth(splats, CAMERA, backend=backend)
+        centre = depths[24:26, 32:34]  # where the haze has its full opacity
+        assert (centre - expected).abs().max() < 0.05
+
+
+def test_others_only_hide():
+    mask = torch.arange(3) == 1
+    flat = [0.0, 0.0, 1.0]
+    splats = Splats.cat([wall(1.0, flat, 0.0), wall(3.0, flat), wall(5.0, flat)])
+    depths, covered = surface_depth(splats, CAMERA, mask)
+    assert (middle(depths) - 3.0).abs().max() < 1e-4
+    assert torch.equal(covered, coverage(splats, CAMERA, mask))
+    assert 0.4 < float(middle(covered).mean()) < 0.6
+    nothing = surface_depth(splats, CAMERA, torch.zeros_like(mask))
+    assert not any(each.any() for each in nothing)
+
+
+def test_a_ball_is_found_within_a_pixel():
+    shown = depth_map(ball(), CAMERA)
+    found = surface_points(shown, torch.rand(52, 70, 3), grazing=0.3)
+    assert len(found.points) > 500 and (found.coverage > COVERED).all()
+    pixel = found.sizes
+    assert ((found.points.norm(dim=1) - RADIUS).abs() < pixel).all()
+    outward = F.normalize(found.points, dim=1)
+    degrees = torch.rad2deg((found.normals * outward).sum(dim=1).clamp(-1, 1).acos())
+    assert float(degrees.median()) < 5
+    assert ((CAMERA.positions - found.points) * found.normals).sum(dim=1).min() > 0
+
+
+def test_moving_and_enlarging_all_moves_the_surface_along():
+    scale, shift = 2.5, torch.tensor([3.0, -1.0, 0.5])
+    turn, _ = torch.linalg.qr(torch.tensor([[0.2, 1.0, 0.1], [-1.0, 0.3, 0.4], [0.3, 0.1, 1.0]]))
+    turn = turn * torch.linalg.det(turn)
+    w = 0.5 * (1 + turn.trace()).sqrt()
+    skew = torch.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    a, own = torch.cat([w[None], skew / (4 * w)]), CLOUD.quats
+    real = a[0] * own[:, :1] - own[:, 1:] @ a[1:, None]
+    rest = a[0] * own[:, 1:] + own[:, :1] * a[1:]
+    rest = rest + torch.linalg.cross(a[1:].expand_as(rest), own[:, 1:])
+    moved = replace(
+        CLOUD,
+        means=scale * CLOUD.means @ turn.T + shift,
+        quats=torch.cat([real, rest], dim=1),
+        scales=CLOUD.scales + math.log(scale),
+    )
+    viewmats = CAMERA.viewmats.clone()
+    viewmats[0, :3, :3] = CAMERA.viewmats[0, :3, :3] @ turn.T
+    viewmats[0, :3, 3] = scale * CAMERA.viewmats[0, :3, 3] - viewmats[0, :3, :3] @ shift
+    there = replace(CAMERA, viewmats=viewmats)
+    before, after = depth_map(CLOUD, CAMERA), depth_map(moved, there)
+    off = (after.depths - scale * before.depths).abs()
+    assert off.quantile(0.98) < 1e-3 and before.depths.max() > 1
+    shown = before.coverage > COVERED
+    wanted = scale * before.points @ turn.T + shift
+    assert (after.points - wanted)[shown].norm(dim=1).quantile(0.98) < 1e-2
+
+
+def test_pixels_that_show_nothing_have_no_depth():
+    pixels, weights = torch.tensor([0, 0, 2]), torch.tensor([0.1, 0.6, 0.3])
+    image = mean_depths(pixels, weights, torch.tensor([4.0, 5.0, 6.0]), 4, (0.0, 0.5))
+    first = (0.1 * 4 + 0.25 * 5) / 0.35
+    assert torch.allclose(image, torch.tensor([[first, 0.7], [0, 0], [6.0, 0.3], [0, 0]]))
+
+
+def test_voxels_hold_the_means_of_their_points():
+    points = torch.tensor([[0.1, 0.1, 0.1], [0.3, 0.1, 0.1], [5.0, 0.0, -3.0]])
+    counts, (means, values) = average_in_voxels(1.0, points, 2 * points)
+    order = counts.argsort(descending=True)
+    assert counts[order].tolist() == [2, 1]
+    assert torch.allclose(means[order], torch.stack([points[:2].mean(dim=0), points[2]]))
+    assert torch.allclose(values, 2 * means)
