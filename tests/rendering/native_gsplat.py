@@ -82,9 +82,12 @@ def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
         def counted(*args):
             if name == "intersect_tile":
                 calls.sorts, calls.sorted = calls.sorts + 1, (args[2], args[1])
-            return {"intersect_tile": intersect_tile, "intersect_offset": intersect_offset}[name](
-                *args
-            )
+            stand_ins = {
+                "intersect_tile": intersect_tile,
+                "intersect_offset": intersect_offset,
+                "rasterize_to_indices_3dgs": list_contributors,
+            }
+            return stand_ins[name](*args)
 
         return counted
 
@@ -129,6 +132,30 @@ def blend_images(projected: Projected, colors: Tensor, rest):
     ]
     image, alphas = (torch.stack(each) for each in zip(*images, strict=True))
     return image[..., : colors.shape[-1]], alphas
+
+
+def list_contributors(first: int, last: int, light, means2d, conics, opacities, *rest):
+    """The Gaussians that each pixel of one image shows, front to back, pixel by pixel."""
+    assert first == 0 and last > len(rest[-1]) and bool((light == 1).all())
+    width, height, tile, offsets, flatten_ids = rest
+    _, rows, columns = offsets.shape
+    starts = [*offsets.flatten().tolist(), len(flatten_ids)]
+    found = []
+    for row, column in torch.cartesian_prod(torch.arange(rows), torch.arange(columns)).tolist():
+        place = row * columns + column
+        ids = flatten_ids[starts[place] : starts[place + 1]]
+        ys = torch.arange(tile * row, min(tile * (row + 1), height))
+        xs = torch.arange(tile * column, min(tile * (column + 1), width))
+        pixels = torch.cartesian_prod(ys, xs)
+        centres = pixels.flip(1).to(means2d) + 0.5
+        weights = reference._blend_weights(
+            centres, means2d[0, ids], conics[0, ids], opacities[0, ids]
+        )
+        which, ranks = weights.nonzero(as_tuple=True)
+        found.append(torch.stack([pixels[which] @ torch.tensor([width, 1]), ids[ranks]]))
+    pixels, ids = torch.cat(found, dim=1)
+    order = torch.argsort(pixels, stable=True)
+    return ids[order], pixels[order]
 
 
 def blend_tiles(means2d: Tensor, conics: Tensor, opacities: Tensor, colors: Tensor, rest):

@@ -8,6 +8,7 @@ import torch
 from rendering.native_gsplat import Calls, install
 from scenes import leaf, randn, random_splats, two_cameras, weigh_and_backward
 from stylesplat.rendering.render import Backend, rasterize
+from stylesplat.rendering.surface import surface_depth
 from stylesplat.rendering.weights import backproject, composite
 
 # Both sides are float64 and the same formulas; only the order of sums differs.
@@ -89,3 +90,16 @@ def test_weights_are_the_references(calls: Calls, count: int):
         assert wanted.shape == given.shape
         assert (wanted - given).norm() <= ROUNDING * (1 + wanted.norm())
     assert calls.blended_channels == ([16, 4] * 2 if count else [])
+
+
+@pytest.mark.usefixtures("calls")
+@pytest.mark.parametrize("count", [0, len(SPLATS)])
+def test_depths_are_the_references(count: int):
+    splats, camera = leaf(SPLATS[torch.arange(count)], torch.float64), two_cameras()[0]
+    mask = torch.arange(count) % 3 > 0
+    expected, found = (
+        surface_depth(splats, camera, mask, backend=backend) for backend in ("reference", "cuda")
+    )
+    for wanted, given in zip(expected, found, strict=True):
+        assert wanted.shape == given.shape == (52, 70) and wanted.any() == bool(count)
+        assert (wanted - given).abs().max() < ROUNDING
