@@ -8,7 +8,7 @@ import torch
 from rendering.native_gsplat import Calls, install
 from scenes import leaf, randn, random_splats, two_cameras, weigh_and_backward
 from stylesplat.rendering.render import Backend, rasterize
-from stylesplat.rendering.surface import surface_depth
+from stylesplat.rendering.surface import front_depth
 from stylesplat.rendering.weights import backproject, composite
 
 # Both sides are float64 and the same formulas; only the order of sums differs.
@@ -98,7 +98,7 @@ def test_depths_are_the_references(count: int):
     splats, camera = leaf(SPLATS[torch.arange(count)], torch.float64), two_cameras()[0]
     mask = torch.arange(count) % 3 > 0
     expected, found = (
-        surface_depth(splats, camera, mask, backend=backend) for backend in ("reference", "cuda")
+        front_depth(splats, camera, mask, backend=backend) for backend in ("reference", "cuda")
     )
     for wanted, given in zip(expected, found, strict=True):
         assert wanted.shape == given.shape == (52, 70) and wanted.any() == bool(count)

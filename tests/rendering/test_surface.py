@@ -15,7 +15,7 @@ from stylesplat.rendering.surface import (
     SURFACE_SHARES,
     average_in_voxels,
     depth_map,
-    surface_depth,
+    front_depth,
     surface_points,
 )
 from stylesplat.rendering.weights import COVERED, coverage
@@ -57,9 +57,9 @@ def test_depths_are_the_references(
 ):
     device = "cuda" if backend == "cuda" else "cpu"
     splats, mask = CLOUD.to(device), None if picked is None else picked.to(device)
-    found, covered = surface_depth(splats, CAMERA, mask, shares=shares, backend=backend)
+    found, covered = front_depth(splats, CAMERA, mask, shares=shares, backend=backend)
     exact = leaf(CLOUD, torch.float64)
-    wanted, expected = surface_depth(exact, CAMERA, picked, shares=shares, backend="reference")
+    wanted, expected = front_depth(exact, CAMERA, picked, shares=shares, backend="reference")
     assert (covered.cpu() - expected).abs().max() < 1e-5 and expected.max() > 0.7
     off = (found.cpu() - wanted).abs()
     assert off.max() < 1e-3
@@ -68,7 +68,7 @@ def test_depths_are_the_references(
 @pytest.mark.parametrize("backend", ANY)
 @pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [-0.3, 0.6, 1.0]])
 def test_of_a_tilted_disc_each_pixel_has_a_depth_of_its_own(backend: Backend, normal: list[float]):
-    depths, covered = surface_depth(wall(3.0, normal), CAMERA, backend=backend)
+    depths, covered = front_depth(wall(3.0, normal), CAMERA, backend=backend)
     y, x = torch.meshgrid(torch.arange(52) + 0.5, torch.arange(70) + 0.5, indexing="ij")
     rays = torch.stack([(x - 33) / 60, (y - 25) / 70, torch.ones_like(x)], dim=2)
     expected = 3.0 * normal[2] / (rays @ torch.tensor(normal))
@@ -85,7 +85,7 @@ def test_haze_does_not_move_the_surface_behind_it(backend: Backend):
     for haze, expected in ((0.05, 3.0), (0.3, 1.0 * 2 / 3 + 3.0 / 3), (0.45, 1.0)):
         logit = math.log(haze / (1 - haze))
         splats = Splats.cat([wall(1.0, flat, logit), wall(3.0, flat), wall(5.0, flat)])
-        depths, _ = surface_depth(splats, CAMERA, backend=backend)
+        depths, _ = front_depth(splats, CAMERA, backend=backend)
         centre = depths[24:26, 32:34]  # where the haze has its full opacity
         assert (centre - expected).abs().max() < 0.05
 
@@ -94,11 +94,11 @@ def test_others_only_hide():
     mask = torch.arange(3) == 1
     flat = [0.0, 0.0, 1.0]
     splats = Splats.cat([wall(1.0, flat, 0.0), wall(3.0, flat), wall(5.0, flat)])
-    depths, covered = surface_depth(splats, CAMERA, mask)
+    depths, covered = front_depth(splats, CAMERA, mask)
     assert (middle(depths) - 3.0).abs().max() < 1e-4
     assert torch.equal(covered, coverage(splats, CAMERA, mask))
     assert 0.4 < float(middle(covered).mean()) < 0.6
-    nothing = surface_depth(splats, CAMERA, torch.zeros_like(mask))
+    nothing = front_depth(splats, CAMERA, torch.zeros_like(mask))
     assert not any(each.any() for each in nothing)
 
 

@@ -48,7 +48,7 @@ LABEL_MAPS_NAMES = "names.json"  # beside the label maps: the objects' names by 
 
 LABEL_SAMPLED = 3  # masks of an object that tell whether they are binary
 
-LabelId = Annotated[str, msgspec.Meta(pattern=r"^[0-9]{1,8}\Z")]
+IdText = Annotated[str, msgspec.Meta(pattern=r"^[0-9]{1,8}\Z")]
 
 
 def write_label_map(labels: Int[Tensor, "H W"], path: Path | str) -> None:
@@ -208,7 +208,7 @@ def read_names(folder: Path) -> dict[int, str]:
     if not path.exists():
         return {}
     expected = f"Cannot read {path}: expected names by label id"
-    names = convert_checked(read_json(path), dict[LabelId, str], expected, "Mend or delete it.")
+    names = convert_checked(read_json(path), dict[IdText, str], expected, "Mend or delete it.")
     return {int(id): name for id, name in names.items()}
 
 

@@ -45,7 +45,7 @@ class DepthMap:
 
 
 @torch.no_grad()
-def surface_depth(
+def front_depth(
     splats: Splats,
     camera: Cameras,
     mask: Bool[Tensor, " N"] | None = None,
@@ -80,8 +80,8 @@ def depth_map(
     *,
     shares: tuple[float, float] = SURFACE_SHARES,
 ) -> DepthMap:
-    """The surface that one camera sees; see `surface_depth`."""
-    depths, coverage = surface_depth(splats, camera, mask, shares=shares)
+    """The surface that one camera sees; see `front_depth`."""
+    depths, coverage = front_depth(splats, camera, mask, shares=shares)
     width, height = camera.size
     points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
     points = points.view(height, width, 3)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.options import check_point
-from stylesplat.rendering.surface import surface_depth
+from stylesplat.rendering.surface import front_depth
 from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import EXTENT_FAINT, Extent, opaque_rows
@@ -47,7 +47,7 @@ def surface_point(
     """The world position of the surface at a pixel of one camera."""
     check_point(point, camera.size, camera.names[0])
     column, row = map(int, point)
-    depths, alphas = surface_depth(splats, crop(camera, (column, row), (1, 1)))
+    depths, alphas = front_depth(splats, crop(camera, (column, row), (1, 1)))
     if alphas[0, 0] < COVERED:
         raise StyleSplatError(
             f"Nothing solid shows at {point[0]:g},{point[1]:g} in {camera.names[0]}. Choose "

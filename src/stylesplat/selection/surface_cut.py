@@ -335,7 +335,7 @@ CUT_NEAREST = 40_000  # patches around the clicks; farther ones are background
 # Of the outline of a disc of its area, below which an object's is closed: a toy's is open by .2
 # where it stands, and by .04 at its neck, a bottle's by .3, a fox's on its plaque by .4. With .3
 # the fox and the bottle are the same, and a mouse takes its desk.
-OPEN = 0.5
+CLICK_OPEN = 0.5
 # Cut connections over the root of the smaller side's, below which two objects touch: those of the
 # demo have .2, a toy's neck .5, its single objects 2.9. Sharper folds divide the neck, too.
 CONTACT = 0.4
@@ -447,7 +447,7 @@ def _enclosed(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarr
     order, boundary, sums = sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
     least = len(seeds) - 1
     discs = 2 * np.sqrt(np.pi * np.arange(1, len(rows) + 1))  # their outlines, in edges of a patch
-    closed = np.flatnonzero((boundary < OPEN * ACROSS * discs)[least:])
+    closed = np.flatnonzero((boundary < CLICK_OPEN * ACROSS * discs)[least:])
     best = closed[-1] if len(closed) else (boundary / sums)[least:].argmin()
     return rows[order[: least + 1 + int(best)]]
 
