@@ -20,12 +20,12 @@ from stylesplat.rendering.kernels import (
     blend,
     linear_blocks,
     project,
-    quantile,
     sh_colors,
     tiles,
     vec,
 )
 from stylesplat.rendering.kernels.blend import FlatImage
+from stylesplat.rendering.kernels.front_depth import front_depths
 from stylesplat.rendering.kernels.linear_blocks import BlockWeights
 from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
@@ -303,22 +303,20 @@ def composite(
     return image[..., : values.shape[1]]
 
 
-def quantile_depth(
+def front_depth(
     projected: Projected,
     planes: Float[Tensor, "N 3"],
     counted: Float[Tensor, " N"],
     size: tuple[int, int],
     shares: tuple[float, float],
 ) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
-    """The mean depth between two shares of a pixel's weight; see `reference.quantile_depth`."""
+    """The mean depth between two shares of a pixel's weight; see `reference.front_depth`."""
     tiled, image, _ = rasterize_to_pixels(projected, padded(counted[:, None]), size)
     depths, covered = image[..., 0].clone(), image[..., 0].contiguous()
     by_rank = torch.cat([planes, counted[:, None]], dim=1)[torch.from_numpy(tiled.order)]
     flat_planes, flat = (each.view(-1).numpy() for each in (by_rank, depths))
     both = np.asarray(shares, np.float32)
-    quantile.quantile_depths(
-        tiled.rows, flat_planes, tiled.lists, flat, size, both, get_num_threads()
-    )
+    front_depths(tiled.rows, flat_planes, tiled.lists, flat, size, both, get_num_threads())
     return depths, covered
 
 

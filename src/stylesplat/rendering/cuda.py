@@ -98,19 +98,19 @@ def _tiled(projected: Projected, size: tuple[int, int]) -> dict[str, Any]:
 
 
 @torch.no_grad()
-def quantile_depth(
+def front_depth(
     projected: Projected,
     planes: Float[Tensor, "N 3"],
     counted: Float[Tensor, " N"],
     size: tuple[int, int],
     shares: tuple[float, float],
 ) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
-    """The mean depth between two shares of a pixel's weight; see `reference.quantile_depth`.
+    """The mean depth between two shares of a pixel's weight; see `reference.front_depth`.
 
     gsplat lists which Gaussians each pixel shows, front to back.
     """
     if not len(planes):
-        return reference.quantile_depth(projected, planes, counted, size, shares)
+        return reference.front_depth(projected, planes, counted, size, shares)
     (width, height), info = size, _tiled(projected, size)
     light = planes.new_ones(1, height, width)
     rows, pixels, _ = gsplat.rasterize_to_indices_in_range(
@@ -122,7 +122,8 @@ def quantile_depth(
     offsets = centres[pixels] - means2d[rows]
     alphas = reference.alphas_at(offsets, conics[rows], opacities[rows])
     # The light that is left in front of each, from logarithms: pixels differ in length
-    before = torch.log1p(-alphas.double()).cumsum(dim=0) - torch.log1p(-alphas.double())
+    passing = torch.log1p(-alphas.double())
+    before = passing.cumsum(dim=0) - passing
     starts = torch.searchsorted(pixels, torch.arange(len(centres)).to(pixels))
     before -= before[starts.clamp(max=max(len(pixels) - 1, 0))][pixels]
     weights = counted[rows] * alphas * before.exp().to(alphas)

@@ -248,7 +248,7 @@ def depth_planes(
     return torch.cat([means_c[:, 2:], slopes[..., 0]], dim=-1)
 
 
-def quantile_depth(
+def front_depth(
     projected: Projected,
     planes: Float[Tensor, "N 3"],
     counted: Float[Tensor, " N"],

@@ -16,7 +16,7 @@ from stylesplat.rendering.reference import (
     with_matrices_of,
 )
 from stylesplat.rendering.visibility import in_view
-from stylesplat.rendering.weights import COVERED
+from stylesplat.rendering.weights import COVERED, geometry_only
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import normals_towards, pixel_centres, unproject
 from stylesplat.scene.splats import Splats
@@ -43,6 +43,10 @@ class DepthMap:
     cosines: Float[Tensor, "H W"]
     """Between normals and rays: where it is small, depths are uncertain."""
 
+    def reliable(self, grazing: float) -> Bool[Tensor, "H W"]:
+        """Where a pixel is covered by half, and seen at more than a grazing angle, a cosine."""
+        return (self.coverage > COVERED) & (self.cosines > grazing)
+
 
 @torch.no_grad()
 def front_depth(
@@ -63,25 +67,25 @@ def front_depth(
         backend: As `rasterize` takes it.
     """
     near = in_view(splats, camera, backend=backend)
-    gaussians = activated(splats.map(lambda tensor: tensor.index_select(0, near.rows)))
+    gaussians = activated(
+        geometry_only(splats).map(lambda tensor: tensor.index_select(0, near.rows))
+    )
     (view,) = views_of(with_matrices_of(splats, camera))
     planes = depth_planes(gaussians, view, near.projected.conics)
     counted = torch.ones_like(near.projected.opacities)
     if mask is not None:
         counted *= mask[near.rows]
     module = backend_module(backend, splats.device)
-    return module.quantile_depth(near.projected, planes, counted, camera.size, shares)
+    return module.front_depth(near.projected, planes, counted, camera.size, shares)
 
 
 def depth_map(
     splats: Splats,
     camera: Cameras,
     mask: Bool[Tensor, " N"] | None = None,
-    *,
-    shares: tuple[float, float] = SURFACE_SHARES,
 ) -> DepthMap:
     """The surface that one camera sees; see `front_depth`."""
-    depths, coverage = front_depth(splats, camera, mask, shares=shares)
+    depths, coverage = front_depth(splats, camera, mask)
     width, height = camera.size
     points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
     points = points.view(height, width, 3)
@@ -104,11 +108,8 @@ class SurfacePoints(NamedTuple):
 def surface_points(
     shown: DepthMap, image: Float[Tensor, "H W 3"], *, grazing: float
 ) -> SurfacePoints:
-    """The points of a camera's pixels, without those of less than `COVERED` or at grazing angles.
-
-    `grazing` is a cosine.
-    """
-    reliable = (shown.coverage > COVERED) & (shown.cosines > grazing)
+    """The points of a camera's reliable pixels, with the colours of an image."""
+    reliable = shown.reliable(grazing)
     sizes = shown.depths / shown.camera.Ks[0, 0, 0].to(shown.depths)
     every = shown.points, shown.normals, image, sizes, shown.coverage
     return SurfacePoints(*(each[reliable] for each in every))

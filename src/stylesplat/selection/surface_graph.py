@@ -20,7 +20,7 @@ from stylesplat.imaging.color import lab_from_rgb
 from stylesplat.progress import track
 from stylesplat.rendering.render import render
 from stylesplat.rendering.surface import average_in_voxels, depth_map, surface_points
-from stylesplat.rendering.weights import COVERED, geometry_only, pixels_in
+from stylesplat.rendering.weights import geometry_only, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sequences import cached_while_alive
 from stylesplat.scene.splats import Splats
@@ -137,7 +137,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     for camera in track(small_views(cameras), "finding the surface"):
         shown, (image, _) = depth_map(bare, camera), render(bare, camera, sh_degree=0)
         found.append(surface_points(shown, image.clamp(0, 1), grazing=GRAPH_GRAZING))
-        valid = (shown.coverage > COVERED) & (shown.cosines > GRAPH_GRAZING)
+        valid = shown.reliable(GRAPH_GRAZING)
         known = torch.cat([shown.points * valid[..., None], valid[..., None]], dim=-1)
         sums += pixels_in(bare, camera, [known])
     points, normals, colors, sizes, _ = map(torch.cat, zip(*found, strict=True))

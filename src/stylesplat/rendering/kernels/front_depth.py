@@ -23,8 +23,8 @@ TINY = np.float32(1e-20)
 
 
 @inner
-def block_quantile(rows, planes, ranks, entries, pixels, light, weights, shares):
-    """Replace the weights of one block's pixels by depths; see `quantile_depths`."""
+def block_depths(rows, planes, ranks, entries, pixels, light, weights, shares):
+    """Replace the weights of one block's pixels by depths; see `front_depths`."""
     pixel_x, pixel_y = pixels
     transmittance, total = vec.load_vec(light, 0), vec.load_vec(weights, 0)
     first, last = total * shares[0], total * shares[1]
@@ -48,7 +48,7 @@ def block_quantile(rows, planes, ranks, entries, pixels, light, weights, shares)
 
 
 @kernel
-def quantile_depths(rows, planes, lists, depths, size, shares, threads):
+def front_depths(rows, planes, lists, depths, size, shares, threads):
     """Replace pixels' weights, in `depths` [H*W], by the mean depths between two shares of them.
 
     `planes` [R*4] has, of each rank, the depth at its centre, the slopes in x and y, and how much
@@ -75,7 +75,7 @@ def quantile_depths(rows, planes, lists, depths, size, shares, threads):
                     for column in range(min(width - x, BLOCK)):
                         wanted[row * BLOCK + column] = depths[(y + row) * width + x + column]
                 mine = entries[block, : counts[block]]
-                block_quantile(rows, planes, ranks, mine, block_pixels(x, y), light, wanted, shares)
+                block_depths(rows, planes, ranks, mine, block_pixels(x, y), light, wanted, shares)
                 for row in range(min(height - y, BLOCK)):
                     for column in range(min(width - x, BLOCK)):
                         depths[(y + row) * width + x + column] = wanted[row * BLOCK + column]
