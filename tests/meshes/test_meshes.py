@@ -5,13 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 import torch
 import trimesh
 from PIL import Image
 
+from meshes import draw
 from scenes import UP, cloud, plain_layer, shell
 from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.mesh import make_mesh
@@ -74,17 +74,6 @@ def test_the_surface_is_closed_and_in_its_place(mesh: TexturedMesh):
     assert abs(radii - RADIUS - SIZE).max() < 0.1 * RADIUS
     assert (np.abs(np.linalg.norm(mesh.normals, axis=1) - 1) < 1e-4).all()
     assert ((mesh.normals * mesh.vertices).sum(axis=1) > 0.9 * radii).all()
-
-
-def draw(mesh: TexturedMesh, camera: Cameras) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh before black, and where it shows."""
-    fragments = draw_mesh(mesh.vertices, mesh.faces, camera)
-    shown = fragments.faces != NOTHING
-    places = np.zeros((*shown.shape, 2), np.float32)
-    places[shown] = fragments.of_corners(mesh.uvs, mesh.faces) * len(mesh.texture) - 0.5
-    x, y = cv2.split(places)
-    image = cv2.remap(mesh.texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return image * shown[..., None], shown
 
 
 def test_renders_are_those_of_the_splats(mesh: TexturedMesh):
