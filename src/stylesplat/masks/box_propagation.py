@@ -2,14 +2,16 @@
 
 No one way to cut an object out of a splat suits all. What masks show, completed on the surface,
 ends well where objects stand on a plane; a click follows folds, and needs no exact mask (one box
-around the fox gave an IoU of .78 by masks alone, and gives .94 by the best of all). Of several
-picks the one is taken that agrees best with the boxes.
+around the fox gives an IoU of .82 by its mask, and .95 by a click). What is small or badly known is
+no set of patches at all, but masks that spread from view to view find it. That is taken which
+agrees best with the boxes and is an object: from elsewhere, something farther shows around it.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import repeat
 
 import numpy as np
@@ -31,22 +33,17 @@ from stylesplat.masks.grabcut import (
     pixels_inside,
     refine_mask,
 )
-from stylesplat.options import PickSize
 from stylesplat.progress import task
 from stylesplat.rendering.weights import COVERED, PRIOR, composite, coverage, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, Mask
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.surface_cut import pick_clicked, pick_masked
+from stylesplat.selection.surface_cut import occluding_share, pick_clicked, pick_masked
 from stylesplat.selection.surface_graph import NothingToPick
 
-BOX_FIT = 0.08  # by how much the box of a pick in 3D may fit worse than that of GrabCut's cut
 BOX_WEIGHT = 2.0  # of agreement with a box, which a person drew, beside a cut's
-CLICKS = 5  # places in a cut that are clicked at; on the fox the second to fourth is best
-BOX_SIZES: tuple[PickSize, ...] = ("object", "group")
-BOX_APART = 1.5  # distance of the places, in their distances to the cut's outline
-BOX_INNER = 2.0  # pixels from the outline at least
+MOSTLY = 0.5  # share of a Gaussian's pixels in masks, from which they show it
 
 
 def pick_in_boxes(
@@ -54,64 +51,56 @@ def pick_in_boxes(
     cameras: Cameras,
     boxes: Sequence[tuple[int, DrawnBox]],
     cuts: Mapping[int, Mask],
-) -> Bool[Tensor, " N"] | None:
+    spread: Callable[[], Sequence[Mask]],
+) -> Bool[Tensor, " N"] | Sequence[Mask]:
     """The Gaussians of an object that boxes, by row of view, hold, as GrabCut's `cuts` do.
 
-    Returns the pick whose renders agree best with boxes and cuts; None if none fills the boxes as
-    well as the cuts do.
+    If no pick agrees with boxes and cuts as well as the Gaussians do that show in the cuts, masks
+    are made for every view by `spread`, and returned if they agree better than all picks.
     """
     box_masks = {row: torch.from_numpy(pixels_inside(box, cameras[row].size)) for row, box in boxes}
-    needed = {
-        row: mask_iou(_bounding_box(cuts[row]), box) - BOX_FIT for row, box in box_masks.items()
-    }
-    best, most = None, 0.0
-    for pick in _candidates(splats.to("cpu"), cameras, box_masks, cuts):
-        picked = pick.to(splats.device)
-        rendered = {
-            row: coverage(splats, cameras[row], picked).cpu() > COVERED for row in box_masks
-        }
-        fits = {row: mask_iou(_bounding_box(rendered[row]), box) for row, box in box_masks.items()}
-        agreement = sum(
-            BOX_WEIGHT * fits[row] + mask_iou(rendered[row], cuts[row]) for row in box_masks
-        )
-        if agreement > most and all(fits[row] >= needed[row] for row in box_masks):
-            best, most = picked, agreement
-    return best
+    on_cpu = splats.to("cpu")
+
+    def score(picked: Bool[Tensor, " N"]) -> float:
+        """Agreement with boxes and cuts, by half where no outline is that of an object."""
+        agreement = 0.0
+        for row, box in box_masks.items():
+            shown = coverage(on_cpu, cameras[row], picked) > COVERED
+            agreement += BOX_WEIGHT * mask_iou(_bounding_box(shown), box)
+            agreement += mask_iou(shown, cuts[row])
+        return agreement * (1 + occluding_share(on_cpu, cameras, picked))
+
+    def score_masks(masks: Mapping[int, Mask]) -> float:
+        return score(lift_masks(on_cpu, cameras, masks).picked(MOSTLY))
+
+    picks = [*_candidates(on_cpu, cameras, box_masks, cuts)]
+    scores = [score(pick) for pick in picks]
+    best = picks[scores.index(max(scores))].to(splats.device)
+    if score_masks(cuts) <= max(scores):
+        return best
+    masks = spread()
+    return masks if score_masks(dict(enumerate(masks))) > max(scores) else best
 
 
 def _candidates(
     splats: Splats, cameras: Cameras, box_masks: Mapping[int, Mask], cuts: Mapping[int, Mask]
 ) -> Iterator[Bool[Tensor, " N"]]:
-    """What cuts show, completed on the surface, what clicks into them pick, and all there is."""
+    """All there is, what cuts show, completed on the surface, and what clicks into them pick."""
     yield torch.ones(len(splats), dtype=torch.bool)  # photos may be cut out to the object
-    try:
+    with suppress(NothingToPick):  # hardly any Gaussian shows
         yield pick_masked(
             splats, cameras, [(row, cuts[row], ~box) for row, box in box_masks.items()]
         )
-    except NothingToPick:  # hardly any Gaussian shows
-        pass
-    places = [
-        [(cameras.names[row], place) for place in _places_to_click(cuts[row])] for row in box_masks
-    ]
-    for rank in range(CLICKS):
-        clicks = [each[rank] for each in places if rank < len(each)]
-        for size in BOX_SIZES if clicks else ():
-            try:
-                yield pick_clicked(splats, cameras, clicks, size=size)
-            except NothingToPick:
-                break
+    with suppress(NothingToPick):
+        clicks = [(cameras.names[row], _deepest_pixel(cuts[row])) for row in box_masks]
+        yield pick_clicked(splats, cameras, clicks)
 
 
-def _places_to_click(mask: Mask) -> list[tuple[float, float]]:
-    """Pixels deep inside a mask, apart from each other, the deepest first."""
+def _deepest_pixel(mask: Mask) -> tuple[float, float]:
+    """The pixel that is farthest from what a mask leaves out."""
     depth = np.asarray(distance_transform_edt(mask.numpy()))
-    rows, columns = np.indices(depth.shape)
-    found = list[tuple[float, float]]()
-    while len(found) < CLICKS and depth.max() >= BOX_INNER:
-        y, x = np.unravel_index(depth.argmax(), depth.shape)
-        found.append((x + 0.5, y + 0.5))
-        depth[(rows - y) ** 2 + (columns - x) ** 2 < (BOX_APART * depth[y, x]) ** 2] = 0
-    return found
+    y, x = np.unravel_index(depth.argmax(), depth.shape)
+    return x + 0.5, y + 0.5
 
 
 def _bounding_box(mask: Mask) -> Mask:
@@ -176,6 +165,10 @@ class MaskVotes:
         """How likely each Gaussian belongs to the object; 0 where no view shows it."""
         return self.votes[:, 0] / (self.votes.sum(dim=1) + PRIOR)
 
+    def picked(self, share: float) -> Bool[Tensor, " N"]:
+        """The Gaussians that show, and have more than a share of their pixels in the masks."""
+        return (self.votes.sum(dim=1) > MIN_SHOWN) & (self.share > share)
+
     def merged(self, other: "MaskVotes") -> "MaskVotes":
         closest = torch.maximum(self.closest, other.closest)
         return MaskVotes(self.rows | other.rows, self.votes + other.votes, closest)
@@ -219,8 +212,8 @@ def propagate_boxes(
     """The masks of an object in every view, from boxes around it in one or a few.
 
     GrabCut segments there. What it finds is completed and bounded on the surface of the splat,
-    without the plane that the object stands on. If that fills the boxes as well, its renders are
-    the masks, with contours moved to edges. Otherwise the masks are lifted onto the Gaussians,
+    without the plane that the object stands on. If that agrees with the boxes, its renders are the
+    masks, with contours moved to edges. Otherwise the masks are lifted onto the Gaussians,
     rendered into the nearest other views and their contours moved to edges; then the next views,
     until all have one; then all again until they settle.
 
@@ -231,11 +224,27 @@ def propagate_boxes(
     for row, box in boxes:
         drawn = [stroke for at, stroke in strokes if at == row]
         cuts[row] = cut_box(images.with_depth(row), box, cameras.names[row], drawn)
-    picked = pick_in_boxes(splats, cameras, boxes, {row: cut for row, (_, cut) in cuts.items()})
-    if picked is not None:
-        return _masks_at_edges(splats, cameras, images, picked, name)
-    channels = cuts[boxes[0][0]][0]
     known = {row: mask for row, (_, mask) in cuts.items()}
+    channels = cuts[boxes[0][0]][0]
+    spread = partial(_spread_masks, splats, cameras, images, known, channels, name)
+    found = pick_in_boxes(splats, cameras, boxes, known, spread)
+    return (
+        _masks_at_edges(splats, cameras, images, found, name)
+        if isinstance(found, Tensor)
+        else [*found]
+    )
+
+
+def _spread_masks(
+    splats: Splats,
+    cameras: Cameras,
+    images: Images,
+    cuts: Mapping[int, Mask],
+    channels: Channels,
+    name: str,
+) -> list[Mask]:
+    """The masks of an object in every view, from those in some, to the nearest views first."""
+    known = dict(cuts)
     others, votes = nearest_views(cameras, [*known]), lift_masks(splats, cameras, known)
     rounds = 1 + SETTLING_ROUNDS
     with task(f"spreading the mask of {name!r}", rounds * len(others), unit="view") as bar:
