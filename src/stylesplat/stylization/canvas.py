@@ -7,6 +7,7 @@ take. The canvas hides them. They keep their positions, and undoing gives them b
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import NamedTuple
 
 import cv2
@@ -22,7 +23,7 @@ from stylesplat.rendering.render import colors_of, rasterize
 from stylesplat.rendering.surface import average_in_voxels
 from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.visibility import in_view
-from stylesplat.rendering.weights import COVERED, coverage, geometry_only
+from stylesplat.rendering.weights import COVERED, coverage, geometry_only, pixels_in
 from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.surface import (
@@ -37,8 +38,9 @@ from stylesplat.stylization.surface import (
 from stylesplat.stylization.views import ObjectBox, Surface, per_view
 from stylesplat.training.adam import Moments, adam_step
 
-SPACING = 1.3  # pixels between discs: a stroke is several of them wide
-WIDE, FLAT = 1.0, 0.15  # deviations of a disc in its plane and across it, in spacings
+SPACING = 1.1  # pixels between discs: what is wider shows soft strokes, what is finer noise
+WIDE, FLAT = 0.75, 0.15  # deviations of a disc in its plane and across it, in spacings
+SHOWN_LEAST = 0.3  # pixels of a disc in the view that shows most of it: less is hidden by others
 # Of a disc before it is fitted: more looks grainy, as a pixel shows a single disc
 CANVAS_OPACITY = 0.8
 CANVAS_HIDDEN = (
@@ -226,6 +228,22 @@ def restore_in_holes(canvas: Canvas) -> Canvas:
     opacities = canvas.splats.opacities.clone()
     opacities[rows] = canvas.before.opacities[rows]
     return canvas.changed(opacities=opacities)
+
+
+@torch.no_grad()
+def drop_hidden(canvas: Canvas, length: float) -> Canvas:
+    """The canvas without the discs of which no view shows a pixel if the object is so long there.
+
+    Noise of depths makes layers of discs of which only the first shows.
+    """
+    bare = geometry_only(canvas.splats)
+
+    def look(view: UnpaintedView) -> Tensor:
+        return pixels_in(bare, [view.camera], [torch.ones_like(view.linear.coverage)])
+
+    found = per_view(look, canvas.views, "looking for hidden discs", bare.device)
+    shown = reduce(torch.maximum, found) * (length / SURFACE_LENGTH) ** 2
+    return canvas.select(~canvas.is_disc | (shown >= SHOWN_LEAST))
 
 
 class _View(NamedTuple):

@@ -82,10 +82,9 @@ FINEST = 640.0  # pixels of the object's longer side: at more, windows would be 
 LEAST = 48.0  # pixels: smaller renders have too few features, however large the strokes are
 SMALLEST = 2.0  # times the pattern length: for small strokes, even if the photos are smaller
 WINDOW = 160  # pixels: a step in a window costs as much as a coarse step
-GROWTH = 4.0  # times as many Gaussians with a canvas
-MOST_GROWTH = 16.0  # of objects that have few
-MANY_DISCS = 60_000  # objects of few Gaussians get as many discs: fewer show no strokes
-MOST_FINER = 4.0  # times as many for small strokes, which larger discs cannot show
+# Discs on an object of few Gaussians, and in a multiple of its Gaussians, at most: it gets as many
+# as the photos' pixels need
+MANY_DISCS, MOST_DISCS = 300_000, 3.0
 
 
 @dataclass(frozen=True)
@@ -199,16 +198,10 @@ class StyleConfig(Config):
         return 1 - min(self.content, 1.0)
 
     def max_discs(self, gaussians: int) -> int:
-        """How many discs a canvas may have on an object of so many Gaussians.
-
-        Smooth objects have few Gaussians and need more discs than a multiple of these. Strokes that
-        are smaller than usual need as many more discs as they are smaller.
-        """
+        """How many discs a canvas may have on an object of so many Gaussians."""
         if self.quality == "draft" or self.published:
             return 0
-        growth = max(GROWTH, 1 + MANY_DISCS / max(gaussians, 1))
-        finer = min(max(USUAL_SCALE / self.scale, 1.0), MOST_FINER)
-        return int(finer * (min(growth, MOST_GROWTH) - 1) * gaussians)
+        return max(MANY_DISCS, int(MOST_DISCS * gaussians))
 
     def stages(self, photo_length: float) -> list[Stage]:
         """The sizes at which the object, so many pixels long in photos, is rendered, coarse first.

@@ -24,7 +24,13 @@ from stylesplat.scene.capture import Capture
 from stylesplat.scene.layers import Composed, Layer, appearance_only, compose
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.shares import object_shares
-from stylesplat.stylization.canvas import Canvas, PaintState, build_surfels, fit_surfels
+from stylesplat.stylization.canvas import (
+    Canvas,
+    PaintState,
+    build_surfels,
+    drop_hidden,
+    fit_surfels,
+)
 from stylesplat.stylization.colors import (
     Colors,
     add_hue_noise,
@@ -213,7 +219,7 @@ def lay_discs(subject: Subject, length: float) -> Subject:
     if laid is None:
         say(f"{painting.name} has no surface for a canvas: its own Gaussians are painted.")
         return subject.on(canvas)
-    return subject.on(fit_surfels(laid, seed=painting.config.seed))
+    return subject.on(drop_hidden(fit_surfels(laid, seed=painting.config.seed), length))
 
 
 def initial_colors(subject: Subject, stage: Stage) -> tuple[Colors, Goal]:
