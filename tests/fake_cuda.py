@@ -23,7 +23,12 @@ from stylesplat.imaging.similarity import blur_matrix, ssim_window
 MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__set__}  # pyright: ignore
 MOVES |= {torch._has_compatible_shallow_copy_type}  # pyright: ignore  (asked as modules move)
 INDEXES = {Tensor.__getitem__, Tensor.index_put, Tensor.index_put_}
-KERNELS = ("rasterization", "rasterize_to_pixels", "spherical_harmonics")
+KERNELS = (
+    "rasterize_to_indices_in_range",
+    "rasterization",
+    "rasterize_to_pixels",
+    "spherical_harmonics",
+)
 KERNELS += ("fully_fused_projection", "isect_tiles", "isect_offset_encode")
 DEVICE, IS_CUDA = Tensor.device.__get__, Tensor.is_cuda.__get__  # pyright: ignore
 # What has neither a device nor tensors in its answer: most calls, as types are checked

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.imaging.color import LUMA, Palette, color_map, transform_rgb
+from stylesplat.imaging.color import LUMA, Palette, color_map, tone_curve, transform_rgb
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED
@@ -24,6 +24,9 @@ WAVELENGTH = 0.12  # of its pattern, in sizes of the object
 WAVES = 48  # that it is made of
 PATTERN = 0.08  # deviation, in lengths of the object, of the blur that removes its pattern
 SHADING = 0.7  # of the object's light to keep: with all of it the dark side shows nothing else
+# Of an object with parts: deviation of the windows, in lengths, in which one is told from another
+# by more than this contrast
+PARTS_WINDOW, PARTS = 0.04, 0.12
 PAINT_HIDDEN = 1e-3  # pixels that a Gaussian contributes to all views: fewer tell no colour
 PAINT_ROUNDS = 4  # of `project_to_palette`; further ones hardly change anything
 PAINT_STRIDE = 1.5  # of its steps: more than 1 is sooner there, from 2 on it would diverge
@@ -39,9 +42,23 @@ Colors = Float[Tensor, "P 3"]
 def transfer_colors(
     colors: Colors, style: Float[Tensor, "Q 3"], views: Sequence[PaintView]
 ) -> Colors:
-    """Map an object's colours so that its pixels have the style's mean and covariance."""
+    """Map an object's colours so that its pixels have the style's mean, covariance and tones."""
     change = color_map(object_colors(colors, views), style)
-    return map_bands(colors[:, None], colors.new_zeros(len(colors), 0, 3), change)[0][:, 0]
+    mapped = map_bands(colors[:, None], colors.new_zeros(len(colors), 0, 3), change)[0][:, 0]
+    luma = style.new_tensor(LUMA)
+    curve = tone_curve(object_colors(mapped, views) @ luma, style @ luma)
+    rgb = rgb_from_sh0(mapped)
+    return sh0_from_rgb(with_luminance(rgb, curve(rgb @ luma.to(rgb))))
+
+
+def with_luminance(
+    rgb: Float[Tensor, "P 3"], luminance: Float[Tensor, " P"]
+) -> Float[Tensor, "P 3"]:
+    """Colours of another luminance: what gets darker keeps its hue, what gets lighter gets grey."""
+    before = rgb @ rgb.new_tensor(LUMA)
+    darker = rgb * (luminance / before.clamp(min=PAINT_DARK))[:, None]
+    lighter = rgb + (luminance - before)[:, None]
+    return torch.where((luminance < before)[:, None], darker, lighter)
 
 
 @torch.no_grad()
@@ -66,17 +83,26 @@ def add_hue_noise(colors: Colors, means: Float[Tensor, "P 3"], *, seed: int) -> 
 
 @torch.no_grad()
 def low_pass_colors(
-    colors: Colors, views: Sequence[PaintView], length: float, share: float
+    colors: Colors,
+    views: Sequence[PaintView],
+    length: float,
+    share: float,
+    unevenness: float = 0.0,
 ) -> Colors:
     """Remove a share of the object's own pattern, all that is smaller than `PATTERN` of it.
 
     With it goes a part of the shading, so that strokes and form have room between the style's
-    darkest colour and its brightest. The views show the whole object, so many pixels long.
+    darkest colour and its brightest. An uneven object has parts: these keep their colours, as far
+    as their contrast is more than `PARTS`. The views show the whole object, so many pixels long.
     """
     if share == 0:
         return colors
     blurred = blur_colors(colors, views, PATTERN * length)
-    return colors.lerp(blurred.mean(dim=0).lerp(blurred, SHADING), share)
+    plain = blurred.mean(dim=0).lerp(blurred, SHADING)
+    if unevenness > 0:
+        parts = blur_colors(colors, views, PARTS_WINDOW * length, contrast=PARTS)
+        plain = plain.lerp(parts, unevenness)
+    return colors.lerp(plain, share)
 
 
 def add_luminance(colors: Colors, luminance: Float[Tensor, " P"]) -> Colors:
@@ -84,17 +110,32 @@ def add_luminance(colors: Colors, luminance: Float[Tensor, " P"]) -> Colors:
 
 
 @torch.no_grad()
-def blur_colors(colors: Colors, views: Sequence[PaintView], deviation: float = 0.0) -> Colors:
+def blur_colors(
+    colors: Colors,
+    views: Sequence[PaintView],
+    deviation: float = 0.0,
+    contrast: float | None = None,
+) -> Colors:
     """Give Gaussians the mean colour of the pixels that they contribute to.
 
     Renders as small as the strokes are large match nothing finer than their pixels: there Gaussians
-    differ by chance. The deviation is that of a Gaussian blur of the renders, in pixels.
+    differ by chance. The deviation is that of a Gaussian blur of the renders, in pixels. With a
+    contrast, edges of more than this stay (He, Sun, Tang: Guided image filtering, ECCV 2010).
     """
     total, weights = torch.zeros_like(colors), torch.zeros_like(colors)
     for view in views:
         image, own = view.render(colors), view.pixels[..., None]
-        blurred = smooth(image.permute(2, 0, 1), view.pixels, deviation).permute(1, 2, 0)
-        total += view.backproject(blurred)
+        channels = image.permute(2, 0, 1)
+        blurred = smooth(channels, view.pixels, deviation)
+        if contrast is not None:
+            squares = smooth(channels.square(), view.pixels, deviation)
+            variance = (squares - blurred.square()).clamp(min=0).sum(dim=0)
+            kept = variance / (variance + contrast**2)
+            kept, offset = smooth(
+                torch.stack([kept.expand_as(blurred), (1 - kept) * blurred]), view.pixels, deviation
+            )
+            blurred = kept * channels + offset
+        total += view.backproject(blurred.permute(1, 2, 0))
         weights += view.backproject(own.expand_as(image).to(image))
     mean = sh0_from_rgb(total / weights.clamp(min=PAINT_HIDDEN))
     return torch.where(weights > PAINT_HIDDEN, mean, colors)

@@ -20,14 +20,20 @@ from torch.nn import functional as F
 from stylesplat.imaging.color import luma_weights
 from stylesplat.imaging.similarity import blur, smooth
 from stylesplat.rendering.render import render
+from stylesplat.rendering.surface import front_depth
 from stylesplat.rendering.weights import COVERED, colors_and_coverage
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import pixel_centres, unproject
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.colors import PAINT_HIDDEN, PAINT_STRIDE
 from stylesplat.stylization.views import ObjectBox, PaintView, box_cameras
 
 BAND_DEVIATIONS = (0.004, 0.015, 0.05)  # of blurs whose differences are bands, in lengths
 ENERGY_DEVIATION = 0.03  # of the blur that averages a band's energy, in lengths
-SALIENT = 0.6  # times the median energy: less is pattern
+SALIENT = 0.3  # times the median energy: less is pattern
+# Contrast is seen relative to the luminance around it (Weber): its deviation, in lengths, the
+# luminance that is added, at which details count in full, and the factors at most
+ADAPTATION, GLARE, MIDDLE_GREY, WEBER = 0.05, 0.1, 0.5, (0.5, 4.0)
 SURVEY_LENGTH = 96.0  # pixels of the object's longer side where bands are compared
 FORM_SURVEY_VIEWS = 8  # with 6 rare sides get too much form
 # Deviation of a band's energy over the object, of its mean: of pattern, and what counts in full.
@@ -47,22 +53,33 @@ RARE = 0.05  # share of an object: less form than that counts less
 POOLED_DEVIATION = 1.0  # pixels of the finest band's blur at least, in a pooled view
 
 
+# Luminance of the shading by a light at the camera, which draws petals and folds that colours do
+# not show, in bands; the contrast that counts by half; the blur of depths, in lengths
+HEADLIGHT, HEADLIGHT_HALF, HEADLIGHT_BLUR = 0.2, 0.08, 0.004
+
+
 class FormSurvey(NamedTuple):
     """The detail of an object in all views, by bands of size."""
 
     energies: Sequence[float]
     """The median of the local energy: what stands out has more."""
     variations: Sequence[float]
-    """The deviation of that energy, of its mean: small if the object has its detail everywhere."""
+    """The deviation of the energy of plain luminance, of its mean: small if the object has its
+    detail everywhere."""
     hue: Float[Tensor, " 3"]
     """The object's main contrast besides luminance; see `main_hue`."""
+
+    @property
+    def unevenness(self) -> float:
+        """0 for an object with a pattern all over, 1 for one with parts."""
+        return min(max((max(self.variations) - EVEN) / (UNEVEN - EVEN), 0.0), 1.0)
 
 
 class FormBand(NamedTuple):
     """The form that one view shows in a band of sizes."""
 
     detail: Float[Tensor, "H W"]
-    """Luminance that stands out, in 0..1 units."""
+    """Luminance that stands out, over `MIDDLE_GREY`, relative to what is around."""
     weight: Float[Tensor, "H W"]
     """How much each pixel counts; the sum is at most 1."""
     energy: Float[Tensor, "H W"]
@@ -84,14 +101,26 @@ def measure_detail(
     images: Sequence[Float[Tensor, "_ _ 3"]], masks: Sequence[Bool[Tensor, "_ _"]], length: float
 ) -> FormSurvey:
     """Measure an object's detail in views of the whole unpainted object, so many pixels long."""
-    energies = []
+    plain, relative = [], []
     hue = main_hue(torch.cat([i[mask] for i, mask in zip(images, masks, strict=True)]))
     for image, mask in zip(images, masks, strict=True):
-        squares = torch.stack(object_detail(image, mask, length, hue)).square()
-        energies.append(smooth(squares, mask, ENERGY_DEVIATION * length)[:, mask])
-    bands = torch.cat(energies, dim=1).unbind()
-    variations = [float(energy.std() / (energy.mean() + FORM_TINY)) for energy in bands]
-    return FormSurvey([float(energy.median()) for energy in bands], variations, hue)
+        bands = torch.stack(object_detail(image, mask, length, hue))
+        for energies, each in (plain, bands), (relative, bands * weber_gain(image, mask, length)):
+            energies.append(smooth(each.square(), mask, ENERGY_DEVIATION * length)[:, mask])
+    variations = [
+        float(energy.std() / (energy.mean() + FORM_TINY)) for energy in torch.cat(plain, dim=1)
+    ]
+    medians = [float(energy.median()) for energy in torch.cat(relative, dim=1)]
+    return FormSurvey(medians, variations, hue)
+
+
+def weber_gain(
+    image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float
+) -> Float[Tensor, "H W"]:
+    """By how much detail is seen more than in front of middle grey: in the dark more."""
+    luma = image @ luma_weights(image.device, image.dtype)
+    around = smooth(luma, mask, ADAPTATION * length)
+    return (MIDDLE_GREY / (around + GLARE)).clamp(*WEBER)
 
 
 def main_hue(colors: Float[Tensor, "P 3"]) -> Float[Tensor, " 3"]:
@@ -154,15 +183,16 @@ def measure_form(
 ) -> list[FormBand]:
     """Find the form in a view of the unpainted object, which is so many pixels long."""
     found = []
-    bands = object_detail(image, mask, length, survey.hue)
+    gain = weber_gain(image, mask, length)
+    bands = [gain * band for band in object_detail(image, mask, length, survey.hue)]
     luma = image @ luma_weights(image.device, image.dtype)
     bimodal = bimodality(luma, mask, BAND_DEVIATIONS[-1] * length)
     two = ((bimodal - MANY) / (TWO - MANY)).clamp(0, 1)
     even = EVEN + two * (EVEN_OF_TWO - EVEN)
     energies = smooth(torch.stack(bands).square(), mask, ENERGY_DEVIATION * length)
-    by_band = zip(bands, energies, survey.energies, survey.variations, strict=True)
-    for band, energy, typical, variation in by_band:
-        share = ((variation - even) / (UNEVEN - EVEN)).clamp(0, 1)
+    # an object that is even in one band of sizes alone has no pattern all over
+    share = ((max(survey.variations) - even) / (UNEVEN - EVEN)).clamp(0, 1)
+    for band, energy, typical in zip(bands, energies, survey.energies, strict=True):
         least = (1 - two) * SALIENT * typical + FORM_FAINT**2
         weight = (1 - least / energy.maximum(least)) * mask
         area = (weight + RARE * mask).sum()
@@ -212,6 +242,35 @@ def _faint_energy(near: float) -> float:
 
 
 @torch.no_grad()
+def shape_detail(
+    splats: Splats, camera: Cameras, mask: Bool[Tensor, "H W"], length: float
+) -> list[Float[Tensor, "H W"]]:
+    """What a light at the camera shows of the shape of an object, by bands, as luminance."""
+    depths, _ = front_depth(splats, camera)
+    depths = smooth(depths, mask, HEADLIGHT_BLUR * length)
+    width, height = camera.size
+    points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
+    lit = facing_share(points.view(height, width, 3), mask, camera.positions.to(points))
+    bands = torch.stack(detail_bands(lit, mask, length))
+    energies = smooth(bands.square(), mask, ENERGY_DEVIATION * length)
+    return [*(HEADLIGHT * energies / (energies + HEADLIGHT_HALF**2) * bands)]
+
+
+def facing_share(
+    points: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], origin: Float[Tensor, "1 3"]
+) -> Float[Tensor, "H W"]:
+    """The cosine between rays to a camera and normals, from neighbours within a mask alone."""
+
+    def slopes(points: Float[Tensor, "A B 3"], mask: Bool[Tensor, "A B"]) -> Float[Tensor, "A B 3"]:
+        steps = points.diff(dim=0) * (mask[1:] & mask[:-1])[..., None]
+        return F.pad(steps, (0, 0, 0, 0, 0, 1)) + F.pad(steps, (0, 0, 0, 0, 1, 0))
+
+    down, along = slopes(points, mask), slopes(points.transpose(0, 1), mask.T).transpose(0, 1)
+    normals = F.normalize(torch.linalg.cross(along, down), dim=-1)
+    return (normals * F.normalize(origin - points, dim=-1)).sum(dim=-1).abs() * mask
+
+
+@torch.no_grad()
 def form_relief(
     before: Splats,
     views: Sequence[PaintView],
@@ -230,7 +289,11 @@ def form_relief(
     for view in views:
         form = measure_form(render(before, view.camera)[0], view.pixels, length, survey)
         own = view.pixels.to(relief)
-        target = torch.stack([*(band.detail for band in form), own], dim=2)
+        details = [band.detail for band in form]
+        if survey.unevenness > 0:
+            shape = shape_detail(before, view.camera, view.pixels, length)
+            details = [d + survey.unevenness * s for d, s in zip(details, shape, strict=True)]
+        target = torch.stack([*details, own], dim=2)
         weights += view.backproject(target)[:, 2:]
         grey = view.render(F.pad(relief, (0, 1)))
         targets.append((view, (target + grey)[..., :2], own[..., None]))

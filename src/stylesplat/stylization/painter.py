@@ -41,13 +41,20 @@ from stylesplat.stylization.colors import (
     project_to_palette,
     transfer_colors,
 )
-from stylesplat.stylization.config import DEFAULT_NETWORK, Stage, StyleConfig, plain_settings
+from stylesplat.stylization.config import (
+    DEFAULT_NETWORK,
+    FINEST,
+    Stage,
+    StyleConfig,
+    plain_settings,
+)
 from stylesplat.stylization.confine import reached_pixels, trim_surfels
 from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.form import FormSurvey, form_relief, survey_detail
 from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
 from stylesplat.stylization.painting import Painting, PaintSetup, check_paintings, paint_setup
 from stylesplat.stylization.paper import paint_as_published
+from stylesplat.stylization.reveal import reveal
 from stylesplat.stylization.style import KEPT_HUES, all_colors, large_shapes, style_pictures
 from stylesplat.stylization.views import (
     WHOLE_VIEWS,
@@ -234,7 +241,9 @@ def initial_colors(subject: Subject, stage: Stage) -> tuple[Colors, Goal]:
     share = KEPT_HUES.get(config.color, 0.0)
     own = object_colors(colors, whole) if share > 0 else None
     images = style_pictures(painting.images, config, own, share)
-    colors = low_pass_colors(colors, whole, length, config.pattern_removed)
+    colors = low_pass_colors(
+        colors, whole, length, config.pattern_removed, subject.detail.unevenness
+    )
     form = config.form * config.pattern_removed  # what was removed of it with the pattern
     colors = add_luminance(colors, form * relief.sum(dim=1))
     if config.color == "free":
@@ -313,7 +322,7 @@ def settle_colors(
 
 
 def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Float[Tensor, "M 3"]]:
-    """Turn the discs along the strokes, and let none show beside the object."""
+    """Turn the discs along the strokes, and let them show what the object shows."""
     if not subject.canvas.is_disc.any():
         return subject, colors
     canvas, kept = trim_surfels(
@@ -322,8 +331,13 @@ def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Float[Ten
         painted=subject.painted(colors),
         protected=subject.painting.protected,
     )
+    colors = colors[kept[subject.rows]]
+    length = min(typical_length(subject.boxes), FINEST)
+    has_parts = subject.detail.unevenness > 0.5
+    trimmed = canvas
+    canvas, kept = reveal(canvas, subject.boxes, length, has_parts=has_parts)
     canvas = replace(canvas, views=())  # they are not needed again, and take memory
-    return subject.on(canvas), colors[kept[subject.rows]]
+    return subject.on(canvas), colors[kept[trimmed.mask.nonzero()[:, 0]]]
 
 
 def paint(

@@ -12,9 +12,9 @@ from torch.nn import functional as F
 
 from stylesplat.rendering.reference import with_matrices_of
 from stylesplat.rendering.render import colors_of
+from stylesplat.rendering.surface import SurfacePoints, depth_map, surface_points
 from stylesplat.rendering.weights import (
     COVERED,
-    TINY_COVERAGE,
     Contributions,
     contributions,
     coverage,
@@ -22,21 +22,15 @@ from stylesplat.rendering.weights import (
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import (
-    depths_of,
-    normals_towards,
-    pixel_centres,
     project,
-    unproject,
 )
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.shapes import robust_diameter
 from stylesplat.stylization.views import ObjectBox, box_cameras, per_view
 
 SURFACE_VIEWS = 16  # with 12 places that few of them show stay bare
 SURFACE_LENGTH = 200.0  # longer side of the object in them, in pixels
 SURFACE_MARGIN = 8  # pixels around its box, where nothing is to show
 SURFACE_SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
-SURFACE_BEHIND = 0.04  # of the object's extent: farther behind the mean depth is another side of it
 PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
 HOLE = 6.0  # pixels around a point without any inside the silhouettes: less is no hole
 SURFACE_BESIDE = 2.0  # pixels from its rim, where there are points already
@@ -81,15 +75,16 @@ def find_surface(
         them; their colours; the typical size of a pixel if the object is `SURFACE_LENGTH` pixels
         long.
     """
-    far = SURFACE_BEHIND * robust_diameter(splats.means[mask])
     alone = geometry_only(splats[mask])
 
-    def look(view: UnpaintedView) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-        return *_points_of_view(splats.means, view, far), coverage(alone, view.camera)
+    def look(view: UnpaintedView) -> tuple[SurfacePoints, Tensor]:
+        shown = depth_map(splats, view.camera, mask)
+        found = surface_points(shown, view.image, grazing=SURFACE_GRAZING)
+        return found, coverage(alone, view.camera)
 
     found = per_view(look, views, "looking for the surface", splats.device)
-    *parts, silhouettes = zip(*found, strict=True)
-    points, normals, colors, sizes, covered = (torch.cat(each) for each in parts)
+    parts, silhouettes = zip(*found, strict=True)
+    points, normals, colors, sizes, covered = map(torch.cat, zip(*parts, strict=True))
     size = float(sizes.median())
 
     def outside(points: Float[Tensor, "P 3"]) -> Bool[Tensor, " P"]:
@@ -133,36 +128,6 @@ def project_into_silhouettes(
     near, _ = KDTree(spares[amid]).query(spares, workers=-1)
     kept[spare] = (far > SURFACE_BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
     return kept
-
-
-def _points_of_view(
-    means: Float[Tensor, "N 3"], view: UnpaintedView, far: float
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Points, normals, colours, sizes and coverage of one camera's pixels that show the surface."""
-    camera, means = view.camera, means[view.linear.gaussians]
-    of_gaussians = depths_of(means, camera)
-    covered, depths = _mean_depths(view, of_gaussians, torch.ones_like(of_gaussians))
-    inside, there = _look_up(means, camera, depths + far)
-    behind = inside.masked_scatter(inside, of_gaussians[inside] > there)
-    own, depths = _mean_depths(view, of_gaussians, (~behind).to(depths))
-    width, height = camera.size
-    points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
-    points = points.view(height, width, 3)
-    normals, cosines = normals_towards(points, camera.positions.to(points))
-    reliable = (cosines > SURFACE_GRAZING) & (covered > COVERED) & (own > SURFACE_SOLID / 2)
-    sizes = depths / camera.Ks[0, 0, 0].to(depths)
-    points, normals = points[reliable], normals[reliable]
-    return points, normals, view.image[reliable], sizes[reliable], covered[reliable]
-
-
-def _mean_depths(
-    view: UnpaintedView, depths: Float[Tensor, " M"], counted: Float[Tensor, " M"]
-) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
-    """The coverage of some of the object's visible Gaussians and their mean depth."""
-    middle = depths.mean()  # offsets from it are exacter: weights may be float16
-    values = torch.stack([counted, counted * (depths - middle)], dim=1)
-    covered, offsets = view.linear.composite(values).unbind(dim=2)
-    return covered, middle + offsets / covered.clamp(min=TINY_COVERAGE)
 
 
 def _look_up(

@@ -1,0 +1,179 @@
+"""The canvas shows what the object shows: open-work stays open, thin parts and letters are there.
+
+Discs lie where depths were found, which are means: of a filigree and of what is behind it, of
+strings and the wood below. What such discs close, or make unlike the object, they give back.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from stylesplat.imaging.similarity import smooth
+from stylesplat.rendering.surface import front_depth
+from stylesplat.rendering.weights import (
+    COVERED,
+    TINY_COVERAGE,
+    Contributions,
+    contributions,
+    coverage,
+    geometry_only,
+)
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.layers import UNSEEN
+from stylesplat.scene.projection import depths_of
+from stylesplat.scene.splats import Splats, rgb_from_sh0
+from stylesplat.selection.shapes import robust_diameter
+from stylesplat.stylization.canvas import CANVAS_LOST, Canvas, fade_covered
+from stylesplat.stylization.views import ObjectBox, box_cameras, per_view
+
+REVEAL_VIEWS, REVEAL_ROUNDS = 12, 2  # after one round a second layer of discs shows
+GAINED = 0.15  # coverage that discs may add to what was open
+# Of the object's extent: what is as near behind discs is what they lie on, and no hole
+JUST_BEHIND = 0.04
+SOLID = 0.9  # coverage from which colours are the object's own
+UNLIKE, UNLIKE_MEAN, UNLIKE_BLUR = (
+    0.1,
+    0.02,
+    1.0,
+)  # difference of colours, less its mean, in lengths
+DISC_OPEN, DISC_UNLIKE = 0.05, 0.4  # shares of a disc's pixels there, from which it goes
+OWN_LOST, OWN_UNLIKE = 0.1, 0.3  # shares of a Gaussian's, from which it comes back
+DISC_LOST = 0.04  # share of a disc's pixels that only it covers, from which it comes back
+REVEAL_NEIGHBOURS = 12  # discs that each one follows
+FOLLOWS_GONE, FOLLOWS_STAYING = 0.5, 0.15  # shares of them that are gone
+
+
+class _Faults(NamedTuple):
+    """The pixels of one view in which a canvas differs from the object."""
+
+    is_open: Bool[Tensor, "H W"]
+    is_unlike: Bool[Tensor, "H W"]
+    is_lost: Bool[Tensor, "H W"]
+
+
+@torch.no_grad()
+def reveal(
+    canvas: Canvas, boxes: Sequence[ObjectBox], length: float, *, has_parts: bool
+) -> tuple[Canvas, Bool[Tensor, " M"]]:
+    """Take discs away where they close holes, or hide what they do not show.
+
+    The Gaussians that they hid come back. An object without parts has a pattern, which is to be
+    hidden. The views show the object so many pixels long. Returns also which Gaussians are left.
+    """
+    cameras = box_cameras(boxes, length, REVEAL_VIEWS)
+    first, is_gone, is_back = (
+        canvas,
+        torch.zeros_like(canvas.is_disc),
+        torch.zeros_like(canvas.own),
+    )
+    for left in reversed(range(REVEAL_ROUNDS)):
+        own, discs = _weights_in_faults(canvas, cameras, length, has_parts=has_parts)
+        is_open, is_unlike, _, everywhere = discs.unbind(dim=1)
+        gone = (is_open > DISC_OPEN * everywhere) | (is_unlike > DISC_UNLIKE * everywhere)
+        is_gone |= gone & canvas.is_disc
+        if left == 0:
+            is_gone = _follow_neighbours(canvas, is_gone)
+        opacities = first.splats.opacities.masked_fill(is_gone, UNSEEN)
+        canvas = fade_covered(canvas.changed(opacities=opacities))
+        _, unlike, lost, everywhere = own.unbind(dim=1)
+        back = (lost > OWN_LOST * everywhere) | (unlike + lost > OWN_UNLIKE * everywhere)
+        is_back |= back & canvas.own
+        canvas = _with_own(canvas, is_back)
+    needed = _pixels_in_lost(first, canvas, cameras, is_gone)
+    is_gone &= ~needed
+    opacities = canvas.splats.opacities.where(~needed, first.splats.opacities)
+    return canvas.changed(opacities=opacities).select(~is_gone), ~is_gone
+
+
+def _with_own(canvas: Canvas, back: Bool[Tensor, " B"]) -> Canvas:
+    """The canvas with the opacity that some of the object's Gaussians had before."""
+    count = len(canvas.own)
+    opacities = canvas.splats.opacities.clone()
+    opacities[:count] = torch.where(back, canvas.before.opacities, opacities[:count])
+    return canvas.changed(opacities=opacities)
+
+
+def _weights_in_faults(
+    canvas: Canvas, cameras: Sequence[Cameras], length: float, *, has_parts: bool
+) -> tuple[Float[Tensor, "B 4"], Float[Tensor, "M 4"]]:
+    """Pixels of each Gaussian before, and of the canvas, that are open, unlike, lost, and all."""
+    before, after = canvas.before, canvas.splats
+    near = JUST_BEHIND * robust_diameter(before.means[canvas.own])
+
+    def look(camera: Cameras) -> tuple[Tensor, Tensor]:
+        was, now = (
+            contributions(splats, camera, mask)
+            for splats, mask in ((before, canvas.own), (after, canvas.mask))
+        )
+        gained = now.coverage - was.coverage
+        is_open = (was.coverage < COVERED) & (gained > GAINED)
+        if not canvas.own.all() and is_open.any():
+            is_open &= _opens_far(canvas, camera, now, near)
+        is_lost = gained < -CANVAS_LOST
+        is_unlike = torch.zeros_like(is_open)
+        if has_parts:
+            change = _picture(before, was) - _picture(after, now)
+            everywhere = torch.ones_like(is_open)
+            change = change.permute(2, 0, 1)
+            change = change - smooth(change, everywhere, UNLIKE_MEAN * length)
+            strength = smooth(change.abs().mean(dim=0), everywhere, UNLIKE_BLUR)
+            is_unlike = (strength > UNLIKE) & (was.coverage > SOLID)
+        faults = torch.stack([is_open, is_unlike, is_lost, torch.ones_like(is_open)], dim=-1)
+        return was.pixels_in(faults), now.pixels_in(faults)
+
+    found = per_view(look, cameras, "comparing the canvas", before.device)
+    own, discs = zip(*found, strict=True)
+    return torch.stack(own).sum(dim=0), torch.stack(discs).sum(dim=0)
+
+
+def _picture(splats: Splats, linear: Contributions) -> Float[Tensor, "H W 3"]:
+    """A view of an object in colours that are the same from everywhere."""
+    return linear.render(rgb_from_sh0(splats.sh0[linear.gaussians, 0]).relu())
+
+
+def _opens_far(
+    canvas: Canvas, camera: Cameras, linear: Contributions, near: float
+) -> Bool[Tensor, "H W"]:
+    """Where nothing of the scene before is just behind the discs."""
+    depths, alphas = front_depth(canvas.before, camera)
+    rows = linear.gaussians
+    is_disc = canvas.is_disc[rows].to(depths)
+    values = torch.stack([is_disc, is_disc * depths_of(canvas.splats.means[rows], camera)], dim=1)
+    covered, own_depths = linear.composite(values).unbind(dim=2)
+    own_depths = own_depths / covered.clamp(min=TINY_COVERAGE)
+    return (alphas < COVERED) | (depths > own_depths + near)
+
+
+def _follow_neighbours(canvas: Canvas, is_gone: Bool[Tensor, " M"]) -> Bool[Tensor, " M"]:
+    """Which discs go if each one does as most around it."""
+    rows = canvas.is_disc.nonzero()[:, 0]
+    if len(rows) <= REVEAL_NEIGHBOURS:
+        return is_gone
+    points = canvas.splats.means[rows].double().cpu().numpy()
+    _, near = KDTree(points).query(points, k=REVEAL_NEIGHBOURS + 1, workers=-1)
+    gone = is_gone[rows]
+    share = gone[torch.from_numpy(near[:, 1:]).to(rows)].float().mean(dim=1)
+    followed = is_gone.clone()
+    followed[rows] = (gone & (share >= FOLLOWS_STAYING)) | (share > FOLLOWS_GONE)
+    return followed
+
+
+def _pixels_in_lost(
+    first: Canvas, canvas: Canvas, cameras: Sequence[Cameras], is_gone: Bool[Tensor, " M"]
+) -> Bool[Tensor, " M"]:
+    """The discs that are gone, and without which a solid part of the object is missing."""
+    bare = geometry_only(canvas.splats)
+
+    def look(camera: Cameras) -> Tensor:
+        was = coverage(first.before, camera, first.own)
+        is_lost = was - coverage(bare, camera, canvas.mask) > CANVAS_LOST
+        every = torch.stack([is_lost, torch.ones_like(is_lost)], dim=-1)
+        return contributions(first.splats, camera, first.mask).pixels_in(every)
+
+    found = per_view(look, cameras, "looking for what is missing", bare.device)
+    lost, everywhere = torch.stack([*found]).sum(dim=0).unbind(dim=1)
+    return is_gone & (lost > DISC_LOST * everywhere)

@@ -1,0 +1,81 @@
+"""Discs that close what was open go, and what they hid comes back; a solid object stays whole."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from balls import CAMERAS, enlarged
+from scenes import cloud
+from stylesplat.rendering.weights import COVERED, coverage
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.splats import Splats
+from stylesplat.stylization.canvas import Canvas, build_surfels
+from stylesplat.stylization.reveal import reveal
+from stylesplat.stylization.views import find_boxes, typical_length
+
+VIEWS = enlarged(CAMERAS, 4)
+
+
+def plate(*, holes: bool) -> Splats:
+    """A square of small Gaussians, with a grid of square holes."""
+    axis = torch.linspace(-0.8, 0.8, 81)
+    x, z = (each.flatten() for each in torch.meshgrid(axis, axis, indexing="ij"))
+    is_hole = ((x * 2.5) % 1 < 0.5) & ((z * 2.5) % 1 < 0.5) & (x.abs() < 0.7) & (z.abs() < 0.7)
+    solid = ~is_hole if holes else torch.ones_like(is_hole)
+    means = torch.stack([x, 0 * x, z], dim=1)[solid]
+    return cloud(means, 0.012, opacity=4.0)
+
+
+def laid(splats: Splats) -> tuple[Canvas, list, float]:
+    mask = torch.ones(len(splats), dtype=torch.bool)
+    boxes = find_boxes(splats, VIEWS, mask)
+    length = typical_length(boxes)
+    canvas = build_surfels(splats, mask, boxes, length=length, max_discs=20_000, seed=0)
+    assert canvas is not None
+    return canvas, boxes, length
+
+
+def shares(splats: Splats, before: Splats, camera: Cameras) -> tuple[float, float]:
+    """How much of what was open is covered, and of what was covered."""
+    was, now = (coverage(each, camera) > COVERED for each in (before, splats))
+    near = coverage(plate(holes=False), camera) > COVERED
+    return float(now[near & ~was].float().mean()), float(now[was].float().mean())
+
+
+def closed(canvas: Canvas) -> Canvas:
+    """With discs twice as large, which close the holes."""
+    return canvas.changed(scales=canvas.splats.scales + canvas.is_disc[:, None] * 1.2)
+
+
+def test_holes_open_again_and_the_rest_stays():
+    splats = plate(holes=True)
+    canvas, boxes, length = laid(splats)
+    canvas = closed(canvas)
+    shown, kept = reveal(canvas, boxes, length, has_parts=False)
+    assert len(shown.splats) == kept.sum() and kept[: len(splats)].all()
+    open_before, open_after = (shares(c.splats, splats, VIEWS[1]) for c in (canvas, shown))
+    assert open_before[0] > 0.6
+    assert open_after[0] < 0.25 and open_after[1] > 0.95
+
+
+def test_a_solid_object_keeps_its_canvas():
+    splats = plate(holes=False)
+    canvas, boxes, length = laid(splats)
+    shown, kept = reveal(canvas, boxes, length, has_parts=False)
+    assert kept.float().mean() > 0.9
+    assert shares(shown.splats, splats, VIEWS[1])[1] > 0.95
+
+
+@pytest.mark.parametrize("has_parts", [True, False])
+def test_what_looks_otherwise_comes_back_where_an_object_has_parts(has_parts: bool):
+    """A letter on a sign, over which discs have the colour of the sign."""
+    splats = plate(holes=False)
+    is_letter = (splats.means[:, 0].abs() < 0.05) & (splats.means[:, 2].abs() < 0.4)
+    sh0 = torch.where(is_letter[:, None, None], -1.5, 1.0).expand(-1, 1, 3).contiguous()
+    splats = replace(splats, sh0=sh0)
+    canvas, boxes, length = laid(splats)
+    plain = torch.where(canvas.is_disc[:, None, None], 1.0, canvas.splats.sh0)
+    shown, _ = reveal(canvas.changed(sh0=plain), boxes, length, has_parts=has_parts)
+    opacities = torch.sigmoid(shown.splats.opacities[: len(splats)])[is_letter]
+    assert (opacities.mean() > 0.5) == has_parts
