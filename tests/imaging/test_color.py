@@ -3,7 +3,7 @@
 import torch
 
 from scenes import rand
-from stylesplat.imaging.color import cells, distinct, lab_from_rgb, nearest_colors
+from stylesplat.imaging.color import cells, distinct, lab_from_rgb, nearest_colors, tone_curve
 
 
 def test_lab_of_the_primaries_and_of_grey():
@@ -28,3 +28,20 @@ def test_each_cube_has_one_color():
     places = cells(lab_from_rgb(rgb), 20.0)
     assert len(few) == len(places.unique()) < 400
     assert len(distinct(rgb, 1e-3)) == len(rgb)
+
+
+def test_tones_come_to_the_paintings_and_keep_their_order():
+    """Skewed tones of the same mean and deviation, which an affine map would leave as they are."""
+    generator = torch.Generator().manual_seed(0)
+    skewed = torch.rand(20_000, generator=generator) ** 4
+    painting = (0.45 + 0.15 * torch.randn(20_000, generator=generator)).clamp(0.05, 0.9)
+    source = (skewed - skewed.mean()) / skewed.std() * painting.std() + painting.mean()
+    mapped = tone_curve(source, painting)(source)
+    levels = torch.tensor([0.5, 0.9, 0.98])
+    before, after, wanted = (each.quantile(levels) for each in (source, mapped, painting))
+    assert (after - wanted).abs().max() < 0.6 * (before - wanted).abs().max()
+    assert mapped.min() >= painting.min() and mapped.max() <= painting.max()
+    order = source.argsort()
+    assert (mapped[order].diff() >= 0).all()
+    flat = tone_curve(torch.full((100,), 0.5), painting)(torch.full((100,), 0.5))
+    assert flat.isfinite().all()

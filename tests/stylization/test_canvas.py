@@ -13,7 +13,13 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import colors_and_coverage, coverage
 from stylesplat.scene.layers import compose
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.canvas import Canvas, PaintState, build_surfels, fit_surfels
+from stylesplat.stylization.canvas import (
+    Canvas,
+    PaintState,
+    build_surfels,
+    drop_hidden,
+    fit_surfels,
+)
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.confine import LONG, align_to_strokes, trim_surfels
 from stylesplat.stylization.painter import layer_of
@@ -151,3 +157,18 @@ def test_the_room_is_nearly_used_and_the_seed_decides_how(fitted: Canvas, boxes:
 def test_smoke_has_no_surface(boxes: list[ObjectBox]):
     smoke = replace(SPLATS, opacities=torch.full_like(SPLATS.opacities, -3.0))
     assert canvas_on(smoke, boxes) is None
+
+
+def test_discs_that_no_view_shows_go(fitted: Canvas):
+    """A second layer inside; the first one stays."""
+    inner = fitted.splats[fitted.is_disc]
+    centre = SOLID.means[PICKED].mean(dim=0)
+    inner = replace(inner, means=centre + 0.5 * (inner.means - centre))
+    twice = replace(
+        fitted,
+        splats=Splats.cat([fitted.splats, inner]),
+        parents=torch.cat([fitted.parents, fitted.parents[fitted.is_disc]]),
+    )
+    left, count = drop_hidden(twice, LENGTH), int(fitted.is_disc.sum())
+    assert 0.9 * count < left.is_disc.sum() < 1.1 * count
+    assert drop_hidden(twice, 100 * LENGTH).is_disc.sum() > left.is_disc.sum()

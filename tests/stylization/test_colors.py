@@ -160,3 +160,20 @@ def test_blurring_leaves_what_small_renders_show(dense_views: list[ObjectView]):
     assert (full - LIGHT)[shown].std() < 0.4 * PATTERN
     slope = torch.linalg.lstsq(LIGHT[shown, :1] - 0.5, full[shown, :1] - 0.5).solution
     assert float(slope) == pytest.approx(1, abs=0.2)
+
+
+def test_parts_of_an_uneven_object_keep_their_borders(dense_views: list[ObjectView]):
+    """Two halves of different tones: blurred they meet halfway at the border."""
+    side = (WAYS[:, :1] > 0).float().expand(-1, 3)
+    halves = sh0_from_rgb(0.3 + 0.4 * side)
+    near = (WAYS[:, 0].abs() < 0.25) & (WAYS[:, 0].abs() > 0.1) & (WAYS[:, 2] > 0)
+    left, right = near & (WAYS[:, 0] < 0), near & (WAYS[:, 0] > 0)
+    steps = [
+        float(rgb[right].mean() - rgb[left].mean())
+        for rgb in (
+            rgb_from_sh0(low_pass_colors(halves, dense_views, LENGTH, 1.0, unevenness))
+            for unevenness in (0.0, 1.0)
+        )
+    ]
+    assert steps[1] > 1.5 * steps[0] > 0
+    assert steps[1] > 0.6 * 0.4

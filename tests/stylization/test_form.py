@@ -217,3 +217,22 @@ def test_relief_is_where_the_form_is(network: FeatureNetwork):
     assert own[ON_EYE].mean() < -0.05 < 0 < own[ring].mean()
     # its bumps are form, too
     assert own[(sides < 0) & (WAYS[:, 2] > 0)].abs().mean() < 0.25 * own[ON_EYE].abs().mean()
+
+
+def test_what_lies_in_the_dark_stands_out_as_much_as_in_the_light():
+    """Two eyes of the same contrast relative to what is around, one in a tenth of the light."""
+    light = torch.where(XS < 0, 0.08, 0.8)
+    eyes = grey(light * (1 - 0.4 * spot(*EYE) - 0.4 * spot(-EYE[0] - 8, EYE[1])))
+    form = form_of(eyes)
+    bright = max(float(band.detail[NEAR_EYE].abs().max()) for band in form)
+    near = spot(-EYE[0] - 8, EYE[1], RADIUS + 2) > 0
+    dark = max(float(band.detail[near].abs().max()) for band in form)
+    assert dark > 0.25 * bright, "in plain luminance a tenth"
+
+
+def test_an_object_with_parts_has_form_in_all_bands():
+    """Even in one band of sizes alone it has no pattern all over."""
+    survey = measure_detail([WITH_EYE], [MASK], LENGTH)
+    one = survey._replace(variations=[0.5, 1.2])
+    assert one.unevenness == 1.0 and survey._replace(variations=[0.5, 0.6]).unevenness == 0.0
+    assert min(shares(measure_form(WITH_EYE, MASK, LENGTH, one))) > 0

@@ -7,6 +7,7 @@ strings and the wood below. What such discs close, or make unlike the object, th
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
@@ -156,7 +157,7 @@ def _follow_neighbours(canvas: Canvas, is_gone: Bool[Tensor, " M"]) -> Bool[Tens
     points = canvas.splats.means[rows].double().cpu().numpy()
     _, near = KDTree(points).query(points, k=REVEAL_NEIGHBOURS + 1, workers=-1)
     gone = is_gone[rows]
-    share = gone[torch.from_numpy(near[:, 1:]).to(rows)].float().mean(dim=1)
+    share = gone[torch.from_numpy(np.asarray(near)[:, 1:]).to(rows)].float().mean(dim=1)
     followed = is_gone.clone()
     followed[rows] = (gone & (share >= FOLLOWS_STAYING)) | (share > FOLLOWS_GONE)
     return followed
