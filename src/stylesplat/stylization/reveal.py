@@ -32,6 +32,7 @@ from stylesplat.stylization.canvas import CANVAS_LOST, Canvas, fade_covered
 from stylesplat.stylization.views import ObjectBox, box_cameras, per_view
 
 REVEAL_VIEWS, REVEAL_ROUNDS = 12, 2  # after one round a second layer of discs shows
+FEW_GONE = 0.02  # share of the discs: if fewer go, there is no layer below to show
 GAINED = 0.15  # coverage that discs may add to what was open
 # Of the object's extent: what is as near behind discs is what they lie on, and no hole
 JUST_BEHIND = 0.04
@@ -76,7 +77,8 @@ def reveal(
         is_open, is_unlike, _, everywhere = discs.unbind(dim=1)
         gone = (is_open > DISC_OPEN * everywhere) | (is_unlike > DISC_UNLIKE * everywhere)
         is_gone |= gone & canvas.is_disc
-        if left == 0:
+        is_last = left == 0 or is_gone.sum() <= FEW_GONE * canvas.is_disc.sum()
+        if is_last:
             is_gone = _follow_neighbours(canvas, is_gone)
         opacities = first.splats.opacities.masked_fill(is_gone, UNSEEN)
         canvas = fade_covered(canvas.changed(opacities=opacities))
@@ -84,6 +86,8 @@ def reveal(
         back = (lost > OWN_LOST * everywhere) | (unlike + lost > OWN_UNLIKE * everywhere)
         is_back |= back & canvas.own
         canvas = _with_own(canvas, is_back)
+        if is_last:
+            break
     needed = _pixels_in_lost(first, canvas, cameras, is_gone)
     is_gone &= ~needed
     opacities = canvas.splats.opacities.where(~needed, first.splats.opacities)
