@@ -62,14 +62,6 @@ def test_what_colours_do_not_show_nearness_does():
     assert mask_iou(mask, DISC) > 0.98
 
 
-def test_strays_and_what_hangs_on_by_a_thread_are_left_out():
-    crumb, thread = disc(40, 9, 3), torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
-    thread[9:18, 40] = True
-    for photo in (painted(DISC, crumb), painted(DISC, crumb, thread)):
-        _, mask = cut_box(seen(photo), (24.0, 3.0, 57.0, 47.0), PHOTO)
-        assert mask_iou(mask, DISC) > 0.98 and not (mask & crumb).any()
-
-
 def test_a_box_that_holds_nothing():
     flat = torch.full((HEIGHT, WIDTH, 4), 90, dtype=torch.uint8).numpy()
     with pytest.raises(StyleSplatError, match=r"box in a\.jpg holds looks like .* tighter"):

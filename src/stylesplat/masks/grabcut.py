@@ -21,8 +21,6 @@ CONTOUR_ERROR = 0.006  # of the image's diagonal, by which a contour may be wron
 # Of the diagonal, around the object, that its background is learned from
 GRABCUT_SURROUNDINGS = 0.1
 MIN_PIXELS = 16  # with fewer, GrabCut cannot learn colours
-MIN_PART = 0.2  # of the largest part's area; a smaller part is a stray
-NECK = 5  # pixels of a bridge between two parts that does not make them one
 GRABCUT_CHROMA = 2.5  # levels per unit of CIELAB's a and b, which stay within 50 in photos
 EXTREMES = (1, 99)  # percentiles that inverse depth is stretched between
 STROKE_WIDTH = 3  # pixels
@@ -155,20 +153,7 @@ def _grabcut(image: UInt8[np.ndarray, "H W 3"], marks: UInt8[np.ndarray, "H W"])
     image = np.ascontiguousarray(image)
     unused = (0, 0, 1, 1)  # a rectangle; the marks are used instead
     cv2.grabCut(image, marks, unused, models[0], models[1], ITERATIONS, cv2.GC_INIT_WITH_MASK)
-    # What is certain stays certain, and is no stray
-    return _without_strays(np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD))) | (marks == cv2.GC_FGD)
-
-
-def _without_strays(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """The mask's large parts; what hangs on by a thin bridge is a part of its own."""
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (NECK, NECK))
-    core = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, disc)
-    count, parts, stats, _ = cv2.connectedComponentsWithStats(core)
-    if count == 1:  # thinner than the bridge
-        return mask
-    areas = stats[1:, cv2.CC_STAT_AREA]
-    large = 1 + np.flatnonzero(areas >= MIN_PART * areas.max())
-    return mask & (cv2.dilate(np.isin(parts, large).astype(np.uint8), disc) > 0)
+    return np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD))
 
 
 def _dilate(mask: np.ndarray, radius: float) -> np.ndarray:
