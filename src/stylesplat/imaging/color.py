@@ -43,9 +43,9 @@ def luma_weights(device: torch.device, dtype: torch.dtype) -> Float[Tensor, " 3"
     return torch.tensor(LUMA, device=device, dtype=dtype)
 
 
-def thinned(colors: Float[Tensor, "P 3"]) -> Float[Tensor, "_ 3"]:
-    """Evenly chosen ones of very many colours."""
-    return colors[evenly_spaced(range(len(colors)), COLOR_PIXELS)]
+def thinned(values: Float[Tensor, "P *D"]) -> Float[Tensor, "_ *D"]:
+    """Evenly chosen ones of very many colours, or luminances."""
+    return values[evenly_spaced(range(len(values)), COLOR_PIXELS)]
 
 
 def cells(lab: Float[Tensor, "P 3"], size: float) -> Int[Tensor, " P"]:
@@ -159,23 +159,20 @@ def tone_curve(source: Float[Tensor, " P"], target: Float[Tensor, " Q"]) -> Tone
     The same mean and variance leave flat white or black where the one is skewed and the other not.
     """
     levels = source.new_tensor(TONE_LEVELS)
-    knots, wanted = (
-        each[evenly_spaced(range(len(each)), COLOR_PIXELS)].quantile(levels.to(each))
-        for each in (source, target)
-    )
-    wanted = wanted.to(knots)
-    low, high = (wanted[TONE_LEVELS.index(level)] for level in TONE_LINE)
+    knots, tones = (thinned(each).quantile(levels.to(each)) for each in (source, target))
+    tones = tones.to(knots)
+    low, high = (tones[TONE_LEVELS.index(level)] for level in TONE_LINE)
     line = low + (high - low) * (levels - TONE_LINE[0]) / (TONE_LINE[1] - TONE_LINE[0])
-    wanted_values = line.lerp(wanted, TONE_OWN)
+    wanted = line.lerp(tones, TONE_OWN)
     middle = len(levels) // 2
     steps = knots.diff().clamp(min=1e-4)
     knots = torch.cat([knots[:1], knots[0] + steps.cumsum(dim=0)])
     rises = torch.minimum(
-        torch.maximum(wanted_values.diff(), TONE_SLOPES[0] * steps), TONE_SLOPES[1] * steps
+        torch.maximum(wanted.diff(), TONE_SLOPES[0] * steps), TONE_SLOPES[1] * steps
     )
     values = torch.cat([rises.new_zeros(1), rises.cumsum(dim=0)])
-    values = wanted_values[middle] + values - values[middle]
-    return ToneCurve(knots, values.clamp(wanted[0], wanted[-1]))
+    values = wanted[middle] + values - values[middle]
+    return ToneCurve(knots, values.clamp(tones[0], tones[-1]))
 
 
 def transform_rgb(

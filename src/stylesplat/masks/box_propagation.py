@@ -3,8 +3,8 @@
 No one way to cut an object out of a splat suits all. What masks show, completed on the surface,
 ends well where objects stand on a plane; a click follows folds, and needs no exact mask (one box
 around the fox gives an IoU of .82 by its mask, and .95 by a click). What is small or badly known is
-no set of patches at all, but masks that spread from view to view find it. That is taken which
-agrees best with the boxes and is an object: from elsewhere, something farther shows around it.
+no set of patches at all, but masks that spread from view to view find it. The one is taken
+that agrees best with the boxes and is an object: something farther shows around it from elsewhere.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -62,7 +62,7 @@ def pick_in_boxes(
     on_cpu = splats.to("cpu")
 
     def score(picked: Bool[Tensor, " N"]) -> float:
-        """Agreement with boxes and cuts, by half where no outline is that of an object."""
+        """Agreement with boxes and cuts, doubled if all outlines are an object's."""
         agreement = 0.0
         for row, box in box_masks.items():
             shown = coverage(on_cpu, cameras[row], picked) > COVERED
@@ -228,11 +228,9 @@ def propagate_boxes(
     channels = cuts[boxes[0][0]][0]
     spread = partial(_spread_masks, splats, cameras, images, known, channels, name)
     found = pick_in_boxes(splats, cameras, boxes, known, spread)
-    return (
-        _masks_at_edges(splats, cameras, images, found, name)
-        if isinstance(found, Tensor)
-        else [*found]
-    )
+    if isinstance(found, Tensor):
+        return _masks_at_edges(splats, cameras, images, found, name)
+    return [*found]
 
 
 def _spread_masks(

@@ -16,14 +16,7 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
-from stylesplat.rendering.kernels import (
-    blend,
-    linear_blocks,
-    project,
-    sh_colors,
-    tiles,
-    vec,
-)
+from stylesplat.rendering.kernels import blend, linear_blocks, project, sh_colors, tiles, vec
 from stylesplat.rendering.kernels.blend import FlatImage
 from stylesplat.rendering.kernels.front_depth import front_depths
 from stylesplat.rendering.kernels.linear_blocks import BlockWeights

@@ -86,11 +86,15 @@ def depth_map(
 ) -> DepthMap:
     """The surface that one camera sees; see `front_depth`."""
     depths, coverage = front_depth(splats, camera, mask)
-    width, height = camera.size
-    points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
-    points = points.view(height, width, 3)
+    points = points_at(depths, camera)
     normals, cosines = normals_towards(points, camera.positions.to(points))
     return DepthMap(camera, depths, coverage, points, normals, cosines)
+
+
+def points_at(depths: Float[Tensor, "H W"], camera: Cameras) -> Float[Tensor, "H W 3"]:
+    """The points in the world that a camera's pixels show, of these depths."""
+    centres = pixel_centres(*camera.size).to(depths)
+    return unproject(centres, depths.flatten(), camera).view(*depths.shape, 3)
 
 
 class SurfacePoints(NamedTuple):

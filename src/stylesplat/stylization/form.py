@@ -20,10 +20,9 @@ from torch.nn import functional as F
 from stylesplat.imaging.color import luma_weights
 from stylesplat.imaging.similarity import blur, smooth
 from stylesplat.rendering.render import render
-from stylesplat.rendering.surface import front_depth
+from stylesplat.rendering.surface import front_depth, points_at
 from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import pixel_centres, unproject
 from stylesplat.scene.splats import SH_C0, Splats
 from stylesplat.stylization.colors import PAINT_HIDDEN, PAINT_STRIDE
 from stylesplat.stylization.views import ObjectBox, PaintView, box_cameras
@@ -248,9 +247,8 @@ def shape_detail(
     """What a light at the camera shows of the shape of an object, by bands, as luminance."""
     depths, _ = front_depth(splats, camera)
     depths = smooth(depths, mask, HEADLIGHT_BLUR * length)
-    width, height = camera.size
-    points = unproject(pixel_centres(width, height).to(depths), depths.flatten(), camera)
-    lit = facing_share(points.view(height, width, 3), mask, camera.positions.to(points))
+    points = points_at(depths, camera)
+    lit = facing_share(points, mask, camera.positions.to(points))
     bands = torch.stack(detail_bands(lit, mask, length))
     energies = smooth(bands.square(), mask, ENERGY_DEVIATION * length)
     return [*(HEADLIGHT * energies / (energies + HEADLIGHT_HALF**2) * bands)]

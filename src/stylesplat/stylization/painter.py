@@ -331,13 +331,12 @@ def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Float[Ten
         painted=subject.painted(colors),
         protected=subject.painting.protected,
     )
-    colors = colors[kept[subject.rows]]
+    subject, colors = subject.on(canvas), colors[kept[subject.rows]]
     length = min(typical_length(subject.boxes), FINEST)
     has_parts = subject.detail.unevenness > 0.5
-    trimmed = canvas
-    canvas, kept = reveal(canvas, subject.boxes, length, has_parts=has_parts)
+    canvas, kept = reveal(subject.canvas, subject.boxes, length, has_parts=has_parts)
     canvas = replace(canvas, views=())  # they are not needed again, and take memory
-    return subject.on(canvas), colors[kept[trimmed.mask.nonzero()[:, 0]]]
+    return subject.on(canvas), colors[kept[subject.rows]]
 
 
 def paint(

@@ -1,11 +1,10 @@
 """The canvas shows what the object shows: open-work stays open, thin parts and letters are there.
 
-Discs lie where depths were found, which are means: of a filigree and of what is behind it, of
-strings and the wood below. What such discs close, or make unlike the object, they give back.
+A pixel may show a filigree and what is behind it, or strings and the wood below: discs at its depth
+close the one and hide the other. Such discs go, and the object's own Gaussians come back.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -37,24 +36,14 @@ GAINED = 0.15  # coverage that discs may add to what was open
 # Of the object's extent: what is as near behind discs is what they lie on, and no hole
 JUST_BEHIND = 0.04
 SOLID = 0.9  # coverage from which colours are the object's own
-UNLIKE, UNLIKE_MEAN, UNLIKE_BLUR = (
-    0.1,
-    0.02,
-    1.0,
-)  # difference of colours, less its mean, in lengths
+# Difference of colours from which they are unlike; deviations of the blur that is subtracted from
+# it, in lengths of the object, and of the one that averages it, in pixels
+UNLIKE, UNLIKE_MEAN, UNLIKE_BLUR = 0.1, 0.02, 1.0
 DISC_OPEN, DISC_UNLIKE = 0.05, 0.4  # shares of a disc's pixels there, from which it goes
 OWN_LOST, OWN_UNLIKE = 0.1, 0.3  # shares of a Gaussian's, from which it comes back
 DISC_LOST = 0.04  # share of a disc's pixels that only it covers, from which it comes back
 REVEAL_NEIGHBOURS = 12  # discs that each one follows
 FOLLOWS_GONE, FOLLOWS_STAYING = 0.5, 0.15  # shares of them that are gone
-
-
-class _Faults(NamedTuple):
-    """The pixels of one view in which a canvas differs from the object."""
-
-    is_open: Bool[Tensor, "H W"]
-    is_unlike: Bool[Tensor, "H W"]
-    is_lost: Bool[Tensor, "H W"]
 
 
 @torch.no_grad()
@@ -67,11 +56,8 @@ def reveal(
     hidden. The views show the object so many pixels long. Returns also which Gaussians are left.
     """
     cameras = box_cameras(boxes, length, REVEAL_VIEWS)
-    first, is_gone, is_back = (
-        canvas,
-        torch.zeros_like(canvas.is_disc),
-        torch.zeros_like(canvas.own),
-    )
+    first = canvas
+    is_gone, is_back = torch.zeros_like(canvas.is_disc), torch.zeros_like(canvas.own)
     for left in reversed(range(REVEAL_ROUNDS)):
         own, discs = _weights_in_faults(canvas, cameras, length, has_parts=has_parts)
         is_open, is_unlike, _, everywhere = discs.unbind(dim=1)
@@ -88,7 +74,7 @@ def reveal(
         canvas = _with_own(canvas, is_back)
         if is_last:
             break
-    needed = _pixels_in_lost(first, canvas, cameras, is_gone)
+    needed = _needed_discs(first, canvas, cameras, is_gone)
     is_gone &= ~needed
     opacities = canvas.splats.opacities.where(~needed, first.splats.opacities)
     return canvas.changed(opacities=opacities).select(~is_gone), ~is_gone
@@ -167,7 +153,7 @@ def _follow_neighbours(canvas: Canvas, is_gone: Bool[Tensor, " M"]) -> Bool[Tens
     return followed
 
 
-def _pixels_in_lost(
+def _needed_discs(
     first: Canvas, canvas: Canvas, cameras: Sequence[Cameras], is_gone: Bool[Tensor, " M"]
 ) -> Bool[Tensor, " M"]:
     """The discs that are gone, and without which a solid part of the object is missing."""

@@ -21,9 +21,7 @@ from stylesplat.rendering.weights import (
     geometry_only,
 )
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import (
-    project,
-)
+from stylesplat.scene.projection import project
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import ObjectBox, box_cameras, per_view
 
