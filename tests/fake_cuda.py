@@ -41,6 +41,7 @@ TO_HOST |= {torch.unique, torch.masked_select, Tensor.masked_select}
 TO_HOST |= {Tensor.repeat_interleave, torch.repeat_interleave}
 TO_HOST |= {torch.linalg.solve, torch.linalg.inv, torch.linalg.eigh}  # look for their errors
 FROM_HOST = {torch.tensor, torch.as_tensor, Tensor.new_tensor}
+PRODUCTS = {Tensor.matmul, Tensor.__matmul__, torch.matmul, Tensor.mm, Tensor.mv}
 BY_MASK = {Tensor.__getitem__, Tensor.__setitem__}
 CONSTANTS = (blur_matrix, luma_weights, ssim_window)
 GENERATOR = torch.Generator  # before it is replaced
@@ -145,6 +146,8 @@ class FakeCuda(TorchFunctionMode):
         if func is Tensor.is_pinned:
             return getattr(args[0], "_is_pinned", False)
         given = _tensors((args, kwargs))
+        if func in PRODUCTS and any(on_gpu(t) and not t.is_floating_point() for t in given):
+            raise NotImplementedError("addmv_impl_cuda not implemented for 'Long'")
         place = kwargs.get("device")
         if place is not None:
             gpu = torch.device(place).type == "cuda"

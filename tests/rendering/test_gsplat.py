@@ -49,9 +49,9 @@ def drawn(backend: Backend, count: int, moves: bool, antialiased: bool):
     ("count", "moves", "passes"),
     [
         (0, False, [3]),
-        (16, True, [32]),  # 19 are padded to the next that is compiled
-        (40, False, [3, 32, 8]),
-        (40, True, [32, 16]),
+        (16, True, [16, 3]),
+        (40, False, [3, 16, 16, 8]),
+        (40, True, [16, 16, 16]),  # 11 are padded to the next that is compiled
     ],
 )
 def test_images_and_gradients_are_the_references_and_each_channel_is_blended_once(

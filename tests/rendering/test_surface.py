@@ -68,7 +68,8 @@ def test_depths_are_the_references(
 @pytest.mark.parametrize("backend", ANY)
 @pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [-0.3, 0.6, 1.0]])
 def test_of_a_tilted_disc_each_pixel_has_a_depth_of_its_own(backend: Backend, normal: list[float]):
-    depths, covered = front_depth(wall(3.0, normal), CAMERA, backend=backend)
+    splats = wall(3.0, normal).to("cuda" if backend == "cuda" else "cpu")
+    depths, covered = (each.cpu() for each in front_depth(splats, CAMERA, backend=backend))
     y, x = torch.meshgrid(torch.arange(52) + 0.5, torch.arange(70) + 0.5, indexing="ij")
     rays = torch.stack([(x - 33) / 60, (y - 25) / 70, torch.ones_like(x)], dim=2)
     expected = 3.0 * normal[2] / (rays @ torch.tensor(normal))
@@ -85,8 +86,9 @@ def test_haze_does_not_move_the_surface_behind_it(backend: Backend):
     for haze, expected in ((0.05, 3.0), (0.3, 1.0 * 2 / 3 + 3.0 / 3), (0.45, 1.0)):
         logit = math.log(haze / (1 - haze))
         splats = Splats.cat([wall(1.0, flat, logit), wall(3.0, flat), wall(5.0, flat)])
+        splats = splats.to("cuda" if backend == "cuda" else "cpu")
         depths, _ = front_depth(splats, CAMERA, backend=backend)
-        centre = depths[24:26, 32:34]  # where the haze has its full opacity
+        centre = depths[24:26, 32:34].cpu()  # where the haze has its full opacity
         assert (centre - expected).abs().max() < 0.05
 
 

@@ -60,7 +60,9 @@ def test_pixels_in_is_the_adjoint_of_composite(backend: Backend, count: int):
     by_pixels, by_gaussians = (shown * image).sum(), (sums * values).sum()
     scale = float(shown.norm() * image.norm())
     assert float(by_gaussians) == pytest.approx(float(by_pixels), abs=1e-5 * scale)
-    assert_near(backproject(splats, CAMERA, image, backend=backend), sums, 0)
+    # CUDA adds in any order
+    near = ROUNDING if backend == "cuda" else 0
+    assert_near(backproject(splats, CAMERA, image, backend=backend), sums, near)
 
 
 @pytest.mark.parametrize("backend", ANY)

@@ -144,7 +144,9 @@ def identity_colors(splats: Splats) -> Float[Tensor, "N 3"]:
     identities, _ = require_identities(splats)
     centred = identities - identities.mean(dim=0)
     _, axes = torch.linalg.eigh(centred.T @ centred)  # ascending
-    components = centred @ axes[:, -3:].flip(-1)
+    axes = axes[:, -3:].flip(-1)
+    axes = axes * axes.sum(dim=0).sign()  # each solver has signs of its own
+    components = centred @ axes
     low, high = _robust_range(components)
     return ((components - low) / (high - low).clamp(min=PICTURE_TINY)).clamp(0, 1)
 

@@ -126,7 +126,8 @@ def average_in_voxels(
     cells = (points / side).floor().long()
     cells -= cells.amin(dim=0)
     across, along, _ = (cells.amax(dim=0) + 1).tolist()
-    keys = cells @ cells.new_tensor([1, across, across * along])
+    x, y, z = cells.unbind(dim=1)
+    keys = (z * along + y) * across + x  # CUDA has no product of integer matrices
     _, index, counts = keys.unique(return_inverse=True, return_counts=True)
     none = points.new_zeros(len(counts), 3)
     means = [none.index_add(0, index, v) / counts[:, None] for v in (points, *others)]
