@@ -166,7 +166,8 @@ class Adjust(EditingCommand):
     intensity: float | None = None
     """0 for the colours before, 1 for the style's, up to 1.5 to exaggerate."""
     form: float | None = None
-    """How much of the object's own light and relief shows in the paint, 0 to 1.5."""
+    """How much of the object's own light and relief shows in the paint, 0 to 1.5; above 1 strokes
+    give way to it."""
     object: UseAppendAction[tuple[str, ...]] = ()
     """Adjust or undo this object only. May be repeated."""
     undo: bool = False

@@ -29,6 +29,7 @@ LAYER_FILE = r"\A[0-9]{2,5}-[A-Za-z0-9_-]{0,40}\.safetensors\Z"
 MAX_NAME_PART = 40  # characters of an object's name in a file's
 LEAST_RELIEF = -2.0  # of two bands of detail
 UNIT = {"low": 0.0, "high": 1.0}
+SCULPTURE = ("sculpture", "canvas_sculpture")
 SURFELS = ("means", "quats", "scales", "opacities", "sh0", "shN")  # `canvas_*` in the file
 # What `layers.json` has of a layer as it is
 LAYER_PLAIN = ("object", "kind", "strength", "form", "visible", "settings", "features", "precision")
@@ -154,7 +155,8 @@ def _recipe_entry(layer: Layer, shared: Mapping[str, Any]) -> dict[str, Any]:
 
 def _identity(layer: Layer) -> tuple[int, ...]:
     """Equal for two layers only if their files have the same content."""
-    return tuple(id(tensor) for tensor in (layer.rows, layer.sh0, layer.relief, layer.parents))
+    own = layer.rows, layer.sh0, layer.relief, layer.parents, layer.sculpture
+    return tuple(id(tensor) for tensor in own)
 
 
 def _entry(number: int, layer: Layer) -> dict[str, Any]:
@@ -170,7 +172,11 @@ def _tensors(layer: Layer) -> dict[str, Tensor]:
     """The content of a layer's file; higher bands that are all 0 are left out."""
     if layer.color_map is not None:
         return {"rows": layer.rows, "shares": layer.shares, "color_map": layer.color_map}
-    own, new = layer.relief.split([len(layer.rows), len(layer.parents)])
+    counts = [len(layer.rows), len(layer.parents)]
+    own, new = layer.relief.split(counts)
+    sculpture = {}
+    if layer.sculpture is not None:
+        sculpture = dict(zip(SCULPTURE, layer.sculpture.split(counts), strict=True))
     shN, surfels_shN = (
         pad_bands(each) if each.any() else each[:, :0] for each in (layer.shN, layer.surfels.shN)
     )
@@ -186,6 +192,7 @@ def _tensors(layer: Layer) -> dict[str, Tensor]:
         "canvas_relief": new,
         "canvas_before": layer.surfels_sh0,
         **{f"canvas_{name}": every[name] for name in SURFELS},
+        **sculpture,
     }
 
 
@@ -206,6 +213,10 @@ def _declared(count: int, kind: LayerKind) -> dict[str, Declared]:
         "parents": replace(index, shape=("C",)),
         "canvas_relief": replace(row, shape=("C",), low=LEAST_RELIEF),
         "canvas_before": replace(GAUSSIANS["sh0"], shape=("C", 1, 3)),
+        **{
+            name: replace(row, shape=(size,), low=LEAST_RELIEF, optional=True)
+            for name, size in zip(SCULPTURE, "RC", strict=True)
+        },
         **{
             f"canvas_{name}": replace(GAUSSIANS[name], shape=("C", *shapes[name]))
             for name in SURFELS
@@ -229,11 +240,15 @@ def _read(path: Path, entry: _Layer, count: int) -> Layer:
     columns: dict[str, Any] = {name: getattr(entry, name) for name in LAYER_PLAIN}
     columns |= {name: tensors[name] for name in own}
     surfels: dict[str, Any] = {name: tensors[f"canvas_{name}"] for name in SURFELS}
+    sculpture = [tensors[name] for name in SCULPTURE if name in tensors]
+    if len(sculpture) == 1:
+        raise StyleSplatError(f"Cannot read {path}: it has half of a sculpture. {LAYER_AGAIN}")
     return Layer(
         **columns,
         surfels=Splats(**surfels),
         surfels_sh0=tensors["canvas_before"],
         relief=torch.cat([tensors["relief"], tensors["canvas_relief"]]),
+        sculpture=torch.cat(sculpture) if sculpture else None,
         styles=tuple(map(_source, entry.styles)),
         weights=entry.weights and _source(entry.weights),
     )

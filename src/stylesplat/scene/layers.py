@@ -20,6 +20,7 @@ from stylesplat.scene.splats import SH_C0, Splats, map_bands
 UNSEEN = -16.0  # logit of an opacity that no picture shows
 THROUGH = 0.003  # transmittance of all surfels, which makes the visible strength linear
 LayerKind = Literal["paint", "recolour"]
+RELIEF_FORM, MOST_FORM = 1.0, 1.5  # up to the first relief shows, from there on sculpture
 RECOLOR = "/recolor"  # after an object's name, in which there is no slash: its recolouring
 
 
@@ -64,7 +65,7 @@ class Layer:
     strength: float = 1.0
     """How much of the paint shows, 0 to 1.5."""
     form: float = 0.0
-    """How much of the relief shows, 0 to 1.5."""
+    """How much of the object's form shows: of the relief up to 1, of the sculpture up to 1.5."""
     visible: bool = True
     """Whether the layer is shown."""
     kind: LayerKind = "paint"
@@ -81,6 +82,9 @@ class Layer:
     """The precision of the features; None if it was not recorded."""
     color_map: Float[Tensor, "3 4"] | None = None
     """Of a recolouring: colours in 0..1 become `color_map @ (red, green, blue, 1)`."""
+    sculpture: Float[Tensor, " L"] | None = None
+    """The luminance to add at a form of 1.5, as `relief`. Without it relief goes on beyond 1, as in
+    layers of earlier versions."""
 
     def __repr__(self) -> str:
         pictures = join_names(each.path.name if each.path else "a picture" for each in self.styles)
@@ -157,6 +161,7 @@ def layer_subset(
     own, parents = places[layer.rows] >= 0, places[layer.parents]
     kept = (parents >= 0).nonzero()[:, 0] if kept is None else kept
     rows, parents = places[layer.rows][own], parents[kept]
+    of_either = torch.cat([own.nonzero()[:, 0], len(own) + kept])
     return replace(
         layer,
         rows=rows,
@@ -164,7 +169,8 @@ def layer_subset(
         surfels=layer.surfels[kept],
         surfels_sh0=layer.surfels_sh0[kept],
         parents=torch.where(parents < 0, rows[0] if len(rows) else 0, parents),
-        relief=layer.relief[torch.cat([own.nonzero()[:, 0], len(own) + kept])],
+        relief=layer.relief[of_either],
+        sculpture=None if layer.sculpture is None else layer.sculpture[of_either],
     )
 
 
@@ -248,7 +254,11 @@ def _with_surfels(splats: Splats, base: Splats, layer: Layer) -> Splats:
 
 def _form(layer: Layer) -> Float[Tensor, " L"]:
     """The change of the constant band for the form that the paint does not have yet."""
-    return layer.relief * ((layer.form - layer.painted_form) / SH_C0)
+    if layer.sculpture is None:
+        return layer.relief * ((layer.form - layer.painted_form) / SH_C0)
+    shown = layer.relief * (min(layer.form, RELIEF_FORM) - layer.painted_form)
+    beyond = max(layer.form - RELIEF_FORM, 0.0) / (MOST_FORM - RELIEF_FORM)
+    return (shown + beyond * layer.sculpture) / SH_C0
 
 
 def _faded(

@@ -160,7 +160,7 @@ class StyleConfig(Config):
     """How much of the paint to blend in: 0 changes nothing, 1 takes all, 1.5 exaggerates."""
     form: Annotated[float, Option(0, MAX_INTENSITY, label="Keep form", slider=(0, 1.5))] = 1.0
     """How much of the object's form to keep, 0 to 1.5: the detail that stands out from its
-    pattern, such as eyes, a mouth, folds."""
+    pattern, such as eyes, a mouth, folds. Above 1 strokes give way to it."""
     content: Annotated[float, Option(0, 10_000, label="Keep pattern")] = 0.0
     """How much of the object's own features to keep, pattern included: 0 none, 1 nearly all."""
     protect: Annotated[tuple[str, ...], Option(research=True)] = ()

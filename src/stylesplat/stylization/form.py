@@ -269,6 +269,26 @@ def facing_share(
 
 
 @torch.no_grad()
+def form_detail(
+    before: Splats,
+    camera: Cameras,
+    mask: Bool[Tensor, "H W"],
+    length: float,
+    survey: FormSurvey,
+) -> list[Float[Tensor, "H W"]]:
+    """The form of an unpainted object in a view, and what its shape adds, by bands, as luminance.
+
+    The view shows it so many pixels long, the mask where.
+    """
+    form = measure_form(render(before, camera)[0], mask, length, survey)
+    details = [band.detail for band in form]
+    if survey.unevenness > 0:
+        shape = shape_detail(before, camera, mask, length)
+        details = [d + survey.unevenness * s for d, s in zip(details, shape, strict=True)]
+    return details
+
+
+@torch.no_grad()
 def form_relief(
     before: Splats,
     views: Sequence[PaintView],
@@ -285,12 +305,8 @@ def form_relief(
     relief, weights = before.means.new_zeros(count, 2), before.means.new_zeros(count, 1)
     targets = []
     for view in views:
-        form = measure_form(render(before, view.camera)[0], view.pixels, length, survey)
         own = view.pixels.to(relief)
-        details = [band.detail for band in form]
-        if survey.unevenness > 0:
-            shape = shape_detail(before, view.camera, view.pixels, length)
-            details = [d + survey.unevenness * s for d, s in zip(details, shape, strict=True)]
+        details = form_detail(before, view.camera, view.pixels, length, survey)
         target = torch.stack([*details, own], dim=2)
         weights += view.backproject(target)[:, 2:]
         grey = view.render(F.pad(relief, (0, 1)))

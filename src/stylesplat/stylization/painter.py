@@ -21,7 +21,7 @@ from stylesplat.rendering.weights import coverage, geometry_only
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.layers import Composed, Layer, appearance_only, compose
+from stylesplat.scene.layers import RELIEF_FORM, Composed, Layer, appearance_only, compose
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.shares import object_shares
 from stylesplat.stylization.canvas import (
@@ -137,6 +137,7 @@ def paint_steps(
     With `preview` first strokes show on the object's own Gaussians before the canvas is laid. These
     steps come in addition, and change nothing in the result.
     """
+    painting = replace(painting, config=with_relief_form(painting.config))
     if painting.config.published:
         return paint_as_published(setup, painting)
     painting = own_part(setup, painting)
@@ -150,6 +151,11 @@ def paint_steps(
     steps = sum(stage.steps for stage in [*previews, *stages])
     states = chain(*(paint_preview(subject, stage) for stage in previews), paint_object(subject))
     return (replace(state, step=n, steps=steps) for n, state in enumerate(states, start=1))
+
+
+def with_relief_form(config: StyleConfig) -> StyleConfig:
+    """The settings to paint with: a form above 1 changes the finished paint alone; see `sculpt`."""
+    return replace(config, form=min(config.form, RELIEF_FORM))
 
 
 def check_visible(setup: PaintSetup, painting: Painting) -> None:
@@ -481,7 +487,7 @@ def layer_of(state: PaintState, painting: Painting, parents: Int[Tensor, " M"]) 
         relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),
         strength=painting.config.intensity,
         form=painting.config.form,
-        settings=plain_settings(painting.config),
+        settings=plain_settings(with_relief_form(painting.config)),
     )
 
 

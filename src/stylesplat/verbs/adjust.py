@@ -14,6 +14,7 @@ from stylesplat.scene.scene import Scene, named_layers, require_painted, strengt
 from stylesplat.selection.resolve import background_of, find_object
 from stylesplat.stylization.colors import recolor_map
 from stylesplat.stylization.config import RecolorConfig, recolor_config
+from stylesplat.stylization.sculpture import with_sculptures
 from stylesplat.stylization.style import all_colors, source_of
 
 
@@ -33,7 +34,9 @@ def adjust(
     Args:
         scene: A styled scene.
         intensity: 0 for what is beneath, 1 for the style's, up to 1.5 to exaggerate.
-        form: How much of the object's own light and relief shows in the paint, 0 to 1.5.
+        form: How much of the object's own light and relief shows in the paint, 0 to 1.5. Above 1
+            strokes give way to it, and dark places get room for it; the first time this takes
+            some seconds.
         objects: What to adjust; all that were styled by default. `vase/recolor` is what recolours
             the vase, and so is `vase` if it has no paint.
         undo: Give the scene as it was before these objects were styled, to the bit; what else was
@@ -62,7 +65,7 @@ def adjust(
         raise StyleSplatError(f"{names[0]} has no paint, and form shows in paint only.")
     strengths = {} if intensity is None else dict.fromkeys(names, float(intensity))
     forms = {} if form is None else dict.fromkeys(names, float(form))
-    scene = scene.with_strengths(strengths, forms)
+    scene = with_sculptures(scene.with_strengths(strengths, forms))
     # What was measured of the style before is no longer true
     return replace(scene, metrics={"train": scene.metrics.get("train", {})})
 

@@ -15,7 +15,7 @@ from stylesplat.io.style_pictures import Picture
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
-from stylesplat.scene.layers import Layer, Source
+from stylesplat.scene.layers import RELIEF_FORM, Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import PaintState
@@ -30,6 +30,7 @@ from stylesplat.stylization.painting import (
     paint_setup,
     plan_paintings,
 )
+from stylesplat.stylization.sculpture import sculpted, with_sculptures
 from stylesplat.stylization.style import Recipe, Style, as_recipe
 from stylesplat.stylization.views import ObjectBox
 from stylesplat.verbs.adjust import recolor
@@ -143,7 +144,7 @@ def stylize(
     scene = _recolored(scene, recipe, len(paintings))
     strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
     forms = {each.name: each.form for each in recipe.objects if each.form is not None}
-    scene = scene.with_strengths(strengths, forms)
+    scene = with_sculptures(scene.with_strengths(strengths, forms))
     metrics = {
         "seconds": time.perf_counter() - start,
         "steps": sum(painting.config.all_steps for painting in paintings),
@@ -212,10 +213,14 @@ class Live:
     painting: Painting
     """The object among the Gaussians of `below`."""
     precision: Precision
+    finished: Layer | None = None
+    """The layer after the last step, if its form takes more than relief."""
 
     @property
     def layer(self) -> Layer:
         """The present layer."""
+        if self.finished is not None:
+            return self.finished
         parents = self.below.parents.to(self.state.splats.device)
         return self.painting.record(layer_of(self.state, self.painting, parents), self.precision)
 
@@ -270,4 +275,7 @@ def stylize_live(
     setup = setup_of(below.splats, painting)
     painting = painting.at(below.parents).to(setup.splats)
     for state in paint_steps(setup, painting, preview=True):
-        yield Live(state, scene, below, painting, setup.precision_name)
+        live = Live(state, scene, below, painting, setup.precision_name)
+        if state.step == state.steps and painting.config.form > RELIEF_FORM:
+            live = replace(live, finished=sculpted(below, live.layer, scene.cameras))
+        yield live
