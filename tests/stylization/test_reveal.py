@@ -7,10 +7,11 @@ import torch
 
 from balls import CAMERAS, enlarged
 from scenes import cloud
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.canvas import Canvas, build_surfels
+from stylesplat.stylization.canvas import Canvas, build_surfels, split_large
 from stylesplat.stylization.reveal import reveal
 from stylesplat.stylization.views import find_boxes, typical_length
 
@@ -79,3 +80,28 @@ def test_what_looks_otherwise_comes_back_where_an_object_has_parts(has_parts: bo
     shown, _ = reveal(canvas.changed(sh0=plain), boxes, length, has_parts=has_parts)
     opacities = torch.sigmoid(shown.splats.opacities[: len(splats)])[is_letter]
     assert (opacities.mean() > 0.5) == has_parts
+
+
+def test_large_gaussians_that_show_are_split_into_discs_of_their_colours():
+    """One half of a plate is a few large ones, which no disc covers."""
+    fine = plate(holes=False)
+    axis = torch.arange(-0.75, 0.8, 0.25)
+    x, z = (each.flatten() for each in torch.meshgrid(axis, axis, indexing="ij"))
+    wide = cloud(torch.stack([x, 0 * x, z], dim=1)[x > 0.1], 0.12, opacity=2.0)
+    wide.scales[:, 1] = -6.0  # flat, in the plane of the plate
+    reds = torch.linspace(-1, 1, len(wide))[:, None, None] * torch.tensor([1.0, 0.0, 0.0])
+    splats = Splats.cat([fine[fine.means[:, 0] < -0.1], replace(wide, sh0=reds)])
+    canvas, _, length = laid(splats)
+    in_left = canvas.splats.means[:, 0] < 0
+    shown = canvas.select(in_left | ~canvas.is_disc)  # the wide ones show
+    opacities = torch.cat([splats.opacities, shown.splats.opacities[len(splats) :]])
+    shown = shown.changed(opacities=opacities)
+    split, sources = split_large(shown, length, seed=0)
+    assert len(sources) == len(split.splats) > len(shown.splats) + 100
+    assert torch.equal(split.splats.sh0, shown.splats.sh0[sources])
+    was_large = torch.arange(len(splats)) >= len(splats) - len(wide)
+    assert (split.splats.opacities[: len(splats)][was_large] < -10).all()
+    assert (split.splats.opacities[: len(splats)][~was_large] > -10).all()
+    assert (split.splats.scales[len(shown.splats) :].exp() < 0.06).all()
+    before, after = (rasterize(each.splats, VIEWS[1])[0] for each in (shown, split))
+    assert (before - after).square().mean().sqrt() < 0.05

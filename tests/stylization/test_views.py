@@ -6,6 +6,7 @@ import torch
 from balls import CAMERAS, CENTRE, COUNT, LIGHT, PICKED, SPLATS, WAYS, ball, cropped, dense_ball
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import coverage
+from stylesplat.scene.projection import project
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.views import find_boxes, typical_length, windows
 
@@ -88,3 +89,21 @@ def test_windows_on_a_surface_show_all_of_it_whatever_most_views_see():
     names = [part.camera.names[0] for part in parts]
     assert names.count("behind") > 200 / 3, "a quarter of the views, and more of the surface"
     assert all(part.length < 1.001 * side for part in parts)
+
+
+def test_few_windows_leave_no_place_out():
+    """Of a ball seen from four sides, by windows whose area is twice that of the boxes."""
+    splats, every = dense_ball(LIGHT)[PICKED], torch.ones(COUNT, dtype=torch.bool)
+    boxes = find_boxes(splats, CAMERAS[:4], every)
+    side = min(box.length for box in boxes) / 3
+    surface = 0.4 * WAYS + CENTRE, WAYS
+    parts = windows(boxes, side, 2 * 4 * 9, torch.Generator().manual_seed(0), surface)
+    shown, seen = torch.zeros(COUNT, dtype=torch.bool), torch.zeros(COUNT, dtype=torch.bool)
+    for window in [*parts, *boxes]:
+        pixels, _ = project(surface[0], window.camera)
+        facing = ((window.camera.positions - surface[0]) * WAYS).sum(dim=1) > 0.5
+        inside = ((pixels >= window.low) & (pixels < window.high)).all(dim=1) & facing
+        seen |= inside
+        if not any(window is box for box in boxes):
+            shown |= inside
+    assert seen.sum() > COUNT / 2 and shown[seen].float().mean() > 0.99

@@ -24,6 +24,7 @@ from stylesplat.rendering.surface import average_in_voxels
 from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.visibility import in_view
 from stylesplat.rendering.weights import COVERED, coverage, geometry_only, pixels_in
+from stylesplat.scene.layers import UNSEEN
 from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.surface import (
@@ -55,6 +56,14 @@ CANVAS_FEW = 500  # pixels of all views that show no surface
 CANVAS_SPARE = 0.95  # share of the discs' maximum that is aimed at
 CUBE = 3.0  # pixels of the side of cubes that tell how many discs there will be
 PER_CUBE = 0.5  # discs, one side from each other: fox has .52, doll .45, a ball .37
+
+# An own Gaussian that shows through the canvas and is wider than so many spacings has a single
+# colour where strokes would be. Discs take its place, as far as so many of its deviations
+LARGE, REACH = 2.0, 2.0
+LARGE_SHOWN = 10.0  # pixels that it shows in some view; in the canvas's own there are 10 to one
+SPLIT_FAINT = 0.1  # opacity of the Gaussian at a place from which no disc is laid there
+SPLIT_SIDE = 64  # discs along a Gaussian at most: larger ones are too few to matter
+OVERLAP = 2.45  # discs of `WIDE` that cover a place, when they are as dense as they get
 
 CANVAS_STEPS = 18  # with 28 painted objects look the same
 CANVAS_RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}  # of logits, logarithms and colours
@@ -231,19 +240,74 @@ def restore_in_holes(canvas: Canvas) -> Canvas:
 
 
 @torch.no_grad()
+def split_large(canvas: Canvas, length: float, *, seed: int) -> tuple[Canvas, Int[Tensor, " N"]]:
+    """The canvas with discs in place of the large and flat Gaussians of the object that it shows.
+
+    Views show the object so many pixels long. Returns also of which Gaussian of the canvas each one
+    has the colour.
+    """
+    splats, count = canvas.splats, len(canvas.own)
+    everyone = torch.arange(len(splats), device=splats.device)
+    sizes, order = splats.scales[:count].exp().sort(dim=1, descending=True)
+    opacities = torch.sigmoid(splats.opacities[:count])
+    is_flat = sizes[:, 2] < sizes[:, 1] / 2
+    is_large = canvas.own & is_flat & (sizes[:, 1] > LARGE * canvas.spacing)
+    is_large &= opacities > SPLIT_FAINT
+    if not canvas.is_disc.any() or not is_large.any():
+        return canvas, everyone
+    rows = (is_large & (pixels_shown(canvas, length)[:count] > LARGE_SHOWN)).nonzero()[:, 0]
+    sides = (2 * REACH * sizes[rows, :2] / canvas.spacing).ceil().clamp(1, SPLIT_SIDE).long()
+    grids = sides.prod(dim=1)
+    which = torch.arange(len(rows), device=rows.device).repeat_interleave(grids)
+    number = torch.arange(len(which), device=rows.device) - (grids.cumsum(0) - grids)[which]
+    along = torch.stack([number % sides[which, 0], number // sides[which, 0]], dim=1)
+    places = REACH * (2 * (along + 0.5) / sides[which] - 1)  # in deviations
+    shown = opacities[rows][which] * (-places.square().sum(dim=1) / 2).exp()
+    kept = (shown > SPLIT_FAINT).nonzero()[:, 0]
+    which, places, shown = which[kept], places[kept], shown[kept]
+    turns = rotation_matrices(splats.quats[rows])
+    axes = turns.gather(2, order[rows][:, None].expand_as(turns))[which]
+    offsets = torch.einsum("dij,dj->di", axes[..., :2], places * sizes[rows[which], :2])
+    means = splats.means[rows[which]] + offsets
+    chosen = poisson_disk_sample(means, canvas.spacing, seed=seed)
+    parents = rows[which[chosen]]
+    opaque = (1 - (1 - shown[chosen]).clamp(min=1e-6) ** (1 / OVERLAP)).clamp(max=CANVAS_OPACITY)
+    scales = means.new_tensor([WIDE, WIDE, FLAT]).mul(canvas.spacing).log()
+    discs = replace(
+        splats[parents],
+        means=means[chosen],
+        quats=_facing(axes[chosen, :, 2]),
+        scales=scales.expand(len(chosen), 3).clone(),
+        opacities=torch.logit(opaque),
+    )
+    below = replace(splats, opacities=splats.opacities.index_fill(0, rows, UNSEEN))
+    split = replace(
+        canvas,
+        splats=Splats.cat([below, discs]),
+        parents=torch.cat([canvas.parents, parents]),
+    )
+    kept = ~split.is_disc | (pixels_shown(split, length) >= SHOWN_LEAST)
+    return split.select(kept), torch.cat([everyone, parents])[kept]
+
+
+@torch.no_grad()
 def drop_hidden(canvas: Canvas, length: float) -> Canvas:
     """The canvas without the discs of which no view shows a pixel if the object is so long there.
 
     Noise of depths makes layers of discs of which only the first shows.
     """
+    return canvas.select(~canvas.is_disc | (pixels_shown(canvas, length) >= SHOWN_LEAST))
+
+
+def pixels_shown(canvas: Canvas, length: float) -> Float[Tensor, " N"]:
+    """The pixels of each Gaussian in the view that shows most of it, with the object so long."""
     bare = geometry_only(canvas.splats)
 
     def look(view: UnpaintedView) -> Tensor:
         return pixels_in(bare, [view.camera], [torch.ones_like(view.linear.coverage)])
 
     found = per_view(look, canvas.views, "looking for hidden discs", bare.device)
-    shown = reduce(torch.maximum, found) * (length / SURFACE_LENGTH) ** 2
-    return canvas.select(~canvas.is_disc | (shown >= SHOWN_LEAST))
+    return reduce(torch.maximum, found) * (length / SURFACE_LENGTH) ** 2
 
 
 class _View(NamedTuple):

@@ -30,6 +30,7 @@ from stylesplat.stylization.canvas import (
     build_surfels,
     drop_hidden,
     fit_surfels,
+    split_large,
 )
 from stylesplat.stylization.colors import (
     Colors,
@@ -341,8 +342,11 @@ def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Float[Ten
     length = min(typical_length(subject.boxes), FINEST)
     has_parts = subject.detail.unevenness > 0.5
     canvas, kept = reveal(subject.canvas, subject.boxes, length, has_parts=has_parts)
-    canvas = replace(canvas, views=())  # they are not needed again, and take memory
-    return subject.on(canvas), colors[kept[subject.rows]]
+    colors = subject.canvas.splats.sh0[:, 0].index_copy(0, subject.rows, colors)[kept]
+    canvas, sources = split_large(canvas, length, seed=subject.painting.config.seed)
+    # views of the scene before are not needed again, and take memory
+    subject = subject.on(replace(canvas, views=()))
+    return subject, colors[sources][subject.rows]
 
 
 def paint(

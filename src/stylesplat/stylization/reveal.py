@@ -18,6 +18,7 @@ from stylesplat.rendering.weights import (
     COVERED,
     TINY_COVERAGE,
     Contributions,
+    backproject,
     contributions,
     coverage,
     geometry_only,
@@ -30,7 +31,7 @@ from stylesplat.selection.shapes import robust_diameter
 from stylesplat.stylization.canvas import CANVAS_LOST, Canvas, fade_covered
 from stylesplat.stylization.views import ObjectBox, box_cameras, per_view
 
-REVEAL_VIEWS, REVEAL_ROUNDS = 12, 2  # after one round a second layer of discs shows
+REVEAL_VIEWS, REVEAL_ROUNDS = 18, 2  # after one round a second layer of discs shows
 FEW_GONE = 0.02  # share of the discs: if fewer go, there is no layer below to show
 GAINED = 0.15  # coverage that discs may add to what was open
 # Of the object's extent: what is as near behind discs is what they lie on, and no hole
@@ -56,11 +57,12 @@ def reveal(
     hidden. The views show the object so many pixels long. Returns also which Gaussians are left.
     """
     cameras = box_cameras(boxes, length, REVEAL_VIEWS)
-    first = canvas
+    first, weights = canvas, None
     is_gone, is_back = torch.zeros_like(canvas.is_disc), torch.zeros_like(canvas.own)
     for left in reversed(range(REVEAL_ROUNDS)):
         own, discs = _weights_in_faults(canvas, cameras, length, has_parts=has_parts)
         is_open, is_unlike, _, everywhere = discs.unbind(dim=1)
+        weights = everywhere if weights is None else weights
         gone = (is_open > DISC_OPEN * everywhere) | (is_unlike > DISC_UNLIKE * everywhere)
         is_gone |= gone & canvas.is_disc
         is_last = left == 0 or is_gone.sum() <= FEW_GONE * canvas.is_disc.sum()
@@ -74,7 +76,8 @@ def reveal(
         canvas = _with_own(canvas, is_back)
         if is_last:
             break
-    needed = _needed_discs(first, canvas, cameras, is_gone)
+    assert weights is not None
+    needed = is_gone & (_lost_pixels(first, canvas, cameras) > DISC_LOST * weights)
     is_gone &= ~needed
     opacities = canvas.splats.opacities.where(~needed, first.splats.opacities)
     return canvas.changed(opacities=opacities).select(~is_gone), ~is_gone
@@ -153,18 +156,18 @@ def _follow_neighbours(canvas: Canvas, is_gone: Bool[Tensor, " M"]) -> Bool[Tens
     return followed
 
 
-def _needed_discs(
-    first: Canvas, canvas: Canvas, cameras: Sequence[Cameras], is_gone: Bool[Tensor, " M"]
-) -> Bool[Tensor, " M"]:
-    """The discs that are gone, and without which a solid part of the object is missing."""
-    bare = geometry_only(canvas.splats)
+def _lost_pixels(first: Canvas, canvas: Canvas, cameras: Sequence[Cameras]) -> Float[Tensor, " M"]:
+    """Pixels of each Gaussian of the first canvas where a solid part of the object is missing."""
+    bare, lost = geometry_only(canvas.splats), torch.zeros_like(first.splats.opacities)
 
-    def look(camera: Cameras) -> Tensor:
+    def look(camera: Cameras) -> Tensor | None:
         was = coverage(first.before, camera, first.own)
         is_lost = was - coverage(bare, camera, canvas.mask) > CANVAS_LOST
-        every = torch.stack([is_lost, torch.ones_like(is_lost)], dim=-1)
-        return contributions(first.splats, camera, first.mask).pixels_in(every)
+        if not is_lost.any():
+            return None
+        return backproject(geometry_only(first.splats), camera, is_lost[..., None].to(was))[:, 0]
 
-    found = per_view(look, cameras, "looking for what is missing", bare.device)
-    lost, everywhere = torch.stack([*found]).sum(dim=0).unbind(dim=1)
-    return is_gone & (lost > DISC_LOST * everywhere)
+    for pixels in per_view(look, cameras, "looking for what is missing", bare.device):
+        if pixels is not None:
+            lost += pixels
+    return lost

@@ -35,6 +35,9 @@ BOX_MARGIN = 12  # pixels around a box at most: farther ones move a deep feature
 MIN_CELLS = 16  # views with fewer features of the object are skipped
 VISITS = 5  # steps per view at least: preparing a view takes as long as a step
 VISITS_OF_WINDOWS = 2  # fewer, as it takes many windows to cover the object
+WINDOW_PLACES = 4096  # of a surface, which windows are to show
+FACING = 0.5  # of the largest cosine at which a view sees a place, from which it is shown there
+SIGHT_CELLS = 32  # of a view's longer side, in each of which the nearest place hides farther ones
 WHOLE_VIEWS = 8  # of the whole object, which tell its colours and its form
 WHOLE_LENGTH = 240.0  # longer side of the object in them at most, in pixels
 MEBIBYTE = 2**20
@@ -260,33 +263,71 @@ def windows(
 ) -> list[ObjectBox]:
     """Square windows in boxes around random pixels of the object, equally many in each box.
 
-    With its surface they are around random places of that, each in a view that it faces: as many
-    windows show what few views see.
+    With its surface each is around the place that those before show least, in the view of those
+    that it faces which shows most that is new.
     """
-    if surface is None:
-        order = torch.randperm(count, generator=generator).tolist()
-        around = [boxes[index % len(boxes)] for index in order]
-        points = [
-            box.points[int(torch.randint(len(box.points), (), generator=generator))]
-            for box in around
-        ]
-    else:
-        chosen = torch.randint(len(surface[0]), (count,), generator=generator)
-        places, normals = (each[chosen.to(each.device)].cpu() for each in surface)
-        pixels, weights = torch.zeros(len(boxes), count, 2), torch.zeros(len(boxes), count)
-        for row, box in enumerate(boxes):
-            pixels[row], depths = project(places, box.camera)
-            facing = (normals * F.normalize(box.camera.positions - places, dim=1)).sum(dim=1)
-            inside = ((pixels[row] >= box.low) & (pixels[row] < box.high)).all(dim=1) & (depths > 0)
-            weights[row] = facing.clamp(min=0) * inside
-        seen = weights.any(dim=0).nonzero()[:, 0]
-        rows = weights.T[seen].multinomial(1, generator=generator)[:, 0]
-        around, points = [boxes[row] for row in rows.tolist()], pixels[rows, seen]
+    if surface is not None:
+        return _windows_all_over(boxes, side, count, generator, surface)
     found = []
-    for box, point in zip(around, points, strict=True):
-        low = (point - side / 2).minimum(box.high - side).maximum(box.low)
-        found.append(replace(box, low=low, high=box.high.minimum(low + side)))
+    for index in torch.randperm(count, generator=generator).tolist():
+        box = boxes[index % len(boxes)]
+        point = box.points[int(torch.randint(len(box.points), (), generator=generator))]
+        found.append(_window(box, point, side))
     return found
+
+
+def _window(box: ObjectBox, point: Float[Tensor, " 2"], side: float) -> ObjectBox:
+    """A window in a box, around a point if there is room."""
+    low = (point - side / 2).minimum(box.high - side).maximum(box.low)
+    return replace(box, low=low, high=box.high.minimum(low + side))
+
+
+def _windows_all_over(
+    boxes: Sequence[ObjectBox],
+    side: float,
+    count: int,
+    generator: torch.Generator,
+    surface: Surface,
+) -> list[ObjectBox]:
+    """See `windows`: random places leave some that no window shows, which stay without strokes."""
+    some = torch.randperm(len(surface[0]), generator=generator)[:WINDOW_PLACES]
+    places, normals = (each[some.to(each.device)].cpu() for each in surface)
+    seen = [_sight(box, places, normals) for box in boxes]
+    pixels, sight = (torch.stack(each) for each in zip(*seen, strict=True))
+    if not sight.any():
+        return windows(boxes, side, count, generator)
+    sight = sight / sight.amax(dim=0).clamp(min=1e-6)  # of each place's best view
+    shown = torch.rand(len(places), generator=generator) / 2  # which of two alike comes first
+    shown[~sight.any(dim=0)] = torch.inf
+    found = []
+    for _ in range(count):
+        place = int(shown.argmin())
+        is_fresh, options = shown < shown[place] + 1, list[tuple[ObjectBox, Tensor]]()
+        for row in (sight[:, place] >= FACING).nonzero()[:, 0].tolist():
+            window = _window(boxes[row], pixels[row, place], side)
+            inside = ((pixels[row] >= window.low) & (pixels[row] < window.high)).all(dim=1)
+            options.append((window, inside * sight[row]))
+        window, shows = max(options, key=lambda option: float((option[1] * is_fresh).sum()))
+        shown += shows
+        found.append(window)
+    return found
+
+
+def _sight(
+    box: ObjectBox, places: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"]
+) -> tuple[Float[Tensor, "P 2"], Float[Tensor, " P"]]:
+    """Where places are in a view, and the cosines at which it sees them; 0 where others hide it."""
+    pixels, depths = project(places, box.camera)
+    facing = (normals * F.normalize(box.camera.positions - places, dim=1)).sum(dim=1)
+    inside = ((pixels >= box.low) & (pixels < box.high)).all(dim=1) & (depths > 0)
+    cell = box.length / SIGHT_CELLS
+    x, y = ((pixels - box.low) / cell).clamp(0, SIGHT_CELLS - 1).long().unbind(dim=1)
+    depths = torch.where(inside, depths, torch.inf)
+    nearest = depths.new_full((SIGHT_CELLS**2,), torch.inf)
+    nearest = nearest.scatter_reduce(0, y * SIGHT_CELLS + x, depths, "amin")
+    behind = depths - nearest[y * SIGHT_CELLS + x]
+    far = 2 * cell * depths / box.camera.Ks[0, 0, 0]  # of a cell's width, which slants change
+    return pixels, facing.clamp(min=0) * inside * (behind < far)
 
 
 def crop_to_box(
