@@ -5,10 +5,8 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path, PurePosixPath
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-import av
-from av.video.reformatter import ColorRange, Colorspace, Interpolation
 from jaxtyping import UInt8
 from torch import Tensor
 
@@ -24,6 +22,9 @@ from stylesplat.io.files import resolve_within
 from stylesplat.io.images import ViewPicture, write_image, write_numbers
 from stylesplat.io.kinds import PHOTOS, SPLATS, VIDEOS
 from stylesplat.io.label_maps import write_label_map
+
+if TYPE_CHECKING:
+    import av
 
 
 class _Codec(NamedTuple):
@@ -47,9 +48,16 @@ CODECS = {
     ".webm": _Codec("webm", "libvpx-vp9", VP9, {}),
     ".webp": _Codec("webp", "libwebp_anim", {"quality": "85"}, {"loop": "0"}, "bgra"),
 }
-# FFmpeg's default for the quarter-size colours of YUV, the nearest, costs 2.5 dB of the demo's
-# pictures
-SMOOTH_COLOR = Interpolation.BICUBIC | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
+
+
+def smooth_color() -> int:
+    """How FFmpeg interpolates the quarter-size colours of YUV.
+
+    Its default, the nearest, costs 2.5 dB of the demo's pictures.
+    """
+    from av.video.reformatter import Interpolation
+
+    return Interpolation.BICUBIC | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
 
 
 def write_video(
@@ -61,6 +69,9 @@ def write_video(
     Others lose the last row or column of frames of odd size, as H.264 demands. Frames have three
     colours and perhaps alpha, all the same size; they are taken one by one.
     """
+    import av
+    from av.video.reformatter import ColorRange, Colorspace
+
     rest = iter(frames)
     first = next(rest, None)
     if first is None or min(first.shape[:2]) < 2:
@@ -87,7 +98,10 @@ def write_video(
             container.mux(stream.encode())
 
 
-def _video_frame(frame: UInt8[Tensor, "H W C"], codec: _Codec) -> av.VideoFrame:
+def _video_frame(frame: UInt8[Tensor, "H W C"], codec: _Codec) -> "av.VideoFrame":
+    import av
+    from av.video.reformatter import ColorRange, Colorspace
+
     height, width, colors = frame.shape
     if codec.pixels == "bgra":
         pixels = frame.contiguous().cpu().numpy()
@@ -98,7 +112,7 @@ def _video_frame(frame: UInt8[Tensor, "H W C"], codec: _Codec) -> av.VideoFrame:
         format="yuv420p",
         dst_colorspace=Colorspace.ITU709,
         dst_color_range=ColorRange.MPEG,
-        interpolation=SMOOTH_COLOR,
+        interpolation=smooth_color(),
     )
 
 

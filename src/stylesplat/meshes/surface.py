@@ -22,16 +22,11 @@ from torch.nn import functional as F
 from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.rasterize import pixel_of, projection_of
 from stylesplat.rendering.kernels.jit import kernel
-from stylesplat.rendering.weights import COVERED, expected_depth, geometry_only
+from stylesplat.rendering.surface import near_side_depth_map
+from stylesplat.rendering.weights import COVERED, geometry_only
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import extent_of
-from stylesplat.scene.projection import (
-    normals_towards,
-    pixel_centres,
-    project,
-    share_in_images,
-    unproject,
-)
+from stylesplat.scene.projection import share_in_images
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import centred_K
@@ -46,10 +41,6 @@ FUSION_SMALLEST = 160  # pixels of a view
 FINENESS = 0.9  # voxels along the longest side, times the square root of the faces wanted
 VOXELS = (48, 320)  # at least and at most: 320 take 1 GB
 TRUNCATION = 4.0  # voxels
-FUSION_BEHIND = (
-    0.08,
-    0.03,
-)  # of the extent: what lies farther behind the mean depth is another side
 FUSION_LEAST_COSINE = 0.15  # below which depths are too uncertain
 FUSION_SMOOTHING = 0.7  # voxels
 FAINT, SOLID = 0.1, 0.5  # coverage that shows, and the share of what shows that has to be opaque
@@ -114,27 +105,6 @@ def _all_around(count: int) -> Float[Tensor, "M 3"]:
     return torch.stack([widths * turns.cos(), widths * turns.sin(), heights], dim=1)
 
 
-@torch.no_grad()
-def surface_depth(splats: Splats, camera: Cameras, extent: float) -> tuple[Tensor, Tensor]:
-    """Depths of the surface nearest to a camera, and the coverage."""
-    depth, covered = expected_depth(splats, camera)
-    width, height = camera.size
-    places, depths = project(splats.means, camera)
-    x, y = places[:, 0].long().clamp(0, width - 1), places[:, 1].long().clamp(0, height - 1)
-    for share in FUSION_BEHIND:
-        front = depths < depth[y, x] + share * extent
-        depth, _ = expected_depth(splats[front], camera)
-    return depth, covered
-
-
-def cosines_of(depth: Tensor, camera: Cameras) -> Tensor:
-    """Between the surface's normals and the rays, by pixel."""
-    width, height = camera.size
-    points = unproject(pixel_centres(width, height).to(depth), depth.flatten(), camera)
-    _, cosines = normals_towards(points.view(height, width, 3), camera.positions.to(points))
-    return cosines
-
-
 def find_mesh_surface(
     splats: Splats, photos: Cameras | None, faces: int, name: str
 ) -> tuple[FusedSurface, float]:
@@ -172,15 +142,15 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Fus
 
     def look(row: int) -> tuple[int, Tensor, np.ndarray, np.ndarray, int, int]:
         camera, trusted = views.cameras[row], bool(views.trusted[row])
-        depth, covered = surface_depth(alone, camera, side)
-        cosines = cosines_of(depth, camera)
-        shown = (covered >= (COVERED if trusted else EMPTY)).numpy()
+        found = near_side_depth_map(alone, camera, side)
+        shown = (found.coverage >= (COVERED if trusted else EMPTY)).numpy()
         inside = np.asarray(distance_transform_edt(shown), np.float32) - 0.5
         outside = np.asarray(distance_transform_edt(~shown), np.float32) - 0.5
         edges = np.where(shown, inside if trusted else 0, -outside)
-        cosines = torch.where((cosines > FUSION_LEAST_COSINE) & trusted, cosines, 0.0).numpy()
-        solid = int((covered > COVERED).sum())
-        return row, depth, cosines, edges, int((covered > FAINT).sum()), solid
+        certain = trusted & (found.cosines > FUSION_LEAST_COSINE)
+        cosines = torch.where(certain, found.cosines, 0.0).numpy()
+        visible, solid = (int((found.coverage > least).sum()) for least in (FAINT, COVERED))
+        return row, found.depths, cosines, edges, visible, solid
 
     every = [*per_view(look, range(len(views.cameras)), "looking for the surface")]
     shown, solid = (sum(each[place] for each in every) for place in (4, 5))

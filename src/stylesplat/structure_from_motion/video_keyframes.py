@@ -20,7 +20,7 @@ from jaxtyping import UInt8
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason, require_regular
 from stylesplat.io.images import IMAGE_MAX_PIXELS, write_image
-from stylesplat.io.renders import SMOOTH_COLOR
+from stylesplat.io.renders import smooth_color
 from stylesplat.progress import say, task
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
 from stylesplat.structure_from_motion.image_measures import (
@@ -87,8 +87,8 @@ class Video:
     def upright(self, frame: VideoFrame) -> UInt8[np.ndarray, "H W 3"]:
         pixel_aspect = float(self.stream.sample_aspect_ratio or 1) or 1.0
         width = max(1, round(frame.width * pixel_aspect))
-        rgb = frame.reformat(width, frame.height, "rgb24", interpolation=SMOOTH_COLOR).to_ndarray()
-        return np.ascontiguousarray(np.rot90(rgb, round(frame.rotation / 90)))
+        rgb = frame.reformat(width, frame.height, "rgb24", interpolation=smooth_color())
+        return np.ascontiguousarray(np.rot90(rgb.to_ndarray(), round(frame.rotation / 90)))
 
     def _decode(self) -> Iterator[VideoFrame]:
         packets = self.container.demux(self.stream)
