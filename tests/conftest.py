@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import type_checks  # noqa: F401  # isort: skip  (before what it checks)
 import stylesplat  # noqa: F401  (first: it sets up threading before torch loads)
 
 import pytest  # isort: skip

@@ -96,7 +96,13 @@ def _tensors(tree: Any) -> list[Tensor]:
         tree = tree.values()
     elif not isinstance(tree, tuple | list):
         return []
-    return [tensor for each in tree for tensor in _tensors(each)]
+    found = []
+    for each in tree:  # without a call for each number, of which lists have thousands
+        if isinstance(each, Tensor):
+            found.append(each)
+        elif isinstance(each, tuple | list | dict):
+            found += _tensors(each)
+    return found
 
 
 def on_gpu(tensor: Tensor) -> bool:
@@ -131,9 +137,9 @@ class FakeCuda(TorchFunctionMode):
     """Follows which tensors count as a GPU's."""
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        kwargs = dict(kwargs or {})
         if func in PLAIN:
-            return func(*args, **kwargs)
+            return func(*args, **(kwargs or {}))
+        kwargs = dict(kwargs or {})
         own = args[0] if args and isinstance(args[0], Tensor) else None
         if func == DEVICE:
             return torch.device("cuda", 0) if on_gpu(args[0]) else func(*args)

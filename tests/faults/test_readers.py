@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from beartype.roar import BeartypeCallHintViolation
 from damage import damaged
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from jaxtyping import TypeCheckError
 
 import stylesplat as ss
 from balls import CAMERAS
@@ -200,9 +200,11 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(name: str, tmp_path: Path
         path.write_bytes(data.draw(damaged(path), label="content"))
         try:
             tried.read(folder)
-        except (ss.StyleSplatError, TypeCheckError) as error:
+        except (ss.StyleSplatError, BeartypeCallHintViolation) as error:
             refusal: BaseException | None = error
-            while isinstance(refusal, TypeCheckError):  # it looked into a list of label maps
+            while isinstance(
+                refusal, BeartypeCallHintViolation
+            ):  # it looked into a list of label maps
                 refusal = refusal.__cause__ or refusal.__context__
             assert isinstance(refusal, ss.StyleSplatError), error
             assert not CONTROL.search(str(refusal)) and len(str(refusal)) <= LONGEST

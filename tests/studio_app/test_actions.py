@@ -14,7 +14,8 @@ import pytest
 import torch
 from PIL import Image
 
-from balls import CAMERAS, SPLATS, enlarged
+from balls import CAMERAS as EIGHT
+from balls import SPLATS, enlarged
 from browser import QUICK, stripes, until
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.scene_folder import open, save
@@ -30,6 +31,7 @@ from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 
+CAMERAS = EIGHT[::2]  # all around
 CAMERA = enlarged(CAMERAS, 4)[0]
 WIDTH, HEIGHT = CAMERA.size
 
@@ -98,7 +100,7 @@ def test_the_pages_camera_is_ours(page: Page):
     large = camera_of(msgspec.structs.replace(look, size=(3840, 2160)))
     assert large.size == (960, 540)
     hello = page.actions.hello("balls")
-    assert np.allclose(hello.start["position"], CAMERAS.positions[0]) and len(hello.photos) == 8
+    assert np.allclose(hello.start["position"], CAMERAS.positions[0]) and len(hello.photos) == 4
     photo = hello.photos[2]
     ahead = np.subtract(photo["target"], photo["position"])
     assert np.allclose(ahead / np.linalg.norm(ahead), CAMERAS.viewmats[2, 2, :3], atol=1e-5)

@@ -268,7 +268,8 @@ def test_phrases(cuda: str, kind: str, tiny_model: Callable[[str], Path]):  # no
 
 def test_a_sheet_is_painted(cuda: str, stack: Path):  # noqa: F811
     settings = {"steps": 2, "block": FAST.block, "object_size": 30, "quality": "draft"}
-    assert sheet(TRAINED, "red", [stack / "wave.png"], device=cuda, **settings).cells == 1
+    few = replace(TRAINED, cameras=CAMERAS[::4])
+    assert sheet(few, "red", [stack / "wave.png"], device=cuda, **settings).cells == 1
 
 
 def test_select_takes_a_mask_of_either_device(cuda: str):  # noqa: F811

@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 
 import pytest
 import torch
 
-from balls import CAMERAS, PAINTED_FAST, TRAINED, assert_same_splats, own_rows
+from balls import CAMERAS, PAINTED_FAST, assert_same_splats, own_rows
+from balls import TRAINED as BALLS
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Style
@@ -15,6 +17,8 @@ from stylesplat.verbs.stylize import stylize, stylize_live
 from stylesplat.verbs.train import train
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
+
+TRAINED = replace(BALLS, cameras=CAMERAS[::2])
 
 
 @contextmanager
@@ -44,7 +48,7 @@ def wanted() -> Scene:
 def test_painting(mode: type[AbstractContextManager[None]], wanted: Scene):
     with mode():
         splats = TRAINED.splats.map(torch.clone)
-        scene = Scene(splats, CAMERAS, TRAINED.held_out, objects=TRAINED.objects)
+        scene = Scene(splats, TRAINED.cameras, TRAINED.held_out, objects=TRAINED.objects)
         whole = stylize(scene, {"red": style()}, device="cpu", measured=False)
         *_, last = stylize_live(scene, "red", style(), device="cpu")
         dtypes = {name: t.dtype for name, t in last.splats.tensors().items()}
@@ -58,6 +62,6 @@ def test_painting(mode: type[AbstractContextManager[None]], wanted: Scene):
 def test_training_and_rendering(mode: type[AbstractContextManager[None]]):
     with mode():
         photos = [picture for _, picture in render(TRAINED, device="cpu")]
-        capture = Capture(CAMERAS, [photo.clone() for photo in photos])
+        capture = Capture(TRAINED.cameras, [photo.clone() for photo in photos])
         scene = train(capture, steps=2, max_gaussians=500, device="cpu")
     assert scene.splats.means.dtype == torch.float32 and scene.metrics["steps"] == 2

@@ -148,11 +148,15 @@ def find_name(name: str, names: Sequence[str], *, shown_names: Sequence[str] | N
 def are_rigid(
     viewmats: Float[Tensor, "C 4 4"], tolerance: float = ROTATION_TOLERANCE
 ) -> Bool[Tensor, " C"]:
-    """Which poses are finite and consist of a rotation and a shift."""
+    """Which poses are finite in 32 bits and consist of a rotation and a shift."""
     rotations = viewmats[:, :3, :3]
     error = rotations @ rotations.mT - torch.eye(3).to(viewmats)
     turned = (error.abs() < tolerance).flatten(1).all(dim=1)
-    return turned & (torch.linalg.det(rotations) > 0) & viewmats.isfinite().flatten(1).all(dim=1)
+    return (
+        turned
+        & (torch.linalg.det(rotations) > 0)
+        & viewmats.float().isfinite().flatten(1).all(dim=1)
+    )
 
 
 def focus_point(cameras: Cameras) -> Float[Tensor, "3"]:

@@ -143,8 +143,9 @@ def test_what_lies_far_from_all_else_is_left_out(
         [[float("nan"), 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]],
         [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]],
         [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]],
+        [[1, 0, 0, -1e308], [0, 1, 0, 0], [0, 0, 1, 0]],
     ],
-    ids=["NaN", "scaled", "mirrored"],
+    ids=["NaN", "scaled", "mirrored", "beyond 32 bits"],
 )
 def test_poses_that_are_none(make_capture: MakeCapture, said: list[str], pose: list):
     folder = make_capture()
