@@ -28,7 +28,12 @@ from stylesplat.structure_from_motion.matching import (
     similar_pairs,
 )
 from stylesplat.structure_from_motion.photos import PreparedPhotos, group_by_camera
-from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct, write_colmap
+from stylesplat.structure_from_motion.reconstruct import (
+    Reconstruction,
+    agree,
+    reconstruct,
+    write_colmap,
+)
 from stylesplat.structure_from_motion.workspace import (
     open_workspace,
 )
@@ -207,12 +212,45 @@ def test_what_makes_no_scene(result: Reconstruction):
         (check_features, ({"a": 20, "b": 300}, 3), "too little to see .* 20 features"),
         (check_matches, (table,), "do not overlap: 1 of 100 pairs match"),
         (check_models, ([], table, 9), "No three of the 9 photos fit together"),
-        (check_models, ([model, model], table, 20), "they fall into groups of 10, 10 of 20"),
+        (check_models, ([model, model], table, 31), "they fall into groups of 10, 10 of 31"),
         (check_models, ([model], table, 31), "Only 10 of 31 photos fit together: 1 of 100"),
     ]
     for check, arguments, message in cases:
         with pytest.raises(StyleSplatError, match=message):
             check(*arguments)
+
+
+def test_of_several_places_the_largest_is_taken(result: Reconstruction, prepared):
+    table = MatchTable(100, {("a", "b"): 40, ("b", "a"): 40}, 0)
+    check_models([result.model, result.model], table, 20)
+    other = pycolmap.Reconstruction(result.model)
+    for image in other.images.values():
+        image.name = f"B/{image.name}"
+    names = [*prepared.names[:COUNT], *(f"B/{name}" for name in prepared.names[:COUNT])]
+    counts = dict.fromkeys(names, 1000)
+    reasons = why_unregistered([result.model, other], counts, {}, table, names)
+    assert set(reasons.values()) == {"shows another place, with 9 other photos"}
+
+
+def test_where_few_photos_fit_together_finer_features_are_found(tmp_path: Path, said: list[str]):
+    """So few features as the first time looks for join four of six photos that are far apart."""
+    pictures = dict([*corner(16).items()][::3])
+    prepared = write_photos(tmp_path / "photos", pictures)
+    found = run(tmp_path, prepared, SfmConfig(max_features=150))
+    assert said == ["Only 4 of 6 photos fit together so far: looking for finer features."]
+    assert found.numbers["registered"] == len(pictures) and not found.unregistered
+
+
+def test_mappers_agree_where_photos_are_turned_alike(result: Reconstruction):
+    assert agree(result.model, result.model)
+    other = pycolmap.Reconstruction(result.model)
+    moved = pycolmap.Sim3d(2.0, pycolmap.Rotation3d([0.0, 0.6, 0.0, 0.8]), [1.0, 2.0, 3.0])
+    other.transform(moved)
+    assert agree(result.model, other), "another world"
+    names = [image.name for image in other.images.values()]
+    for image, name in zip(other.images.values(), names[::-1], strict=True):
+        image.name = name
+    assert not agree(result.model, other)
 
 
 def test_after_a_full_disk_the_next_call_continues(tmp_path: Path):

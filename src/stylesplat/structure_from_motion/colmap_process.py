@@ -161,7 +161,8 @@ def _extract_features(task: dict[str, Any]) -> None:
     reading = pycolmap.ImageReaderOptions(mask_path=task["masks"] or "")
     done, batch = task["done"], PHOTOS_PER_THREAD * task["threads"]
     for group in task["groups"]:
-        options.sift.first_octave = _first_octave(task, group["sample"], options)
+        finest = task["finest"]
+        options.sift.first_octave = -1 if finest else _first_octave(task, group["sample"], options)
         for start in range(0, len(group["names"]), batch):
             names = group["names"][start : start + batch]
             pycolmap.extract_features(
@@ -241,9 +242,19 @@ def _map_photos(task: dict[str, Any]) -> None:
     )
 
 
+def _map_photos_at_once(task: dict[str, Any]) -> None:
+    """The same by COLMAP's global mapper (Pan et al.: GLOMAP, 2024), from all pairs at once."""
+    options = pycolmap.GlobalPipelineOptions()
+    options.num_threads, options.random_seed = task["threads"], task["seed"]
+    options.min_model_size = MIN_PHOTOS
+    Path(task["models"]).mkdir(parents=True, exist_ok=True)
+    pycolmap.global_mapping(task["database"], task["photos"], task["models"], options)
+
+
 COLMAP_STAGES: dict[str, Callable[[dict[str, Any]], None]] = {
     "import_photos": _import_photos,
     "extract_features": _extract_features,
     "match_pairs": _match_pairs,
     "map_photos": _map_photos,
+    "map_photos_at_once": _map_photos_at_once,
 }

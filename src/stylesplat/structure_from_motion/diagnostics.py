@@ -231,7 +231,8 @@ def _range(values: Float[Tensor, " C"]) -> float:
 
 
 FEW_FEATURES = 150  # such a photo is nearly a blank wall; ordinary ones have over a thousand
-MIN_REGISTERED = 1 / 3  # share of the photos; with fewer the scene can hardly be recognised
+# Share of the photos, with fewer of which the scene can hardly be recognised, unless they are so many
+MIN_REGISTERED, ENOUGH = 1 / 3, 20
 MOSTLY_PLANAR = 0.75  # share of the matched pairs; fox has 5 %
 MIN_ANGLE = 3.0  # degrees between the rays to a typical point; with less, depth is a guess
 SAMPLED_POINTS = 1000
@@ -263,7 +264,7 @@ def check_matches(table: MatchTable) -> None:
 def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, total: int) -> None:
     """Raise a StyleSplatError unless one model shows the scene, from more than one place.
 
-    It must have a third of the photos, and if there are other models, more than half.
+    It must have a third of the photos, or 20: a collection may show several places.
     """
     sizes = [model.num_reg_images() for model in models if model.num_reg_images() >= MIN_PHOTOS]
     # Cameras that only turned say nothing about depth
@@ -278,18 +279,19 @@ def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, t
             f"No three of the {total} photos fit together, though {table.matched} of "
             f"{table.compared} pairs match. {WALK}, at small steps."
         )
-    if len(sizes) > 1 and 2 * sizes[0] <= total:
+    if sizes[0] >= min(MIN_REGISTERED * total, ENOUGH):
+        return
+    if len(sizes) > 1:
         raise StyleSplatError(
             f"The photos show different places: they fall into groups of "
             f"{', '.join(map(str, sizes))} of {total}. Put each place into a folder of its own, "
             "or take photos that connect them."
         )
-    if sizes[0] < MIN_REGISTERED * total:
-        raise StyleSplatError(
-            f"Only {sizes[0]} of {total} photos fit together: {table.matched} of {table.compared} "
-            f"pairs match. {WALK}, at small steps, each sharing two thirds of its picture with "
-            "the next."
-        )
+    raise StyleSplatError(
+        f"Only {sizes[0]} of {total} photos fit together: {table.matched} of {table.compared} "
+        f"pairs match. {WALK}, at small steps, each sharing two thirds of its picture with "
+        "the next."
+    )
 
 
 def two_motions(share: float) -> str | None:
@@ -333,8 +335,9 @@ def why_unregistered(
             return f"blurred: {sharpness[name]:.0%} as sharp as its neighbours"
         if counts[name] < FEW_FEATURES:
             return f"too little texture: {counts[name]} features"
-        if any(name in group for group in others):
-            return "sees another place than the rest, together with other photos"
+        for group in others:
+            if name in group:
+                return f"shows another place, with {count_noun(len(group) - 1, 'other photo')}"
         shared = max((table.matches.get((name, other), 0) for other in posed), default=0)
         if shared < MIN_INLIERS:
             return (

@@ -2,8 +2,9 @@
 
 import shutil
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from stylesplat.io.captures.lens import Lens, places_in
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.files import cannot_write, resolve_within
 from stylesplat.io.images import image_sizes, write_image
-from stylesplat.structure_from_motion.config import SfmConfig
+from stylesplat.progress import say
+from stylesplat.structure_from_motion.config import MIN_PHOTOS, SfmConfig
 from stylesplat.structure_from_motion.diagnostics import (
     check_features,
     check_matches,
@@ -27,7 +29,12 @@ from stylesplat.structure_from_motion.diagnostics import (
     two_motions,
     why_unregistered,
 )
-from stylesplat.structure_from_motion.matching import choose_pairs, match_pairs, orbit_pairs
+from stylesplat.structure_from_motion.matching import (
+    MatchTable,
+    choose_pairs,
+    match_pairs,
+    orbit_pairs,
+)
 from stylesplat.structure_from_motion.object_features import (
     MaskReaders,
     PhotoBox,
@@ -101,6 +108,10 @@ def _pinhole_model(
 
 
 RECONSTRUCT_STAGES = ("features", "matching", "mapping")
+# Share of the photos: where fewer fit together, finer features are looked for, so many times more
+MOSTLY_POSED, CLOSER = 0.75, 4
+CLOSER_ALL = 100  # photos of which all pairs are matched then
+SAME_TURN = 5.0  # degrees between poses of two mappers, from which one of them is wrong
 MIN_POSED = 0.9  # share of the photos of a closed orbit that neighbours have to pose
 
 
@@ -151,6 +162,8 @@ def reconstruct(
             check_matches(table)
             matched = time.perf_counter()
             models = _map_photos(workspace)
+        if not models or models[0].num_reg_images() < MOSTLY_POSED * len(names):
+            models, counts, table = _look_closer(workspace, photos, models, counts, table)
         times += [matched, time.perf_counter()]
         sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in names]
         motions = 0.0 if folder else share_of_two_motions(*read_matches(workspace), sides)
@@ -161,6 +174,8 @@ def reconstruct(
             raise StyleSplatError(why) from error
         raise
     model = models[0]
+    if 2 * model.num_reg_images() <= len(names) and (why := two_motions(motions)):
+        raise StyleSplatError(why)
     return Reconstruction(
         model=model,
         unregistered=why_unregistered(models, counts, prepared.sharpness, table, names),
@@ -179,6 +194,53 @@ def reconstruct(
             },
         },
     )
+
+
+def _look_closer(
+    workspace: Workspace,
+    photos: Path,
+    models: list[pycolmap.Reconstruction],
+    counts: dict[str, int],
+    table: MatchTable,
+) -> tuple[list[pycolmap.Reconstruction], dict[str, int], MatchTable]:
+    """What more and finer features find, where few photos fit together; else what there is.
+
+    Two mappers try: one photo after the other, and all at once. The second joins photos that are
+    far apart (of 29 of a golden cape, whose highlights wander, 22 instead of 8), and is trusted
+    where its poses are those of the first.
+    """
+    names = workspace.names
+    posed = models[0].num_reg_images() if models else 0
+    say(f"Only {posed} of {len(names)} photos fit together so far: looking for finer features.")
+    config = replace(workspace.config, max_features=CLOSER * workspace.config.max_features)
+    folder = workspace.folder / "closer"
+    closer = open_workspace(folder, photos, names, config, workspace.masks)
+    extract_features(closer, finest=True)
+    is_few = len(names) <= CLOSER_ALL
+    pairs = set(combinations(range(len(names)), 2)) if is_few else None
+    found = match_pairs(closer, pairs or choose_pairs(closer, ordered=False))
+    in_turn, at_once = _map_photos(closer), _map_photos(closer, "map_photos_at_once")
+    tries = [(models, counts, table)]
+    tries += [(each, feature_counts(closer), found) for each in (in_turn, at_once)]
+    known = [each for each in (*in_turn[:1], *models[:1])]
+    if at_once and not all(agree(at_once[0], each) for each in known):
+        tries.pop()
+    return max(tries, key=lambda each: each[0][0].num_reg_images() if each[0] else 0)
+
+
+def agree(one: pycolmap.Reconstruction, other: pycolmap.Reconstruction) -> bool:
+    """Whether the photos of both are turned against each other alike, mostly."""
+    turns = [
+        {i.name: i.cam_from_world().rotation.matrix() for i in each.images.values() if i.has_pose}
+        for each in (one, other)
+    ]
+    shared = sorted(turns[0].keys() & turns[1].keys())
+    if len(shared) < MIN_PHOTOS:
+        return True  # they say nothing of each other
+    a, b = (np.stack([each[name] for name in shared]) for each in turns)
+    relative = [np.einsum("iab,jcb->ijac", each, each) for each in (a, b)]
+    traces = np.einsum("ijab,ijab->ij", *relative)[np.triu_indices(len(shared), 1)]
+    return float(np.median(np.degrees(np.arccos(((traces - 1) / 2).clip(-1, 1))))) < SAME_TURN
 
 
 def _masks_of(
@@ -209,7 +271,7 @@ def _may_be_orbit(workspace: Workspace, prepared: PreparedPhotos, masks: Path) -
     return stands_still(workspace.photos, workspace.files, masks)
 
 
-def _map_photos(workspace: Workspace) -> list[pycolmap.Reconstruction]:
+def _map_photos(workspace: Workspace, stage: str = "map_photos") -> list[pycolmap.Reconstruction]:
     """The models of the photos, under the caller's names; the largest first.
 
     By COLMAP's incremental mapper: on desk the global one left out 2 to 6 of 51 photos or was half
@@ -217,7 +279,7 @@ def _map_photos(workspace: Workspace) -> list[pycolmap.Reconstruction]:
     """
     folder = workspace.folder / "models"
     shutil.rmtree(folder, ignore_errors=True)
-    workspace.run("map_photos", "finding poses", len(workspace.names), "photo", models=str(folder))
+    workspace.run(stage, "finding poses", len(workspace.names), "photo", models=str(folder))
     models = [pycolmap.Reconstruction(each) for each in sorted(folder.iterdir())]
     shutil.rmtree(folder, ignore_errors=True)
     for model in models:
