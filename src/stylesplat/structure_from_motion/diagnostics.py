@@ -231,7 +231,7 @@ def _range(values: Float[Tensor, " C"]) -> float:
 
 
 FEW_FEATURES = 150  # such a photo is nearly a blank wall; ordinary ones have over a thousand
-# Share of the photos, with fewer of which the scene can hardly be recognised, unless they are so many
+# Share of the photos, with fewer of which a scene can hardly be recognised, unless they are so many
 MIN_REGISTERED, ENOUGH = 1 / 3, 20
 MOSTLY_PLANAR = 0.75  # share of the matched pairs; fox has 5 %
 MIN_ANGLE = 3.0  # degrees between the rays to a typical point; with less, depth is a guess

@@ -222,8 +222,7 @@ def _look_closer(
     in_turn, at_once = _map_photos(closer), _map_photos(closer, "map_photos_at_once")
     tries = [(models, counts, table)]
     tries += [(each, feature_counts(closer), found) for each in (in_turn, at_once)]
-    known = [each for each in (*in_turn[:1], *models[:1])]
-    if at_once and not all(agree(at_once[0], each) for each in known):
+    if at_once and not all(agree(at_once[0], each) for each in (*in_turn[:1], *models[:1])):
         tries.pop()
     return max(tries, key=lambda each: each[0][0].num_reg_images() if each[0] else 0)
 
