@@ -79,8 +79,8 @@ def checked(item: Any = None, *, typechecker: object = None) -> Any:
     if isinstance(item, classmethod | staticmethod):
         return type(item)(_checked(item.__func__))
     if isinstance(item, property):
-        parts = (item.fget, item.fset, item.fdel)
-        return property(*(part and _checked(part) for part in parts))
+        get, put, remove = (f and _checked(f) for f in (item.fget, item.fset, item.fdel))
+        return property(get, put, remove)
     return _checked(item)
 
 

@@ -99,7 +99,8 @@ def sculpt(
     def look(camera: Cameras) -> tuple[Contributions, Tensor, Tensor, Tensor]:
         linear = contributions(painted, camera, mask)
         pixels = linear.coverage > COVERED
-        form = sum(form_detail(before, camera, pixels, SCULPTURE_LENGTH, detail))
+        bands = form_detail(before, camera, pixels, SCULPTURE_LENGTH, detail)
+        form = torch.stack(bands).sum(dim=0)
         luma = render(painted, camera)[0] @ form.new_tensor(LUMA)
         return linear, pixels, GAIN * form, luma
 
