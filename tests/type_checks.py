@@ -71,6 +71,8 @@ def checked(item: Any = None, *, typechecker: object = None) -> Any:
     """What the import hook of jaxtyping calls for each class and function."""
     if item is None:
         return checked
+    if isinstance(item, str):  # "context", within which axes keep their sizes
+        return jaxtyped(item)
     if inspect.isclass(item):
         init = vars(item).get("__init__")
         if hasattr(item, "__dataclass_fields__") and init and not hasattr(init, "__wrapped__"):
