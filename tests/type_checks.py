@@ -72,7 +72,7 @@ def checked(item: Any = None, *, typechecker: object = None) -> Any:
     if item is None:
         return checked
     if isinstance(item, str):  # "context", within which axes keep their sizes
-        return jaxtyped(item)
+        return jaxtyped("context")
     if inspect.isclass(item):
         init = vars(item).get("__init__")
         if hasattr(item, "__dataclass_fields__") and init and not hasattr(init, "__wrapped__"):

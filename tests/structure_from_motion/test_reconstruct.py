@@ -13,6 +13,7 @@ from processes import no_room
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.progress import Observer, observed
+from stylesplat.structure_from_motion import reconstruct as module
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.diagnostics import (
     check_features,
@@ -232,12 +233,16 @@ def test_of_several_places_the_largest_is_taken(result: Reconstruction, prepared
     assert set(reasons.values()) == {"shows another place, with 9 other photos"}
 
 
-def test_where_few_photos_fit_together_finer_features_are_found(tmp_path: Path, said: list[str]):
-    """So few features as the first time looks for join four of six photos that are far apart."""
+def test_where_few_photos_fit_together_finer_features_are_found(
+    tmp_path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    """So few features as the first time looks for join some of six photos that are far apart."""
+    monkeypatch.setattr(module, "MOSTLY_POSED", 1.1)  # how many they are depends on the threads
     pictures = dict([*corner(16).items()][::3])
     prepared = write_photos(tmp_path / "photos", pictures)
     found = run(tmp_path, prepared, SfmConfig(max_features=150))
-    assert said == ["Only 4 of 6 photos fit together so far: looking for finer features."]
+    (line,) = said
+    assert "of 6 photos fit together so far: looking for finer features." in line
     assert found.numbers["registered"] == len(pictures) and not found.unregistered
 
 

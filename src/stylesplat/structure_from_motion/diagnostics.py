@@ -261,15 +261,19 @@ def check_matches(table: MatchTable) -> None:
         )
 
 
+def is_without_depth(models: Sequence[pycolmap.Reconstruction], table: MatchTable) -> bool:
+    """Whether the camera only turned, which says nothing about depth, or everything is flat."""
+    planar = table.planar >= MOSTLY_PLANAR * table.matched
+    return planar and (not models or triangulation_angle(models[0]) < MIN_ANGLE)
+
+
 def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, total: int) -> None:
     """Raise a StyleSplatError unless one model shows the scene, from more than one place.
 
     It must have a third of the photos, or 20: a collection may show several places.
     """
     sizes = [model.num_reg_images() for model in models if model.num_reg_images() >= MIN_PHOTOS]
-    # Cameras that only turned say nothing about depth
-    planar = table.planar >= MOSTLY_PLANAR * table.matched
-    if planar and (not models or triangulation_angle(models[0]) < MIN_ANGLE):
+    if is_without_depth(models, table):
         raise StyleSplatError(
             f"The photos were taken from one place, or show only something flat: in {table.planar} "
             f"of {table.matched} matching pairs nothing shifts before anything else. {WALK}."

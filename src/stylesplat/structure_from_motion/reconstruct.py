@@ -26,6 +26,7 @@ from stylesplat.structure_from_motion.diagnostics import (
     check_features,
     check_matches,
     check_models,
+    is_without_depth,
     two_motions,
     why_unregistered,
 )
@@ -162,7 +163,8 @@ def reconstruct(
             check_matches(table)
             matched = time.perf_counter()
             models = _map_photos(workspace)
-        if not models or models[0].num_reg_images() < MOSTLY_POSED * len(names):
+        posed = models[0].num_reg_images() if models else 0
+        if posed < MOSTLY_POSED * len(names) and not is_without_depth(models, table):
             models, counts, table = _look_closer(workspace, photos, models, counts, table)
         times += [matched, time.perf_counter()]
         sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in names]
