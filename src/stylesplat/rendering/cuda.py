@@ -29,7 +29,7 @@ CHANNELS_AT_ONCE = 16
 TILE = 16  # pixels of a tile's side, gsplat's default
 EVERY_BATCH = 1 << 30  # as many batches of Gaussians as there are
 # World units: gsplat takes the fourth power in pixels, and beyond float32 its picture is black
-LARGEST_SCALE = 1e6
+DRAWN_SCALE = 1e6
 
 
 def spherical_harmonics(
@@ -56,7 +56,7 @@ def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
         means,
         None,
         quats,
-        scales.clamp(max=LARGEST_SCALE),
+        scales.clamp(max=DRAWN_SCALE),
         view.viewmat[None],
         view.K[None],
         view.width,
@@ -158,7 +158,7 @@ def rasterize(
     image, alphas, info = gsplat.rasterization(
         gaussians.means,
         gaussians.quats,
-        gaussians.scales.clamp(max=LARGEST_SCALE),
+        gaussians.scales.clamp(max=DRAWN_SCALE),
         gaussians.opacities,
         colors=moving,
         viewmats=cameras.viewmats,
