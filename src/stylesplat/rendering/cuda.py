@@ -28,8 +28,6 @@ from stylesplat.scene.projection import pixel_centres
 CHANNELS_AT_ONCE = 16
 TILE = 16  # pixels of a tile's side, gsplat's default
 EVERY_BATCH = 1 << 30  # as many batches of Gaussians as there are
-# World units: gsplat takes the fourth power in pixels, and beyond float32 its picture is black
-DRAWN_SCALE = 1e6
 
 
 def spherical_harmonics(
@@ -56,7 +54,7 @@ def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
         means,
         None,
         quats,
-        scales.clamp(max=DRAWN_SCALE),
+        scales,
         view.viewmat[None],
         view.K[None],
         view.width,
@@ -156,10 +154,7 @@ def rasterize(
     width, height = cameras.size
     moving, others = colors.tensor_split([geometry_channels], dim=-1)
     image, alphas, info = gsplat.rasterization(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.scales.clamp(max=DRAWN_SCALE),
-        gaussians.opacities,
+        *gaussians[:4],
         colors=moving,
         viewmats=cameras.viewmats,
         Ks=cameras.Ks,

@@ -35,7 +35,9 @@ MIN_TRANSMITTANCE = 1e-4  # a pixel is finished before it becomes darker than th
 MAX_EXTENT = 3.33  # standard deviations at which a Gaussian of opacity 1 falls below MIN_ALPHA
 MAX_RADIUS = 1 << 30  # pixels: radii are int32
 FOV_MARGIN = 0.3  # how far outside the image, in half fields of view, the Jacobian is exact
-LARGEST_SCALE = 23.0  # logarithm: squares of a standard deviation of 1e10 in pixels fit float32
+# Logarithm: gsplat takes the fourth power of a standard deviation in pixels, and beyond float32 its
+# picture is black
+LARGEST_SCALE = 13.8
 
 PIXELS_AT_ONCE = 4096  # bounds the pixels x Gaussians matrix
 FLAT = 1e-12  # share of an area, whose root makes all opacities invisible: a root has no slope at 0

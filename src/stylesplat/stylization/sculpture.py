@@ -29,7 +29,9 @@ SCULPTURE_VIEWS, SCULPTURE_LENGTH = 16, 480.0  # 8 of 240 pixels lose letters an
 SCULPTURE_ROUNDS = 6  # 4 are too few
 GAIN = 1.5  # of the form's contrast
 STROKES_LOST, STRONG = 0.4, 0.1  # share of strokes that gives way, and the contrast where half does
-TONE_ROOM = 1.2  # deviations of the form between its mean and the paint's darkest and brightest tones
+TONE_ROOM = (
+    1.2  # deviations of the form between its mean and the paint's darkest and brightest tones
+)
 BEYOND = 0.25  # slope of tones beyond these
 TONES = 0.02, 0.98  # quantiles of the paint's luminance that are its darkest and brightest
 MEAN, NEARBY = 0.03, 0.015  # deviations of windows, in lengths: of means, of strokes and form
