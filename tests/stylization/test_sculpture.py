@@ -7,7 +7,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from balls import CAMERAS, COUNT, LIGHT, PICKED, dense_ball, enlarged, opened
+from balls import (
+    CAMERAS,
+    COUNT,
+    LIGHT,
+    PAINTED_FAST,
+    PICKED,
+    TRAINED,
+    dense_ball,
+    enlarged,
+    opened,
+    write_pictures,
+)
 from scenes import layer_towards, rand
 from stylesplat.io.scene_folder import save
 from stylesplat.rendering.render import rasterize
@@ -15,7 +26,9 @@ from stylesplat.scene.layers import Layer, layer_subset
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization import sculpture
+from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust
+from stylesplat.verbs.stylize import stylize, stylize_live
 
 EVERY = torch.ones(COUNT, dtype=torch.bool)
 VIEWS = enlarged(CAMERAS, 2)
@@ -100,3 +113,20 @@ def test_a_layer_of_an_earlier_version_shows_as_it_did(painted: Scene):
     assert torch.equal(
         without.splats.sh0, shown(replace(layer, relief=relief, form=0.5)).splats.sh0
     )
+
+
+def test_painting_with_more_form_is_painting_and_adjusting(tmp_path: Path):
+    picture, _ = write_pictures(tmp_path)
+
+    def style(form: float) -> Style:
+        return Style(picture, config=replace(PAINTED_FAST, quality="draft", form=form))
+
+    options = {"device": "cpu", "measured": False}
+    once = stylize(TRAINED, {"red": style(1.4)}, **options)
+    twice = adjust(stylize(TRAINED, {"red": style(1.0)}, **options), form=1.4)
+    (layer,) = once.layers
+    assert layer.form == 1.4 and layer.painted_form == 1 and layer.sculpture is not None
+    assert torch.equal(once.splats.sh0, twice.splats.sh0)
+    *_, live = stylize_live(TRAINED, "red", style(1.4), device="cpu")
+    assert torch.equal(live.scene().splats.sh0, once.splats.sh0)
+    assert live.state.step == live.state.steps
