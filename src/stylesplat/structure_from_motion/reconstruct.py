@@ -111,7 +111,7 @@ def _pinhole_model(
 RECONSTRUCT_STAGES = ("features", "matching", "mapping")
 # Share of the photos: where fewer fit together, finer features are looked for, so many times more
 MOSTLY_POSED, CLOSER = 0.75, 4
-CLOSER_ALL = 100  # photos of which all pairs are matched then
+CLOSER_ALL = 60  # photos of which all pairs are matched then: two or three a second on two cores
 SAME_TURN = 5.0  # degrees between poses of two mappers, from which one of them is wrong
 MIN_POSED = 0.9  # share of the photos of a closed orbit that neighbours have to pose
 
