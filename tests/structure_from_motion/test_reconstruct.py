@@ -32,6 +32,7 @@ from stylesplat.structure_from_motion.photos import PreparedPhotos, group_by_cam
 from stylesplat.structure_from_motion.reconstruct import (
     Reconstruction,
     agree,
+    has_one_scale,
     reconstruct,
     write_colmap,
 )
@@ -256,6 +257,17 @@ def test_mappers_agree_where_photos_are_turned_alike(result: Reconstruction):
     for image, name in zip(other.images.values(), names[::-1], strict=True):
         image.name = name
     assert not agree(result.model, other)
+
+
+def test_a_group_in_a_corner_of_the_other_is_found_out(result: Reconstruction):
+    assert has_one_scale(result.model)
+    far = pycolmap.Reconstruction(result.model)
+    for row, image in enumerate(far.images.values()):
+        if row % 3 == 0:
+            pose = image.cam_from_world()
+            pose.translation = 30 * pose.translation
+            far.frames[image.frame_id].set_cam_from_world(image.camera_id, pose)
+    assert not has_one_scale(far) and not agree(result.model, far)
 
 
 def test_after_a_full_disk_the_next_call_continues(tmp_path: Path):

@@ -112,7 +112,11 @@ RECONSTRUCT_STAGES = ("features", "matching", "mapping")
 # Share of the photos: where fewer fit together, finer features are looked for, so many times more
 MOSTLY_POSED, CLOSER = 0.75, 4
 CLOSER_ALL = 60  # photos of which all pairs are matched then: two or three a second on two cores
-SAME_TURN = 5.0  # degrees between poses of two mappers, from which one of them is wrong
+# Degrees between poses of two mappers, and shares of their spread, from which one of them is wrong
+SAME_TURN, SAME_PLACE = 5.0, 0.1
+# Times as far from the middle as most cameras are: the cape had 1.2 where it was right, 19 where a
+# second group lay in a corner
+SAME_SCALE = 6.0
 MIN_POSED = 0.9  # share of the photos of a closed orbit that neighbours have to pose
 
 
@@ -224,21 +228,40 @@ def _look_closer(
     in_turn, at_once = _map_photos(closer), _map_photos(closer, "map_photos_at_once")
     tries = [(models, counts, table)]
     tries += [(each, feature_counts(closer), found) for each in (in_turn, at_once)]
-    if at_once and not all(agree(at_once[0], each) for each in (*in_turn[:1], *models[:1])):
+    if at_once and not has_one_scale(at_once[0]):
+        tries.pop()
+    elif at_once and not all(agree(at_once[0], each) for each in (*in_turn[:1], *models[:1])):
         tries.pop()
     return max(tries, key=lambda each: each[0][0].num_reg_images() if each[0] else 0)
 
 
+def has_one_scale(model: pycolmap.Reconstruction) -> bool:
+    """Whether most cameras are about as far from what they show; see `agree`."""
+    middle = np.median([point.xyz for point in model.points3D.values()], axis=0)
+    places = [image.projection_center() for image in model.images.values() if image.has_pose]
+    distances = np.linalg.norm(np.stack(places) - middle, axis=1)
+    return bool(np.quantile(distances, 0.9) < SAME_SCALE * np.median(distances))
+
+
 def agree(one: pycolmap.Reconstruction, other: pycolmap.Reconstruction) -> bool:
-    """Whether the photos of both are turned against each other alike, mostly."""
-    turns = [
-        {i.name: i.cam_from_world().rotation.matrix() for i in each.images.values() if i.has_pose}
-        for each in (one, other)
-    ]
-    shared = sorted(turns[0].keys() & turns[1].keys())
+    """Whether the photos of both are turned and placed alike against each other, mostly.
+
+    The global mapper may join two groups in scales of their own: then one lies in a corner of the
+    other.
+    """
+    posed = [{i.name: i for i in each.images.values() if i.has_pose} for each in (one, other)]
+    shared = sorted(posed[0].keys() & posed[1].keys())
     if len(shared) < MIN_PHOTOS:
         return True  # they say nothing of each other
-    a, b = (np.stack([each[name] for name in shared]) for each in turns)
+    places = [np.stack([each[name].projection_center() for name in shared]) for each in posed]
+    p, q = (each - each.mean(axis=0) for each in places)
+    u, sizes, v = np.linalg.svd(q.T @ p)
+    scale = sizes.sum() / max(float((p**2).sum()), 1e-12)
+    apart = np.linalg.norm(scale * p @ (u @ v).T - q, axis=1)
+    if np.quantile(apart, 0.9) > SAME_PLACE * np.sqrt((q**2).sum(axis=1).mean()):
+        return False
+    turns = [[each[name].cam_from_world().rotation.matrix() for name in shared] for each in posed]
+    a, b = map(np.stack, turns)
     relative = [np.einsum("iab,jcb->ijac", each, each) for each in (a, b)]
     traces = np.einsum("ijab,ijab->ij", *relative)[np.triu_indices(len(shared), 1)]
     return float(np.median(np.degrees(np.arccos(((traces - 1) / 2).clip(-1, 1))))) < SAME_TURN
