@@ -331,18 +331,25 @@ def of_fox(
     """The rows of one capture: training, a step, and painting."""
     from stylesplat.stylization.config import PRESETS, StyleConfig
 
-    train_fox(fox, steps=20)  # to warm up
-    scene, seconds = train_fox(fox)
-    table.row("fox, 7000 steps, s", lambda: seconds)
+    scenes: list[Scene] = []
+
+    def train() -> float:
+        train_fox(fox, steps=20)  # to warm up
+        scene, seconds = train_fox(fox)
+        scenes.append(scene)
+        return seconds
+
+    table.row("fox, 7000 steps, s", train)
+    if not scenes:
+        return  # all else needs the trained fox
+    (scene,) = scenes
     for name, step_of in (
         ("fox, a step of colours, ms", step_of_colors),
         ("fox, the same by gsplat and torch, ms", step_of_gsplat),
     ):
         table.row(name, lambda step_of=step_of: milliseconds(step_of(fox, scene.splats), STEPS))
     table.row("fox, 30,000 steps of the paper, s", lambda: train_as_paper(fox))
-    short = StyleConfig(steps=300)
-
-    draft = StyleConfig(quality="draft")  # to warm up
+    short, draft = StyleConfig(steps=300), StyleConfig(quality="draft")  # this to warm up
 
     def paint(name: str, network: "Network", weights: Path | None, config: StyleConfig) -> None:
         def measure() -> float:

@@ -2,14 +2,15 @@
 
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from scipy.spatial import procrustes
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import locked_folder
@@ -111,7 +112,6 @@ def _pinhole_model(
 RECONSTRUCT_STAGES = ("features", "matching", "mapping")
 # Share of the photos: where fewer fit together, finer features are looked for, so many times more
 MOSTLY_POSED, CLOSER = 0.75, 4
-CLOSER_ALL = 60  # photos of which all pairs are matched then: two or three a second on two cores
 # Degrees between poses of two mappers, and shares of their spread, from which one of them is wrong
 SAME_TURN, SAME_PLACE = 5.0, 0.1
 # Times as far from the middle as most cameras are: the cape had 1.2 where it was right, 19 where a
@@ -162,13 +162,12 @@ def reconstruct(
             table, matched = match_pairs(workspace, orbit_pairs(len(names))), time.perf_counter()
             if (names[0], names[-1]) in table.matches:
                 models = _map_photos(workspace)
-        if table is None or not models or models[0].num_reg_images() < MIN_POSED * len(names):
+        if table is None or _posed(models) < MIN_POSED * len(names):
             table = match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
             check_matches(table)
             matched = time.perf_counter()
             models = _map_photos(workspace)
-        posed = models[0].num_reg_images() if models else 0
-        if posed < MOSTLY_POSED * len(names) and not is_without_depth(models, table):
+        if _posed(models) < MOSTLY_POSED * len(names) and not is_without_depth(models, table):
             models, counts, table = _look_closer(workspace, photos, models, counts, table)
         times += [matched, time.perf_counter()]
         sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in names]
@@ -216,15 +215,13 @@ def _look_closer(
     where its poses are those of the first.
     """
     names = workspace.names
-    posed = models[0].num_reg_images() if models else 0
-    say(f"Only {posed} of {len(names)} photos fit together so far: looking for finer features.")
+    posed = f"{_posed(models)} of {len(names)} photos"
+    say(f"Only {posed} fit together so far: looking for finer features.")
     config = replace(workspace.config, max_features=CLOSER * workspace.config.max_features)
     folder = workspace.folder / "closer"
     closer = open_workspace(folder, photos, names, config, workspace.masks)
     extract_features(closer, finest=True)
-    is_few = len(names) <= CLOSER_ALL
-    pairs = set(combinations(range(len(names)), 2)) if is_few else None
-    found = match_pairs(closer, pairs or choose_pairs(closer, ordered=False))
+    found = match_pairs(closer, choose_pairs(closer, ordered=False))
     in_turn, at_once = _map_photos(closer), _map_photos(closer, "map_photos_at_once")
     tries = [(models, counts, table)]
     tries += [(each, feature_counts(closer), found) for each in (in_turn, at_once)]
@@ -232,7 +229,12 @@ def _look_closer(
         tries.pop()
     elif at_once and not all(agree(at_once[0], each) for each in (*in_turn[:1], *models[:1])):
         tries.pop()
-    return max(tries, key=lambda each: each[0][0].num_reg_images() if each[0] else 0)
+    return max(tries, key=lambda each: _posed(each[0]))
+
+
+def _posed(models: Sequence[pycolmap.Reconstruction]) -> int:
+    """How many photos the largest model has; they are in order."""
+    return models[0].num_reg_images() if models else 0
 
 
 def has_one_scale(model: pycolmap.Reconstruction) -> bool:
@@ -254,11 +256,9 @@ def agree(one: pycolmap.Reconstruction, other: pycolmap.Reconstruction) -> bool:
     if len(shared) < MIN_PHOTOS:
         return True  # they say nothing of each other
     places = [np.stack([each[name].projection_center() for name in shared]) for each in posed]
-    p, q = (each - each.mean(axis=0) for each in places)
-    u, sizes, v = np.linalg.svd(q.T @ p)
-    scale = sizes.sum() / max(float((p**2).sum()), 1e-12)
-    apart = np.linalg.norm(scale * p @ (u @ v).T - q, axis=1)
-    if np.quantile(apart, 0.9) > SAME_PLACE * np.sqrt((q**2).sum(axis=1).mean()):
+    fitted, moved, _ = procrustes(places[1], places[0])  # whose squares add up to 1
+    apart = np.linalg.norm(fitted - moved, axis=1)
+    if np.quantile(apart, 0.9) > SAME_PLACE / np.sqrt(len(shared)):
         return False
     turns = [[each[name].cam_from_world().rotation.matrix() for name in shared] for each in posed]
     a, b = map(np.stack, turns)

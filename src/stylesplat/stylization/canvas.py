@@ -173,18 +173,32 @@ def build_surfels(
     tree = KDTree(splats.means[own].double().cpu().numpy())
     _, nearest = tree.query(means.double().cpu().numpy(), workers=-1)
     parents = own[torch.from_numpy(nearest).to(own)]
-    scales = points.new_tensor([WIDE, WIDE, FLAT]).mul(spacing).log()
+    opaque = points.new_full((len(rows),), CANVAS_OPACITY)
     discs = replace(
-        splats[parents],
-        means=means,
-        quats=_facing(normals),
-        scales=scales.expand(len(rows), 3).clone(),
-        opacities=torch.logit(points.new_full((len(rows),), CANVAS_OPACITY)),
+        _discs(splats[parents], means, normals, spacing, opaque),
         sh0=sh0_from_rgb(colors[rows])[:, None],
         shN=splats.shN[parents] * 0,
     )
     parents = torch.cat([torch.arange(len(splats), device=splats.device), parents])
     return fade_covered(Canvas(splats, mask, Splats.cat([splats, discs]), parents, views, spacing))
+
+
+def _discs(
+    own: Splats,
+    means: Float[Tensor, "D 3"],
+    normals: Float[Tensor, "D 3"],
+    spacing: float,
+    opacities: Float[Tensor, " D"],
+) -> Splats:
+    """Discs so far apart, each with the rest of the Gaussian that it belongs to."""
+    scales = means.new_tensor([WIDE, WIDE, FLAT]).mul(spacing).log()
+    return replace(
+        own,
+        means=means,
+        quats=_facing(normals),
+        scales=scales.expand(len(means), 3).clone(),
+        opacities=torch.logit(opacities),
+    )
 
 
 def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
@@ -272,14 +286,8 @@ def split_large(canvas: Canvas, length: float, *, seed: int) -> tuple[Canvas, In
     chosen = poisson_disk_sample(means, canvas.spacing, seed=seed)
     parents = rows[which[chosen]]
     opaque = (1 - (1 - shown[chosen]).clamp(min=1e-6) ** (1 / OVERLAP)).clamp(max=CANVAS_OPACITY)
-    scales = means.new_tensor([WIDE, WIDE, FLAT]).mul(canvas.spacing).log()
-    discs = replace(
-        splats[parents],
-        means=means[chosen],
-        quats=_facing(axes[chosen, :, 2]),
-        scales=scales.expand(len(chosen), 3).clone(),
-        opacities=torch.logit(opaque),
-    )
+    normals = axes[chosen, :, 2]
+    discs = _discs(splats[parents], means[chosen], normals, canvas.spacing, opaque)
     below = replace(splats, opacities=splats.opacities.index_fill(0, rows, UNSEEN))
     split = replace(
         canvas,

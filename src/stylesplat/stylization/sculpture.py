@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from stylesplat.imaging.color import LUMA
+from stylesplat.imaging.color import luma_weights
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED, Contributions, contributions
@@ -22,16 +22,15 @@ from stylesplat.scene.layers import RELIEF_FORM, Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.colors import PAINT_HIDDEN, PAINT_STRIDE
-from stylesplat.stylization.form import FormSurvey, form_detail, survey_detail
+from stylesplat.stylization.form import form_detail, survey_detail
 from stylesplat.stylization.views import ObjectBox, box_cameras, find_boxes, per_view
 
 SCULPTURE_VIEWS, SCULPTURE_LENGTH = 16, 480.0  # 8 of 240 pixels lose letters and strings
 SCULPTURE_ROUNDS = 6  # 4 are too few
 GAIN = 1.5  # of the form's contrast
 STROKES_LOST, STRONG = 0.4, 0.1  # share of strokes that gives way, and the contrast where half does
-TONE_ROOM = (
-    1.2  # deviations of the form between its mean and the paint's darkest and brightest tones
-)
+# Deviations of the form that fit between the mean and the paint's darkest and brightest tones
+TONE_ROOM = 1.2
 BEYOND = 0.25  # slope of tones beyond these
 TONES = 0.02, 0.98  # quantiles of the paint's luminance that are its darkest and brightest
 MEAN, NEARBY = 0.03, 0.015  # deviations of windows, in lengths: of means, of strokes and form
@@ -41,14 +40,14 @@ def with_sculptures(scene: Scene) -> Scene:
     """The scene with the sculpture of each layer whose form asks for it and that has none."""
     for layer in scene.layers:
         if layer.form > RELIEF_FORM and layer.sculpture is None and layer.color_map is None:
-            scene = scene.with_layer(sculpted(scene.below(layer.name), layer, scene.cameras))
+            scene = scene.with_layer(sculpted(scene.below(layer.name), layer))
     return scene
 
 
-def sculpted(below: Scene, layer: Layer, cameras: Cameras) -> Layer:
+def sculpted(below: Scene, layer: Layer) -> Layer:
     """A layer of paint with its sculpture, on what lies below it."""
     own = layer.mask(len(below.base))[below.parents]
-    boxes = find_boxes(below.splats, cameras, own)
+    boxes = find_boxes(below.splats, below.cameras, own)
     if not boxes:
         return replace(layer, sculpture=torch.zeros_like(layer.relief))
     plain = replace(layer, strength=1.0, form=RELIEF_FORM, sculpture=None, visible=True)
@@ -59,9 +58,10 @@ def sculpted(below: Scene, layer: Layer, cameras: Cameras) -> Layer:
     entry = layer.rows.new_zeros(len(below.base))
     entry[layer.rows] = torch.arange(len(layer.rows))
     places = entry[below.parents[covered]]
-    counts = places.bincount(minlength=len(layer.rows)).clamp(min=1)
-    of_rows = added.new_zeros(len(layer.rows)).index_add_(0, places, added[: len(covered)])
-    return replace(layer, sculpture=torch.cat([of_rows / counts, added[len(covered) :]]))
+    of_covered, of_new = added.split([len(covered), len(new)])
+    of_rows = added.new_zeros(len(layer.rows))
+    of_rows.scatter_reduce_(0, places, of_covered, "mean", include_self=False)
+    return replace(layer, sculpture=torch.cat([of_rows, of_new]))
 
 
 class _Target(NamedTuple):
@@ -79,7 +79,6 @@ def sculpt(
     painted: Splats,
     rows: Int[Tensor, " P"],
     boxes: Sequence[ObjectBox],
-    detail: FormSurvey | None = None,
 ) -> Float[Tensor, " P"]:
     """The luminance that each painted Gaussian adds for a form of 1.5, in -1..1.
 
@@ -92,9 +91,8 @@ def sculpt(
         painted: The scene with the paint, in which form is shown in full.
         rows: The Gaussians that carry the paint.
         boxes: Where views show the object.
-        detail: What `survey_detail` returns, if it is known.
     """
-    detail = detail or survey_detail(before, own, boxes)
+    detail = survey_detail(before, own, boxes)
     cameras = box_cameras(boxes, SCULPTURE_LENGTH, SCULPTURE_VIEWS)
     mask = torch.zeros_like(painted.opacities, dtype=torch.bool).index_fill_(0, rows, True)
 
@@ -103,7 +101,7 @@ def sculpt(
         pixels = linear.coverage > COVERED
         bands = form_detail(before, camera, pixels, SCULPTURE_LENGTH, detail)
         form = torch.stack(bands).sum(dim=0)
-        luma = render(painted, camera)[0] @ form.new_tensor(LUMA)
+        luma = render(painted, camera)[0] @ luma_weights(form.device, form.dtype)
         return linear, pixels, GAIN * form, luma
 
     looks = [*per_view(look, cameras, "looking at the form", before.device)]

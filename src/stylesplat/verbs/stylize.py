@@ -277,5 +277,5 @@ def stylize_live(
     for state in paint_steps(setup, painting, preview=True):
         live = Live(state, scene, below, painting, setup.precision_name)
         if state.step == state.steps and painting.config.form > RELIEF_FORM:
-            live = replace(live, finished=sculpted(below, live.layer, scene.cameras))
+            live = replace(live, finished=sculpted(below, live.layer))
         yield live
