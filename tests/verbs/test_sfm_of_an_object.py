@@ -11,7 +11,9 @@ from PIL import Image
 import stylesplat as ss
 from capture_files import CORNER_HEIGHT, CORNER_WIDTH, WALL, corner, places_around, write_photos
 from stylesplat.errors import StyleSplatError
+from stylesplat.imaging.similarity import mask_iou
 from stylesplat.io.captures.capture_folder import read_sfm
+from stylesplat.scene.capture import resize_labels
 
 COUNT = 12
 LOOP = [*range(0, COUNT, 2), *range(1, COUNT, 2)[::-1]]  # there and back: the last is by the first
@@ -49,12 +51,40 @@ def assert_posed(capture: ss.Capture, compared: int = ON_LOOP) -> None:
     assert record.numbers["compared_pairs"] == compared
 
 
-def test_two_motions_are_told_with_the_remedy(photos: Path, tmp_path: Path, said: list[str]):
-    try:
-        ss.sfm(photos, tmp_path / "capture")
-    except StyleSplatError as error:
-        said.append(str(error))
-    assert any("still background" in line and "--object" in line for line in said)
+def test_what_turns_before_a_still_camera_is_posed_and_its_masks_are_written(
+    photos: Path, tmp_path: Path, said: list[str]
+):
+    capture = ss.sfm(photos, tmp_path / "capture")
+    assert_posed(capture)
+    assert any("camera stood still" in line for line in said)
+    assert capture.object_names == {1: "object"}
+    for row in range(COUNT):
+        labels = capture.labels(row)
+        assert labels is not None
+        truth = resize_labels(torch.from_numpy(OBJECT), labels.shape)
+        assert mask_iou(labels > 0, truth) > 0.8
+
+
+def test_an_object_without_detail_is_told_with_the_command_for_a_box(photos: Path, tmp_path: Path):
+    folder = tmp_path / "photos"
+    plain = {n: np.full_like(ROOM, 40 + 15 * row) for row, n in enumerate(turning(ROOM))}
+    write_photos(folder, {name: np.where(OBJECT, each, ROOM) for name, each in plain.items()})
+    with pytest.raises(
+        StyleSplatError, match=r"stylesplat sfm .* --object \d\d.jpg:6\d,3\d,25\d,20\d"
+    ):
+        ss.sfm(folder, tmp_path / "capture")
+
+
+def test_two_motions_in_photos_full_of_noise_are_told_with_the_remedy(tmp_path: Path):
+    """No pixel keeps its colour, but features stay."""
+    folder, generator = tmp_path / "photos", np.random.default_rng(0)
+    noisy = {
+        name: (each + generator.normal(0, 12, each.shape)).clip(0, 255).astype(np.uint8)
+        for name, each in turning(ROOM).items()
+    }
+    write_photos(folder, noisy)
+    with pytest.raises(StyleSplatError, match=r"still background.*--object"):
+        ss.sfm(folder, tmp_path / "capture")
 
 
 def test_a_box_is_followed_into_all_photos(photos: Path, tmp_path: Path, said: list[str]):

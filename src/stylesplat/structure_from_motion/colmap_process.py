@@ -36,6 +36,7 @@ PHOTOS_PER_THREAD, PAIRS = 4, 50
 # Features that suffice in a typical photo at its own size: fox (1250) then has poses within 0.05
 # degrees, desk (440) has a fifth to a half more error than with the 1360 of twice the size
 COLMAP_FEW = 800
+FAINT = 0.002  # contrast of features on smooth objects; the usual third finds a fifth as many
 LOG_LINES = 50  # of the child that are kept for error messages
 COLMAP_DISK_FULL = re.compile(
     "disk is full|disk I/O error|No space left|File too large|quota exceeded", re.IGNORECASE
@@ -161,8 +162,7 @@ def _extract_features(task: dict[str, Any]) -> None:
     reading = pycolmap.ImageReaderOptions(mask_path=task["masks"] or "")
     done, batch = task["done"], PHOTOS_PER_THREAD * task["threads"]
     for group in task["groups"]:
-        finest = task["finest"]
-        options.sift.first_octave = -1 if finest else _first_octave(task, group["sample"], options)
+        _look_as_close_as_needed(task, group["sample"], options)
         for start in range(0, len(group["names"]), batch):
             names = group["names"][start : start + batch]
             pycolmap.extract_features(
@@ -176,11 +176,29 @@ def _extract_features(task: dict[str, Any]) -> None:
             print(done, flush=True)
 
 
-def _first_octave(
+def _look_as_close_as_needed(
     task: dict[str, Any], sample: list[str], options: pycolmap.FeatureExtractionOptions
-) -> int:
-    """0 if that finds enough features, else -1: twice the size, in four times as long."""
-    options.sift.first_octave = 0
+) -> None:
+    """Set the first octave and the least contrast of features to the first that finds enough.
+
+    Octave 0 is the photo's own size, -1 twice that, in four times as long. What is faint is looked
+    for on an object alone.
+    """
+    usual = pycolmap.SiftExtractionOptions().peak_threshold
+    closer = (
+        [(0, usual)] * (not task["finest"]) + [(-1, usual)] + [(-1, FAINT)] * bool(task["masks"])
+    )
+    for options.sift.first_octave, options.sift.peak_threshold in closer:
+        if (options.sift.first_octave, options.sift.peak_threshold) == closer[-1]:
+            return
+        counts = _feature_counts(task, sample, options)
+        if counts and median(counts) >= COLMAP_FEW:
+            return
+
+
+def _feature_counts(
+    task: dict[str, Any], sample: list[str], options: pycolmap.FeatureExtractionOptions
+) -> list[int]:
     extractor = pycolmap.FeatureExtractor.create(options)
     counts = []
     for file in sample:
@@ -198,7 +216,7 @@ def _first_octave(
             counts.append(sum(bool(shown[int(each.y), int(each.x)]) for each in features))
         else:
             counts.append(len(features))
-    return 0 if counts and median(counts) >= COLMAP_FEW else -1
+    return counts
 
 
 def _match_pairs(task: dict[str, Any]) -> None:

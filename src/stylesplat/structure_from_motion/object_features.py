@@ -6,22 +6,19 @@ wrong for the other, and poses of both together are wrong for both.
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Integer
-from PIL import Image, ImageOps
+from PIL import Image
 from scipy.spatial import KDTree
 
 from stylesplat.errors import StyleSplatError, join_names
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.photos import PHOTO_OPAQUE, same_shape
 from stylesplat.io.files import resolve_within
-from stylesplat.io.images import decode, image_sizes, open_image
-from stylesplat.progress import track
-from stylesplat.scene.sequences import evenly_spaced
+from stylesplat.io.images import decode, image_sizes
 from stylesplat.structure_from_motion.workspace import Workspace, mask_file, numbered_files
 
 STILL, MOVED = 0.003, 0.01  # displacements of matches, in longer sides of the photo
@@ -35,9 +32,6 @@ FEATURE_REACH = 0.04  # of an object beyond its features, in longer sides
 GRID = 4  # pixels
 FEATURE_PLAIN = 10  # grey levels by which plain surroundings vary in JPEG files
 OUTLINE = 5  # pixels: an outline's features slide over the object
-# A camera stands still if beside the object, in at least half of each photo, hardly a pixel changes
-THUMBNAIL, COMPARED = 120, 40  # pixels, pairs of photos
-UNCHANGED, LEFT_OUT, STILL_SHARE = 12, 0.5, 0.8  # grey levels, and shares of pixels
 
 PhotoBox = tuple[float, float, float, float]
 MaskReaders = Mapping[str, Callable[[], Bool[np.ndarray, "_ _"]]]
@@ -59,33 +53,44 @@ def read_matches(workspace: Workspace) -> tuple[list[Float[np.ndarray, "_ 2"]], 
     return places, {(a, b): each for (a, b), each in zip(pairs, found, strict=True) if len(each)}
 
 
-def share_of_two_motions(
+def find_two_motions(
     places: Sequence[Float[np.ndarray, "_ 2"]], matches: Matches, sides: Sequence[int]
-) -> float:
-    """The share of the pairs in which much stays at its pixel while the rest moves as one."""
+) -> tuple[float, int, PhotoBox]:
+    """The share of the pairs in which much stays at its pixel while the rest moves as one.
+
+    And the photo that shows most of what moves, with the box around it there.
+    """
     pairs = [pair for pair, each in matches.items() if len(each) >= 2 * MIN_MATCHES]
     pairs = pairs[:: -(-len(pairs) // FEATURE_MAX_PAIRS) or 1]
-    two = [_has_two_motions(places, matches[pair], pair, sides) for pair in pairs]
-    return sum(two) / len(two) if two else 0.0
+    moving = {pair: _moving_as_one(places, matches[pair], pair, sides) for pair in pairs}
+    (photo, _), most = max(moving.items(), key=lambda each: len(each[1]), default=((0, 0), []))
+    if not len(most):
+        return 0.0, 0, (0.0, 0.0, 0.0, 0.0)
+    low, high = (np.quantile(most, share, axis=0).round().tolist() for share in (0.02, 0.98))
+    return sum(len(each) > 0 for each in moving.values()) / len(moving), photo, (*low, *high)
 
 
-def _has_two_motions(
+def _moving_as_one(
     places: Sequence[Float[np.ndarray, "_ 2"]],
     rows: Integer[np.ndarray, "M 2"],
     pair: tuple[int, int],
     sides: Sequence[int],
-) -> bool:
+) -> Float[np.ndarray, "N 2"]:
+    """Where the first photo shows what moves; nowhere if nothing does or nothing stays."""
     here, there = (places[photo][rows[:, side]] for side, photo in enumerate(pair))
     moved = np.linalg.norm(here - there, axis=1) / sides[pair[0]]
     still, moving = moved < STILL, moved > MOVED
+    nowhere = here[:0]
     if min(still.sum(), moving.sum()) < MIN_MATCHES:
-        return False
+        return nowhere
     if here[still].std(axis=0).max() < FEATURE_SPREAD * sides[pair[0]]:
-        return False
+        return nowhere
     cv2.setRNGSeed(0)
     error = STILL * sides[pair[0]]
     _, fits = cv2.findFundamentalMat(here[moving], there[moving], cv2.FM_RANSAC, error)
-    return fits is not None and bool(fits.sum() >= max(MIN_MATCHES, MIN_FITTING * len(fits)))
+    if fits is None or fits.sum() < max(MIN_MATCHES, MIN_FITTING * len(fits)):
+        return nowhere
+    return here[moving][fits[:, 0] > 0]
 
 
 def spread_box(
@@ -207,24 +212,3 @@ def write_masks(masks: MaskReaders, photos: Path, names: Sequence[str], folder: 
         what = "every pixel" if min(shares) == 1 else "no pixel"
         raise StyleSplatError(f"The masks show {what} of each photo. Check --masks.")
     return folder
-
-
-def stands_still(photos: Path, files: Sequence[str], masks: Path) -> bool:
-    """Whether photos that follow each other are the same where their masks are black."""
-
-    @lru_cache(maxsize=1)  # most photos are in two pairs
-    def look(file: str) -> tuple[Integer[np.ndarray, "_ _"], Bool[np.ndarray, "_ _"]]:
-        with open_image(photos / file) as image, open_image(masks / mask_file(file)) as mask:
-            image.draft("L", (THUMBNAIL, THUMBNAIL))
-            grey = ImageOps.exif_transpose(image).convert("L").resize((THUMBNAIL, THUMBNAIL))
-            left_out = np.asarray(mask.resize((THUMBNAIL, THUMBNAIL))) == 0
-            return np.asarray(grey).astype(int), left_out
-
-    sizes, same = [], []
-    rows = evenly_spaced(range(len(files) - 1), COMPARED)
-    for row in track(rows, "looking at what stands still"):
-        (grey, left_out), (after, also) = look(files[row]), look(files[row + 1])
-        both = left_out & also
-        sizes.append(both.mean())
-        same.append((np.abs(after - grey)[both] < UNCHANGED).mean() if both.any() else 0.0)
-    return bool(np.median(sizes) > LEFT_OUT and np.median(same) > STILL_SHARE)

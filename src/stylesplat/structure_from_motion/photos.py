@@ -34,6 +34,7 @@ from stylesplat.structure_from_motion.image_measures import (
     relative_sharpness,
     sharpness,
 )
+from stylesplat.structure_from_motion.turntable import find_turntable
 
 T = TypeVar("T")
 Result = TypeVar("Result")
@@ -267,8 +268,10 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
     sharp = {p.name: value for p, value in zip(photos, relative_sharpness(measured), strict=True)}
     left_out |= {name: "blurred" for name, value in sharp.items() if value < BLURRED}
     photos = [photo for photo in photos if photo.name not in left_out]
-    worth = [(float(np.prod(photo.small.size)), sharp[photo.name]) for photo in photos]
-    repeats = near_duplicates([photo.small.grey for photo in photos], worth)
+    repeats = dict[int, int]()
+    if find_turntable(source, [photo.name for photo in photos]) is None:  # else the room repeats
+        worth = [(float(np.prod(photo.small.size)), sharp[photo.name]) for photo in photos]
+        repeats = near_duplicates([photo.small.grey for photo in photos], worth)
     for row, kept in sorted(repeats.items()):
         left_out[photos[row].name] = f"nearly the same as {photos[kept].name}"
     photos = [photo for row, photo in enumerate(photos) if row not in repeats]

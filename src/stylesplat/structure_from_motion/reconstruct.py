@@ -40,13 +40,13 @@ from stylesplat.structure_from_motion.matching import (
 from stylesplat.structure_from_motion.object_features import (
     MaskReaders,
     PhotoBox,
+    find_two_motions,
     pixels_near_features,
     read_matches,
-    share_of_two_motions,
     spread_box,
-    stands_still,
     write_masks,
 )
+from stylesplat.structure_from_motion.one_axis import turn_on_one_axis
 from stylesplat.structure_from_motion.photos import PreparedPhotos, color_profile, map_photos
 from stylesplat.structure_from_motion.workspace import (
     Workspace,
@@ -140,12 +140,14 @@ def reconstruct(
     config: SfmConfig,
     masks: MaskReaders | None = None,
     box: tuple[str, PhotoBox] | None = None,
+    turntable: bool = False,
 ) -> Reconstruction:
     """Extract features, match them and map the photos.
 
     Of masks, one for each photo, features outside are ignored; a box around an object in a photo
-    is spread to masks of all. An interrupted call loses nothing that its database holds: the next
-    one with the same photos and settings continues.
+    is spread to masks of all. On a turntable, whose camera stands still, photos in order are
+    matched with their neighbours, and turn about one axis. An interrupted call loses nothing that
+    its database holds: the next one with the same photos and settings continues.
     """
     names, times = prepared.names, [time.perf_counter()]
     with locked_folder(work):
@@ -157,30 +159,34 @@ def reconstruct(
         counts = feature_counts(workspace)
         check_features(counts, len(names))
         times.append(time.perf_counter())
-        models, table, matched = list[pycolmap.Reconstruction](), None, 0.0
-        if folder is not None and _may_be_orbit(workspace, prepared, folder):
+        models, table, matched, turned = list[pycolmap.Reconstruction](), None, 0.0, False
+        if turntable and prepared.ordered and config.matching == "auto":
             table, matched = match_pairs(workspace, orbit_pairs(len(names))), time.perf_counter()
             if (names[0], names[-1]) in table.matches:
-                models = _map_photos(workspace)
+                models, turned = _map_orbit(workspace)
         if table is None or _posed(models) < MIN_POSED * len(names):
             table = match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
             check_matches(table)
             matched = time.perf_counter()
             models = _map_photos(workspace)
+            turned = turntable and bool(models) and turn_on_one_axis(models[0])
         if _posed(models) < MOSTLY_POSED * len(names) and not is_without_depth(models, table):
             models, counts, table = _look_closer(workspace, photos, models, counts, table)
         times += [matched, time.perf_counter()]
         sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in names]
-        motions = 0.0 if folder else share_of_two_motions(*read_matches(workspace), sides)
+        motions, shown, around = 0.0, 0, (0.0,) * 4
+        if folder is None:
+            motions, shown, around = find_two_motions(*read_matches(workspace), sides)
+    why = two_motions(motions, prepared.origins[names[shown]], around)
     try:
         check_models(models, table, len(names))
     except StyleSplatError as error:
-        if why := two_motions(motions):
+        if why:
             raise StyleSplatError(why) from error
         raise
-    model = models[0]
-    if 2 * model.num_reg_images() <= len(names) and (why := two_motions(motions)):
+    if why:
         raise StyleSplatError(why)
+    model = models[0]
     return Reconstruction(
         model=model,
         unregistered=why_unregistered(models, counts, prepared.sharpness, table, names),
@@ -193,6 +199,7 @@ def reconstruct(
             "matched_pairs": table.matched,
             "models": len(models),
             "pairs_with_two_motions": round(motions, 3),
+            "turns_on_one_axis": turned,
             "seconds": {
                 stage: round(end - start, 2)
                 for stage, start, end in zip(RECONSTRUCT_STAGES, times, times[1:], strict=False)
@@ -288,11 +295,22 @@ def _masks_of(
     return dict(zip(prepared.names, regions, strict=True))
 
 
-def _may_be_orbit(workspace: Workspace, prepared: PreparedPhotos, masks: Path) -> bool:
-    """Whether the photos seem to show, in order, an object that turns before a still camera."""
-    if prepared.cut_outs or not prepared.ordered or workspace.config.matching != "auto":
-        return False
-    return stands_still(workspace.photos, workspace.files, masks)
+def _map_orbit(workspace: Workspace) -> tuple[list[pycolmap.Reconstruction], bool]:
+    """The models of an object that turns before a still camera, and whether they turn on one axis.
+
+    Of two mappers the one counts that poses more photos, and of the same number the one with less
+    error. All at once are often more: of 36 photos of a smooth toy 36 instead of 13.
+    """
+    found = list[tuple[list[pycolmap.Reconstruction], bool]]()
+    for stage in ("map_photos", "map_photos_at_once"):
+        if models := _map_photos(workspace, stage):
+            found.append((models, turn_on_one_axis(models[0])))
+
+    def rank(each: tuple[list[pycolmap.Reconstruction], bool]) -> tuple[bool, int, float]:
+        (model, *_), turned = each
+        return turned, model.num_reg_images(), -model.compute_mean_reprojection_error()
+
+    return max(found, key=rank, default=([], False))
 
 
 def _map_photos(workspace: Workspace, stage: str = "map_photos") -> list[pycolmap.Reconstruction]:

@@ -15,16 +15,18 @@ import numpy as np
 import torch
 from jaxtyping import Bool
 
-from stylesplat.errors import StyleSplatError, join_names, printable
+from stylesplat.errors import StyleSplatError, count_noun, join_names, printable
 from stylesplat.figures.capture_picture import capture_picture
 from stylesplat.io.atomic import atomic_folder, locked_folder, progress_path, refuse_occupied
 from stylesplat.io.captures.capture_folder import (
+    CUT_OUT_NAMES,
     OBJECT_MASK,
     SFM_FILE,
     SfmRecord,
     load,
     open_capture,
     unposed_photos,
+    with_drawn_maps,
     write_sfm,
 )
 from stylesplat.io.captures.colmap import ModelFigures, read_figures
@@ -32,7 +34,7 @@ from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.files import resolve_within
 from stylesplat.io.images import image_sizes, write_image
 from stylesplat.io.kinds import refuse_other_than_photos
-from stylesplat.io.label_maps import DrawnLabels
+from stylesplat.io.label_maps import DrawnLabels, FoundMasks, write_label_maps
 from stylesplat.masks.import_masks import check_mask_source, import_label_maps
 from stylesplat.options import (
     BOX,
@@ -43,17 +45,24 @@ from stylesplat.options import (
 )
 from stylesplat.progress import say
 from stylesplat.scene.cameras import find_name
-from stylesplat.scene.capture import BACKGROUND, Capture
+from stylesplat.scene.capture import BACKGROUND, Capture, Mask, OwnLabels
 from stylesplat.scene.frames import Frame
+from stylesplat.scene.sequences import Lazy
 from stylesplat.structure_from_motion import diagnostics
 from stylesplat.structure_from_motion.config import SfmConfig
-from stylesplat.structure_from_motion.diagnostics import CaptureReport, Finding, two_motions
+from stylesplat.structure_from_motion.diagnostics import CaptureReport, Finding
 from stylesplat.structure_from_motion.earlier_capture import source_digest
 from stylesplat.structure_from_motion.image_measures import MEASURE_SIDE
-from stylesplat.structure_from_motion.object_features import MaskReaders, PhotoBox, cut_out_mask
+from stylesplat.structure_from_motion.object_features import PhotoBox, cut_out_mask
 from stylesplat.structure_from_motion.photos import PreparedPhotos
 from stylesplat.structure_from_motion.prepare import prepare
-from stylesplat.structure_from_motion.reconstruct import Reconstruction, reconstruct, write_colmap
+from stylesplat.structure_from_motion.reconstruct import (
+    MIN_POSED,
+    Reconstruction,
+    reconstruct,
+    write_colmap,
+)
+from stylesplat.structure_from_motion.turntable import Turntable, find_turntable
 from stylesplat.structure_from_motion.world_frame import (
     find_centre,
     measure_coverage,
@@ -61,6 +70,7 @@ from stylesplat.structure_from_motion.world_frame import (
     move_to_working_frame,
     working_frame,
 )
+from stylesplat.training.object_alone import outline_moving_object
 
 
 @check_arguments
@@ -192,13 +202,20 @@ def sfm(
         refuse_occupied(output, marker=SFM_FILE, overwrite=overwrite)
         digest = source_digest(source)
         prepared = prepare(source, photos, frames=frames)
-        found = reconstruct(
-            photos,
+        drawn = None if masks is None else _drawn_on(Path(masks), prepared)
+        turntable = None if prepared.cut_outs else find_turntable(photos, prepared.names)
+        if turntable is not None:
+            say("The camera stood still before an object that turns: the object is posed.")
+        found = _posed_by(
+            source,
+            output,
             prepared,
+            photos,
             work,
-            config=config,
-            masks=_masks_of(source, prepared, masks),
-            box=None if box is None else _place_box(box, photos, prepared),
+            config,
+            drawn=drawn,
+            box=box,
+            turntable=turntable,
         )
         frame = move_to_working_frame(found.model)
         with atomic_folder(output, overwrite=overwrite, marker=SFM_FILE) as new:
@@ -210,6 +227,8 @@ def sfm(
             if (output / OBJECT_MASK).is_dir():  # of an earlier capture; they may be handwork
                 shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
                 say(f"The label maps in {output / OBJECT_MASK} are kept.")
+            elif labelled := _with_masks(load(new), drawn, is_alone=turntable is not None):
+                write_label_maps(labelled, new / OBJECT_MASK)
         shutil.rmtree(work, ignore_errors=True)
         with suppress(OSError):  # something else lies beside it
             work.parent.rmdir()
@@ -218,27 +237,82 @@ def sfm(
         for why in dict.fromkeys(reasons.values()):
             names = [name for name, other in reasons.items() if other == why]
             say(f"{what}: {join_names(names, LISTED)}: {why}.")
-    if why := two_motions(found.numbers["pairs_with_two_motions"]):
-        say(why)
     for line in advices(report, known={"posed"}):
         say(line)
     return load(output)
 
 
-def _masks_of(
-    source: Path, prepared: PreparedPhotos, masks: Path | str | None
-) -> MaskReaders | None:
-    """What to find features in, by photo; None where that is everything."""
+def _posed_by(
+    source: Path,
+    output: Path,
+    prepared: PreparedPhotos,
+    photos: Path,
+    work: Path,
+    config: SfmConfig,
+    *,
+    drawn: FoundMasks | None,
+    box: Places | None,
+    turntable: Turntable | None,
+) -> Reconstruction:
+    """Find the poses of what the photos, masks of them, or a box in one say is to be posed."""
+    masks, placed = None, None
+    if drawn is not None:
+        masks = {name: partial(_shown, each) for name, each in drawn.maps.items()}
+    elif box is not None:
+        placed = _place_box(box, photos, prepared)
+    elif prepared.cut_outs:
+        paths = {n: resolve_within(source, own) for n, own in prepared.origins.items()}
+        masks = {name: partial(cut_out_mask, path) for name, path in paths.items()}
+    elif turntable is not None:
+        masks = turntable.masks(prepared.names)
+    options = {"config": config, "masks": masks, "box": placed}
+    if turntable is None or drawn is not None or box is not None:
+        return reconstruct(photos, prepared, work, **options, turntable=turntable is not None)
+    try:
+        found = reconstruct(photos, prepared, work, **options, turntable=True)
+        count, total = found.model.num_reg_images(), len(prepared.names)
+        few = count < MIN_POSED * total and not found.numbers["turns_on_one_axis"]
+        fault = f"Only {count} of {count_noun(total, 'photo')} fit together." if few else None
+    except StyleSplatError as error:
+        found, fault = None, str(error)
+    if found is None or fault is not None:
+        name = prepared.names[len(prepared.names) // 2]
+        corners = ",".join(map(str, turntable.box(name)))
+        view = f"{prepared.origins[name]}:{corners}"
+        raise StyleSplatError(
+            f"Cannot pose the object that turns. {fault} Put something with print beside it on the "
+            "turntable, or draw a box around what has detail: "
+            f"stylesplat sfm {source} -o {output} --object {view}"
+        )
+    return found
+
+
+def _drawn_on(masks: Path, prepared: PreparedPhotos) -> FoundMasks:
+    """The user's masks, by the names that photos have in the capture."""
     origins = prepared.origins
-    if masks is not None:
-        found = import_label_maps(Path(masks), [origins[name] for name in prepared.names]).maps
-        drawn = {name: found[own] for name, own in origins.items() if own in found}
-        return {name: partial(_shown, each) for name, each in drawn.items()}
-    if prepared.cut_outs:
-        return {
-            name: partial(cut_out_mask, resolve_within(source, origins[name])) for name in origins
-        }
-    return None
+    found = import_label_maps(masks, [origins[name] for name in prepared.names])
+    return FoundMasks(
+        {n: found.maps[own] for n, own in origins.items() if own in found.maps}, found.names
+    )
+
+
+def _with_masks(capture: Capture, drawn: FoundMasks | None, *, is_alone: bool) -> Capture | None:
+    """The capture with the masks that were given, or of the object that turns; None without any."""
+    if drawn is not None:
+        return with_drawn_maps(capture, drawn)
+    outlines = outline_moving_object(capture) if is_alone else None
+    if outlines is None:
+        return None
+    maps = [
+        partial(_enlarged, outline, camera.size)
+        for outline, camera in zip(outlines, capture.cameras, strict=True)
+    ]
+    return replace(capture, label_maps=Lazy(maps), object_names=CUT_OUT_NAMES)
+
+
+def _enlarged(mask: Mask, size: tuple[int, int]) -> OwnLabels:
+    smooth = cv2.resize(mask.numpy().astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+    return torch.from_numpy(smooth > 0.5).int()
 
 
 def _shown(drawn: DrawnLabels) -> Bool[np.ndarray, "H W"]:

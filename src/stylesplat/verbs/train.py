@@ -29,6 +29,7 @@ from stylesplat.training.config import (
 )
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit, rank_and_processes
+from stylesplat.training.object_alone import OBJECTS_ALONE, object_alone
 from stylesplat.training.per_photo import with_refined_cameras
 from stylesplat.training.views import learned_ids, split_views
 
@@ -93,6 +94,10 @@ def train(
         say("No label maps: training without identities, so objects cannot be selected by id.")
     torch_device = pick_device(device)
     capture = capture.without_outliers()
+    alone = object_alone(capture)
+    if alone is not None:
+        say("What is around the objects does not turn with them: they are trained alone.")
+        capture = alone
     rows, held_out = split_views(capture, config.test_every)
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
     state = fit(learned, config, device=torch_device, checkpoint=checkpoint, finish=finish)
@@ -121,7 +126,8 @@ def train(
             "settings": asdict(config) | {"segment": segment, "device": torch_device.type},
             "libraries": {name: version(name) for name in TRAIN_LIBRARIES},
         }
-        | ({"fits": fits.names} if fits.names else {}),
+        | ({"fits": fits.names} if fits.names else {})
+        | ({OBJECTS_ALONE: True} if alone else {}),
         metrics=metrics
         | {
             "seconds": round(seconds, 2),

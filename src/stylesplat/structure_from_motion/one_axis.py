@@ -1,0 +1,215 @@
+"""Photos of an object on a turntable: what moves is one angle a photo.
+
+The camera stands still and the object turns about one axis: the poses of all photos are one place
+of the axis, one lens and an angle each. Poses that were found one by one say where the axis is;
+bundle adjustment of those few numbers and the points makes them exact.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Integer
+from scipy.optimize import least_squares
+from scipy.sparse import coo_array, csr_array
+
+from stylesplat.io.captures.colmap import posed_images
+from stylesplat.io.captures.colmap_library import pycolmap
+
+ONE_AXIS = 5.0  # degrees by which poses found one by one may be off, in the median
+RADIAL_SPREAD = 0.05  # of the distortion of lenses; what fills half a picture hardly tells it
+ADJUSTMENTS = 50
+COMMON = 8  # numbers of all photos: the focal length, the distortion, the axis, where it stands
+
+
+@dataclass(frozen=True)
+class _Observations:
+    photos: Integer[np.ndarray, " O"]
+    points: Integer[np.ndarray, " O"]
+    """Rows."""
+    places: Float[np.ndarray, "O 2"]
+    """In pixels from the principal point."""
+
+
+def turn_on_one_axis(model: pycolmap.Reconstruction) -> bool:
+    """Make the poses of a model turns about one axis, exactly; False where they are none.
+
+    Changes the poses, points and the focal length and distortion of its one SIMPLE_RADIAL camera.
+    """
+    images = posed_images(model)
+    cameras = {image.camera_id for image in images}
+    if (
+        len(cameras) > 1
+        or model.cameras[min(cameras)].model != pycolmap.CameraModelId.SIMPLE_RADIAL
+    ):
+        return False
+    camera = model.cameras[min(cameras)]
+    poses = np.stack([image.cam_from_world().matrix() for image in images])
+    axis, place = _axis(poses)
+    world = _turn_to_y(axis)  # from the model's world to one whose y is the axis
+    rotations = poses[:, :, :3] @ world.T
+    angles, apart = _angles(rotations)
+    if np.median(apart) > ONE_AXIS:
+        return False
+    shift = (poses[:, :, :3] @ place + poses[:, :, 3]).mean(axis=0)
+    keys = sorted(model.points3D.keys())
+    points = np.stack([model.points3D[key].xyz for key in keys])
+    seen = _observations(model, images, keys, camera)
+    focal, distortion = camera.params[0], camera.params[3]
+    start = np.concatenate(
+        [
+            [focal, distortion],
+            _vector(rotations[0]),
+            shift,
+            angles,
+            ((points - place) @ world.T).ravel(),
+        ]
+    )
+    found = _adjust(start, seen, len(images))
+    camera.params = [found[0], *camera.params[1:3], found[1]]
+    still = cv2.Rodrigues(found[2:5])[0]
+    for image, angle in zip(images, found[COMMON : COMMON + len(images)], strict=True):
+        rotation = pycolmap.Rotation3d(still @ _about_y(angle))
+        assert image.frame is not None, "it has a pose"
+        image.frame.set_cam_from_world(image.camera_id, pycolmap.Rigid3d(rotation, found[5:8]))
+    for key, point in zip(keys, found[COMMON + len(images) :].reshape(-1, 3), strict=True):
+        model.points3D[key].xyz = point
+    model.update_point_3d_errors()
+    return True
+
+
+def _axis(
+    poses: Float[np.ndarray, "P 3 4"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """The direction that all cameras see alike, and a point that they do; up in the photos."""
+    rotations, shifts = poses[:, :, :3], poses[:, :, 3]
+    mean = rotations.mean(axis=0)
+    axis = np.linalg.svd(mean)[2][0]
+    axis *= np.sign((mean @ axis)[1]) or 1.0  # y points down in photos
+    place = np.linalg.lstsq(
+        (rotations - mean).reshape(-1, 3), -(shifts - shifts.mean(axis=0)).ravel(), rcond=1e-3
+    )[0]
+    return axis, place
+
+
+def _turn_to_y(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    side /= np.linalg.norm(side)
+    return np.stack([side, axis, np.cross(side, axis)])
+
+
+def _about_y(angle: float) -> Float[np.ndarray, "3 3"]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def _angles(
+    rotations: Float[np.ndarray, "P 3 3"],
+) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
+    """Turns about y that lead from the first rotation to each, and the degrees that are left."""
+    relative = rotations[0].T @ rotations
+    angles = np.arctan2(
+        relative[:, 0, 2] - relative[:, 2, 0], relative[:, 0, 0] + relative[:, 2, 2]
+    )
+    left = np.stack(
+        [_about_y(angle).T @ each for angle, each in zip(angles, relative, strict=True)]
+    )
+    cosines = (np.trace(left, axis1=1, axis2=2) - 1) / 2
+    return angles, np.degrees(np.arccos(cosines.clip(-1, 1)))
+
+
+def _observations(
+    model: pycolmap.Reconstruction,
+    images: list[pycolmap.Image],
+    keys: list[int],
+    camera: pycolmap.Camera,
+) -> _Observations:
+    row_of_photo = {image.image_id: row for row, image in enumerate(images)}
+    found = [
+        (
+            row_of_photo[each.image_id],
+            row,
+            *model.images[each.image_id].points2D[each.point2D_idx].xy,
+        )
+        for row, key in enumerate(keys)
+        for each in model.points3D[key].track.elements
+    ]
+    table = np.array(found)
+    rows = table[:, :2].astype(int)
+    return _Observations(rows[:, 0], rows[:, 1], table[:, 2:] - camera.params[1:3])
+
+
+def _vector(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    return cv2.Rodrigues(rotation)[0][:, 0]
+
+
+def _adjust(
+    start: Float[np.ndarray, " V"], seen: _Observations, photos: int
+) -> Float[np.ndarray, " V"]:
+    """Bundle adjustment of `COMMON` numbers, an angle for each photo and the points."""
+    first, last = COMMON + photos, 2 * len(seen.photos)
+    columns = np.hstack(
+        [
+            np.broadcast_to(np.arange(COMMON), (len(seen.photos), COMMON)),
+            COMMON + seen.photos[:, None],
+            first + 3 * seen.points[:, None] + np.arange(3),
+        ]
+    )
+    rows = np.broadcast_to(np.arange(last).reshape(-1, 2, 1), (len(columns), 2, columns.shape[1]))
+    where = (
+        np.append(rows.ravel(), last),
+        np.append(np.repeat(columns[:, None], 2, axis=1).ravel(), 1),
+    )
+
+    def residuals(values: Float[np.ndarray, " V"]) -> Float[np.ndarray, " R"]:
+        places = _project(values, seen, photos)[0]
+        return np.append((places - seen.places).ravel(), values[1] / RADIAL_SPREAD)
+
+    def jacobian(values: Float[np.ndarray, " V"]) -> csr_array:
+        slopes = _project(values, seen, photos)[1]
+        entries = np.append(slopes.ravel(), 1 / RADIAL_SPREAD)
+        return coo_array((entries, where), shape=(last + 1, len(values))).tocsr()
+
+    return least_squares(
+        residuals,
+        start,
+        jac=jacobian,  # pyright: ignore[reportArgumentType]
+        loss="soft_l1",
+        x_scale="jac",
+        max_nfev=ADJUSTMENTS,
+    ).x
+
+
+def _project(
+    values: Float[np.ndarray, " V"], seen: _Observations, photos: int
+) -> tuple[Float[np.ndarray, "O 2"], Float[np.ndarray, "O 2 12"]]:
+    """Places of points in photos, and their derivatives by what each of them depends on."""
+    (focal, distortion), vector, shift = values[:2], values[2:5], values[5:COMMON]
+    angles, points = np.split(values[COMMON:], [photos])
+    c, s = np.cos(angles[seen.photos]), np.sin(angles[seen.photos])
+    x, y, z = points.reshape(-1, 3)[seen.points].T
+    turned = np.stack([c * x + s * z, y, c * z - s * x], axis=1)
+    still, slopes_of_still = cv2.Rodrigues(vector)
+    placed = turned @ still.T + shift
+    flat = placed[:, :2] / placed[:, 2:]
+    square = (flat**2).sum(axis=1)[:, None]
+    bent = 1 + distortion * square
+    # of the place by the point before the camera
+    by_flat = focal * (
+        bent[:, :, None] * np.eye(2) + 2 * distortion * flat[:, :, None] * flat[:, None]
+    )
+    depth = placed[:, 2, None, None]
+    by_placed = np.concatenate([by_flat, -by_flat @ flat[:, :, None]], axis=2) / depth
+    by_vector = turned @ slopes_of_still.reshape(3, 3, 3).transpose(0, 2, 1)  # one of 3 each
+    zero = np.zeros_like(c)
+    by_angle = np.stack([c * z - s * x, zero, -s * z - c * x], axis=1) @ still.T
+    turn = np.stack([c, zero, s, zero, zero + 1, zero, -s, zero, c], axis=1).reshape(-1, 3, 3)
+    slopes = [
+        (bent * flat)[:, :, None],
+        (focal * square * flat)[:, :, None],
+        by_placed @ by_vector.transpose(1, 2, 0),
+        by_placed,
+        by_placed @ by_angle[:, :, None],
+        by_placed @ still @ turn,
+    ]
+    return focal * bent * flat, np.concatenate(slopes, axis=2)
