@@ -122,7 +122,12 @@ def test_cut_outs_are_posed_by_what_they_show(tmp_path: Path):
         pixels = np.dstack([np.asarray(Image.open(path)), 255 * OBJECT.astype(np.uint8)])
         Image.fromarray(pixels).save(path.with_suffix(".png"))
         path.unlink()
-    assert_posed(ss.sfm(folder, tmp_path / "capture"), compared=ALL)
+    capture = ss.sfm(folder, tmp_path / "capture")
+    assert_posed(capture, compared=ALL)
+    cut_out = [*capture.cameras.names].index("00.png")
+    alpha = capture.alpha(cut_out)
+    assert alpha is not None and capture.object_names == {1: "object"}
+    assert mask_iou(alpha > 128, resize_labels(torch.from_numpy(OBJECT), alpha.shape)) > 0.9
 
 
 @pytest.mark.parametrize(

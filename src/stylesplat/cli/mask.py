@@ -22,7 +22,7 @@ from stylesplat.cli.command import (
     stylize_command,
 )
 from stylesplat.cli.sfm import find_photos_capture
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.interrupts import WHOLE
 from stylesplat.io.atomic import locked_folder, progress_path, refuse_occupied
 from stylesplat.io.files import is_file
@@ -185,7 +185,10 @@ class MaskCommand(MakingCommand):
             lines += [MEND] if self.box or self._corrects else []
         values = {"masks": output, "preview": preview if is_drawn else None, "photos": len(found)}
         values |= {"of": len(masked), "ids": ids, "names": called}
-        return Answer(values, lines, [next_command("train", self.capture)])
+        following = next_command("train", self.capture)
+        if self.scene is not None:  # it takes the new labels in seconds, without training
+            following = shell_command("labels", self.scene, "--masks", output)
+        return Answer(values, lines, [following])
 
     def _mask_scene(self) -> Answer:
         self.refuse_given(("scene",), "a scene, which is that scene itself")

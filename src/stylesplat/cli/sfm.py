@@ -54,7 +54,7 @@ class Sfm(MakingCommand):
         from stylesplat.io.captures.capture_folder import SFM_FILE, read_sfm
         from stylesplat.verbs.sfm import SFM_PICTURE
 
-        ss.sfm(
+        capture = ss.sfm(
             self.source,
             self.output,
             frames=self.frames,
@@ -76,7 +76,10 @@ class Sfm(MakingCommand):
         posed = f"{record.registered} of {record.given} photos with their cameras"
         picture = f"{self.output / SFM_PICTURE}, the cameras and points from above and the side"
         lines = (f"{self.output}: {posed}.", f"Picture: {picture}.")
-        return Answer(values, lines, [mask_command(self.output)])
+        following = mask_command(self.output)
+        if capture.label_maps is not None:  # of what turns, of masks, or of cut-outs
+            following = next_command("train", self.output)
+        return Answer(values, lines, [following])
 
 
 @dataclass(frozen=True)

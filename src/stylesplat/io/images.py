@@ -148,6 +148,17 @@ def flatten_alpha(pixels: UInt8[np.ndarray, "H W D"], grey: int) -> UInt8[np.nda
     return pixels
 
 
+def straight_alpha(pixels: UInt8[np.ndarray, "H W D"]) -> UInt8[np.ndarray, "H W D"]:
+    """Colours over black as files with transparency have them; what is hidden becomes white."""
+    if pixels.shape[2] == 3:
+        return pixels
+    alpha = pixels[..., 3:].astype(np.float32)
+    colors = np.where(
+        alpha > 0, 255 * pixels[..., :3].astype(np.float32) / np.maximum(alpha, 1), WHITE
+    )
+    return np.dstack([colors.round().clip(0, 255).astype(np.uint8), pixels[..., 3]])
+
+
 def write_image(
     image: ColorPicture, path: Path | str, *, exif: bytes = b"", icc_profile: bytes | None = None
 ) -> None:

@@ -5,6 +5,7 @@ of the axis, one lens and an angle each. Poses that were found one by one say wh
 bundle adjustment of those few numbers and the points makes them exact.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -17,8 +18,10 @@ from stylesplat.io.captures.colmap import posed_images
 from stylesplat.io.captures.colmap_library import pycolmap
 
 ONE_AXIS = 5.0  # degrees by which poses found one by one may be off, in the median
+WORSE = 1.3  # times the error of poses that are free, from which they do not turn on one axis
 RADIAL_SPREAD = 0.05  # of the distortion of lenses; what fills half a picture hardly tells it
 ADJUSTMENTS = 50
+NEAR_PARALLEL = 1e-6  # rays of which a point is left near the axis
 COMMON = 8  # numbers of all photos: the focal length, the distortion, the axis, where it stands
 
 
@@ -31,10 +34,11 @@ class _Observations:
     """In pixels from the principal point."""
 
 
-def turn_on_one_axis(model: pycolmap.Reconstruction) -> bool:
+def turn_on_one_axis(model: pycolmap.Reconstruction, names: Sequence[str]) -> bool:
     """Make the poses of a model turns about one axis, exactly; False where they are none.
 
-    Changes the poses, points and the focal length and distortion of its one SIMPLE_RADIAL camera.
+    Steps as they were found are tried, and even ones. Changes the poses and points, and the focal
+    length and distortion of the one SIMPLE_RADIAL camera; `names` are those of all photos in order.
     """
     images = posed_images(model)
     cameras = {image.camera_id for image in images}
@@ -56,16 +60,21 @@ def turn_on_one_axis(model: pycolmap.Reconstruction) -> bool:
     points = np.stack([model.points3D[key].xyz for key in keys])
     seen = _observations(model, images, keys, camera)
     focal, distortion = camera.params[0], camera.params[3]
-    start = np.concatenate(
-        [
-            [focal, distortion],
-            _vector(rotations[0]),
-            shift,
-            angles,
-            ((points - place) @ world.T).ravel(),
-        ]
-    )
-    found = _adjust(start, seen, len(images))
+    common = np.concatenate([[focal, distortion], _vector(rotations[0]), shift])
+    moved = (points - place) @ world.T
+    starts = [np.concatenate([common, angles, moved.ravel()])]
+    rows = np.array([names.index(image.name) for image in images])
+    step = np.sign(np.median(np.diff(np.unwrap(angles)) / np.diff(rows))) * 2 * np.pi / len(names)
+    even = np.concatenate([common, step * (rows - rows[0]), moved.ravel()])
+    starts.append(_with_points(even, seen, len(images)))  # poses may be right in parts alone
+    adjusted = [_adjust(start, seen, len(images)) for start in starts]
+    errors = [
+        np.linalg.norm(_project(each, seen, len(images))[0] - seen.places, axis=1).mean()
+        for each in adjusted
+    ]
+    if min(errors) > WORSE * model.compute_mean_reprojection_error():
+        return False
+    found = adjusted[int(np.argmin(errors))]
     camera.params = [found[0], *camera.params[1:3], found[1]]
     still = cv2.Rodrigues(found[2:5])[0]
     for image, angle in zip(images, found[COMMON : COMMON + len(images)], strict=True):
@@ -141,6 +150,24 @@ def _observations(
 
 def _vector(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
     return cv2.Rodrigues(rotation)[0][:, 0]
+
+
+def _with_points(
+    values: Float[np.ndarray, " V"], seen: _Observations, photos: int
+) -> Float[np.ndarray, " V"]:
+    """The values with each point where the rays of its photos come closest to each other."""
+    still, shift = cv2.Rodrigues(values[2:5])[0], values[5:COMMON]
+    turns = np.stack([still @ _about_y(a) for a in values[COMMON : COMMON + photos]])[seen.photos]
+    rays = np.hstack([seen.places / values[0], np.ones((len(seen.places), 1))])
+    rays = np.einsum("nji,nj->ni", turns, rays / np.linalg.norm(rays, axis=1)[:, None])
+    across = np.eye(3) - rays[:, :, None] * rays[:, None]
+    centres = -np.einsum("nji,j->ni", turns, shift)
+    count = (len(values) - COMMON - photos) // 3
+    sums, targets = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    np.add.at(sums, seen.points, across)
+    np.add.at(targets, seen.points, np.einsum("nij,nj->ni", across, centres))
+    points = np.linalg.solve(sums + NEAR_PARALLEL * np.eye(3), targets[..., None])
+    return np.concatenate([values[: COMMON + photos], points.ravel()])
 
 
 def _adjust(

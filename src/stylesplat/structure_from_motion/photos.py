@@ -13,14 +13,23 @@ from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 import numpy as np
+import torch
 from PIL import ExifTags, Image
 
 from stylesplat.errors import StyleSplatError, join_names, shorten
 from stylesplat.io.atomic import PARTIAL, atomic_path
-from stylesplat.io.captures.photos import SmallPhoto, plain_suffix, read_small
+from stylesplat.io.captures.photos import BLACK, SmallPhoto, plain_suffix, read_small
 from stylesplat.io.captures.posed_files import check_path
 from stylesplat.io.files import reason, resolve_within
-from stylesplat.io.images import exif_of, open_image, read_image, write_image
+from stylesplat.io.images import (
+    decode,
+    exif_of,
+    flatten_alpha,
+    open_image,
+    read_image,
+    straight_alpha,
+    write_image,
+)
 from stylesplat.io.json_yaml import PhotoName
 from stylesplat.io.kinds import HEIC, NO_PHOTOS, PHOTOS, VIDEOS, find_poses
 from stylesplat.progress import track
@@ -46,6 +55,8 @@ Base = ExifTags.Base
 CAMERA_TAGS = (Base.Make, Base.Model)
 LENS_TAGS = (Base.FocalLength, Base.FocalLengthIn35mmFilm, Base.LensModel)
 SENSOR_TAGS = Base.FocalPlaneXResolution, Base.FocalPlaneYResolution, Base.FocalPlaneResolutionUnit
+CUT_OUT_SUFFIX = ".png"  # of photos written with their transparency
+SOME_TRANSPARENT = 0.001  # share of the pixels of a photo that is no cut-out
 MAX_TEXT = 64  # characters of a camera's name
 MAX_NUMBER = 1e6  # millimetres or pixels in an inch: no camera has as many
 
@@ -97,13 +108,17 @@ def color_profile(path: Path) -> bytes | None:
 
 
 def write_photo(source: Path, target: Path) -> None:
-    """Copy an upright 8-bit JPEG or PNG; write any other photo upright as JPEG."""
+    """Copy an upright 8-bit JPEG or PNG; write others upright, cut-outs as PNG, else as JPEG."""
     if plain_suffix(source):
         with atomic_path(target) as temporary:
             shutil.copyfile(source, temporary)
         return
     exif, profile = lens_exif(source), color_profile(source)
-    write_image(read_image(source), target, exif=exif, icc_profile=profile)
+    if target.suffix.lower() == CUT_OUT_SUFFIX:
+        pixels = straight_alpha(flatten_alpha(decode(source, upright=True), BLACK))
+        write_image(torch.from_numpy(pixels), target, exif=exif, icc_profile=profile)
+    else:
+        write_image(read_image(source), target, exif=exif, icc_profile=profile)
 
 
 def map_photos(
@@ -303,7 +318,10 @@ def _measure(source: Path, names: Sequence[str], left_out: dict[str, str]) -> li
     def measure(name: str) -> _Candidate | str:
         path = source / name
         try:
-            small, suffix = read_small(path, MEASURE_SIDE), plain_suffix(path) or ".jpg"
+            small = read_small(path, MEASURE_SIDE)
+            suffix = plain_suffix(path) or ".jpg"
+            if small.transparent > SOME_TRANSPARENT:
+                suffix = CUT_OUT_SUFFIX
             return _Candidate(name, small, sharpness(small.grey), suffix)
         except StyleSplatError as error:
             cause = error.__cause__ if isinstance(error.__cause__, Exception) else error

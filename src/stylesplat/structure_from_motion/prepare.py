@@ -30,7 +30,7 @@ from stylesplat.structure_from_motion.video_keyframes import (
 
 PREPARE_RECORD = ".prepared.json"  # in the folder of prepared photos
 # Of how photos are selected and written; those of another version are made again
-PREPARE_VERSION = 5
+PREPARE_VERSION = 6
 
 
 def check_source(source: Path) -> None:

@@ -20,7 +20,7 @@ from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens, places_in
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.files import cannot_write, resolve_within
-from stylesplat.io.images import image_sizes, write_image
+from stylesplat.io.images import image_sizes, straight_alpha, write_image
 from stylesplat.progress import say
 from stylesplat.structure_from_motion.config import MIN_PHOTOS, SfmConfig
 from stylesplat.structure_from_motion.diagnostics import (
@@ -71,7 +71,8 @@ def write_colmap(model: pycolmap.Reconstruction, photos: Path, folder: Path) -> 
         source = resolve_within(photos, image.name)
         target = resolve_within(folder / "images", image.name)
         photo = Photo(source, upright=True, lens=lens, size=lens.pinhole().size)
-        write_image(photo.read_with_alpha(), target, icc_profile=color_profile(source))
+        pixels = straight_alpha(photo.read_with_alpha().numpy())
+        write_image(torch.from_numpy(pixels), target, icc_profile=color_profile(source))
 
     map_photos(write, images, "undistorting photos", threads=torch.get_num_threads())
     sparse = folder / "sparse" / "0"
@@ -160,16 +161,18 @@ def reconstruct(
         check_features(counts, len(names))
         times.append(time.perf_counter())
         models, table, matched, turned = list[pycolmap.Reconstruction](), None, 0.0, False
-        if turntable and prepared.ordered and config.matching == "auto":
+        may_turn = turntable or prepared.cut_outs
+        if may_turn and prepared.ordered and config.matching == "auto":
             table, matched = match_pairs(workspace, orbit_pairs(len(names))), time.perf_counter()
             if (names[0], names[-1]) in table.matches:
                 models, turned = _map_orbit(workspace)
-        if table is None or _posed(models) < MIN_POSED * len(names):
+        is_orbit = turned or (turntable and bool(models))
+        if table is None or not is_orbit or _posed(models) < MIN_POSED * len(names):
             table = match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
             check_matches(table)
             matched = time.perf_counter()
             models = _map_photos(workspace)
-            turned = turntable and bool(models) and turn_on_one_axis(models[0])
+            turned = turntable and bool(models) and turn_on_one_axis(models[0], names)
         if _posed(models) < MOSTLY_POSED * len(names) and not is_without_depth(models, table):
             models, counts, table = _look_closer(workspace, photos, models, counts, table)
         times += [matched, time.perf_counter()]
@@ -219,7 +222,7 @@ def _look_closer(
 
     Two mappers try: one photo after the other, and all at once. The second joins photos that are
     far apart (of 29 of a golden cape, whose highlights wander, 22 instead of 8), and is trusted
-    where its poses are those of the first.
+    where its poses are those of the first, or those of an object alone that turns on one axis.
     """
     names = workspace.names
     posed = f"{_posed(models)} of {len(names)} photos"
@@ -232,9 +235,11 @@ def _look_closer(
     in_turn, at_once = _map_photos(closer), _map_photos(closer, "map_photos_at_once")
     tries = [(models, counts, table)]
     tries += [(each, feature_counts(closer), found) for each in (in_turn, at_once)]
-    if at_once and not has_one_scale(at_once[0]):
-        tries.pop()
-    elif at_once and not all(agree(at_once[0], each) for each in (*in_turn[:1], *models[:1])):
+    others = (*in_turn[:1], *models[:1])
+    if at_once and not (
+        (workspace.masks is not None and turn_on_one_axis(at_once[0], names))
+        or (has_one_scale(at_once[0]) and all(agree(at_once[0], each) for each in others))
+    ):
         tries.pop()
     return max(tries, key=lambda each: _posed(each[0]))
 
@@ -304,7 +309,7 @@ def _map_orbit(workspace: Workspace) -> tuple[list[pycolmap.Reconstruction], boo
     found = list[tuple[list[pycolmap.Reconstruction], bool]]()
     for stage in ("map_photos", "map_photos_at_once"):
         if models := _map_photos(workspace, stage):
-            found.append((models, turn_on_one_axis(models[0])))
+            found.append((models, turn_on_one_axis(models[0], workspace.names)))
 
     def rank(each: tuple[list[pycolmap.Reconstruction], bool]) -> tuple[bool, int, float]:
         (model, *_), turned = each

@@ -15,12 +15,13 @@ import torch
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.files import cannot_write, resolve_within
+from stylesplat.io.images import open_image, read_image, write_image
 from stylesplat.io.json_yaml import read_json, write_json
 from stylesplat.progress import say
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.structure_from_motion.colmap_process import FATAL, is_disk_full, run_stage
 from stylesplat.structure_from_motion.config import SfmConfig
-from stylesplat.structure_from_motion.photos import group_by_camera
+from stylesplat.structure_from_motion.photos import group_by_camera, lens_exif
 
 # Photos of one camera that OPENCV's two focal lengths and four distortion coefficients need; with
 # fewer, one of each is found. On desk, whose pixels are not square, OPENCV is three times as exact.
@@ -161,7 +162,7 @@ def _create_database(workspace: Workspace, photos: Path) -> None:
             shutil.rmtree(workspace.photos)
         workspace.photos.mkdir(parents=True)
         for file, name in workspace.name_of.items():
-            shutil.copyfile(resolve_within(photos, name), workspace.photos / file)
+            _copy_opaque(resolve_within(photos, name), workspace.photos / file)
     except OSError as error:
         raise cannot_write(workspace.folder, error) from error
     groups = list[dict[str, Any]]()
@@ -170,6 +171,16 @@ def _create_database(workspace: Workspace, photos: Path) -> None:
         model = "SIMPLE_RADIAL" if is_simple else "OPENCV"
         groups.append({"names": [workspace.files[row] for row in rows], "model": model})
     workspace.run("import_photos", "reading photos", len(workspace.files), "photo", groups=groups)
+
+
+def _copy_opaque(photo: Path, target: Path) -> None:
+    """Copy a photo; a cut-out over white, since COLMAP finds little in pictures with alpha."""
+    with open_image(photo) as image:
+        is_opaque = not image.has_transparency_data
+    if is_opaque:
+        shutil.copyfile(photo, target)
+    else:
+        write_image(read_image(photo), target, exif=lens_exif(photo))
 
 
 def extract_features(workspace: Workspace, *, finest: bool = False) -> None:
