@@ -172,8 +172,9 @@ def test_nothing_ever_overlaps(seed: int):
 def test_whole_objects_come_before_their_parts():
     whole, part, beside, tiny = box(0, 30), box(5, 20), box(25, 60), box(70, 71, 0, 1)
     assert [int(m.sum()) for m in separate_masks([part, tiny, beside, whole])] == [35 * 40, 25 * 40]
-    vast = box(0, 51)
+    vast, close = box(0, 81), box(0, 60)
     assert not separate_masks([vast]) and not separate_masks([])
+    assert len(separate_masks([close])) == 1
 
 
 def test_two_of_three_photos_must_agree():

@@ -79,6 +79,8 @@ class Evaluate(MakingCommand):
                 measured = {**latest.metrics, "evaluate": metrics}
                 revise(latest, replace(latest, metrics=measured), self.scene)
         lines = photo_lines(metrics)
+        if lines and scene.layers:
+            lines.append("The photos show what is painted here as it was.")
         if "changed_gaussians" in metrics:
             measured = {**metrics.get("nnfm_after", {}), **metrics.get("content_ssim", {})}
             lines += style_lines(metrics, measured)

@@ -1,5 +1,6 @@
 """Renders against photos, and rendered label maps against given ones."""
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.similarity import object_iou, psnr, ssim
+from stylesplat.io.captures.photos import PHOTO_OPAQUE
 from stylesplat.progress import say, track
 from stylesplat.rendering.render import rasterize, render
 from stylesplat.scene.cameras import Cameras
@@ -29,6 +31,7 @@ from stylesplat.training.per_photo import (
     shift_cameras,
 )
 
+PHOTO_METRICS = "psnr", "ssim", "object_psnr"
 IMPORT_VIEWS = 8  # views of an imported scene that are compared
 PHOTO_STEPS = 40  # of fitting a camera
 FIRST_RATE, LAST_RATE = 2e-3, 1e-4  # radians, and shares of the cameras' distance, a step
@@ -76,7 +79,8 @@ def evaluate_views(
     that the capture's masks leave out are not compared. What is fitted to each photo is fitted to
     its left half on the right one, and the other way round.
 
-    Returns `psnr` and `ssim`, averaged over the views; with fits, also `psnr_unfitted` and
+    Returns `psnr` and `ssim`, averaged over the views; of cut-outs also `object_psnr`, over what is
+    opaque, since nothing is easier than the rest; with fits, also `psnr_unfitted` and
     `ssim_unfitted`; none of them if the masks leave nothing. If the splats have identities and
     these views have label maps, also `iou` and `boundary_iou` by label id, and their means over the
     objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know are left out, and
@@ -94,17 +98,22 @@ def evaluate_views(
     if not scores:
         say("The masks of the held-out photos leave no pixel to measure.")
         return _label_metrics(splats, capture, rows)
-    means = torch.tensor(scores, dtype=torch.float64).mean(dim=0).tolist()
-    metrics: dict[str, Any] = dict(zip(("psnr", "ssim"), means[-1], strict=True))
+    means = torch.tensor(scores, dtype=torch.float64).nanmean(dim=0).tolist()
+    metrics: dict[str, Any] = dict(zip(PHOTO_METRICS, means[-1], strict=True))
+    if math.isnan(metrics["object_psnr"]):
+        del metrics["object_psnr"]
     if fits.names:
-        metrics |= zip(("psnr_unfitted", "ssim_unfitted"), means[0], strict=True)
+        metrics |= zip(("psnr_unfitted", "ssim_unfitted"), means[0][:2], strict=True)
     return metrics | _label_metrics(splats, capture, rows)
 
 
 def _photo_scores(
     splats: Splats, capture: Capture, row: int, fits: Fits, level: float
 ) -> list[list[float]]:
-    """PSNR and SSIM of a view, without and perhaps with fits; `level` is behind a cut-out."""
+    """`PHOTO_METRICS` of a view, without and perhaps with fits; `level` is behind a cut-out.
+
+    What is not there is NaN.
+    """
     photo, camera = capture.photos[row].to(splats.means) / 255, capture.cameras[row]
     opacity, valid = capture.alpha(row), capture.valid(row)
     valid = None if valid is None else valid.to(splats.device)
@@ -116,8 +125,17 @@ def _photo_scores(
         photo = photo + (1 - opacity[..., None].to(photo) / 255) * level
     images = [image.clamp(0, 1) for image, _ in views]
     kept = slice(None) if valid is None else valid
+    shown = torch.zeros(photo.shape[:2], dtype=torch.bool, device=photo.device)
+    if opacity is not None:
+        shown = opacity.to(photo.device) >= PHOTO_OPAQUE
+    if valid is not None:
+        shown &= valid
     return [
-        [float(psnr(image[kept], photo[kept])), float(ssim(image, photo, valid))]
+        [
+            float(psnr(image[kept], photo[kept])),
+            float(ssim(image, photo, valid)),
+            float(psnr(image[shown], photo[shown])) if shown.any() else math.nan,
+        ]
         for image in images
     ]
 

@@ -35,6 +35,8 @@ def photo_lines(metrics: Mapping[str, Any]) -> list[str]:
     lines = []
     if {"psnr", "ssim"} <= metrics.keys():
         close = f"PSNR {metrics['psnr']:.2f} dB, SSIM {metrics['ssim']:.3f}"
+        if "object_psnr" in metrics:
+            close += f"; over the object alone PSNR {metrics['object_psnr']:.2f} dB"
         lines.append(f"Renders against photos: {close}.")
     if "miou" in metrics:
         objects = f"IoU {metrics['miou']:.2f}, of their borders {metrics['boundary_miou']:.2f}"

@@ -17,6 +17,7 @@ SamMethod = Literal["sam", "sam2", "edgetam", "sam3"]
 # Pixels of enlarged masks that are in memory together: 64 MB as float32. 64 points at once with 3
 # masks each would be 3 GB for 4 megapixels
 SAM_PIXELS_AT_ONCE = 2**24
+AMPERE = (8, 0)  # compute capability
 STABLE_WITHIN = 1.0  # logits around 0 between which the border of a stable mask hardly moves
 
 
@@ -26,8 +27,6 @@ class SamFamily:
 
     checkpoint: str
     """The default checkpoint: small, or the only one."""
-    min_iou: float
-    """The quality above which its authors keep a proposed mask; each model rates itself."""
     proposer_types: tuple[str, ...]
     """`model_type`s of checkpoints that hold the model for photos."""
     video_types: tuple[str, ...] = ()
@@ -38,10 +37,9 @@ class SamFamily:
 
 
 FAMILIES: dict[SamMethod, SamFamily] = {
-    "sam": SamFamily("facebook/sam-vit-base", 0.88, ("sam",)),
+    "sam": SamFamily("facebook/sam-vit-base", ("sam",)),
     "sam2": SamFamily(
         "facebook/sam2.1-hiera-tiny",
-        0.8,
         ("sam2", "sam2_video"),
         ("sam2_video",),
         "Sam2VideoModel",
@@ -49,7 +47,6 @@ FAMILIES: dict[SamMethod, SamFamily] = {
     ),
     "edgetam": SamFamily(
         "yonigozlan/EdgeTAM-hf",
-        0.8,
         ("edgetam", "edgetam_video"),
         ("edgetam_video",),
         "EdgeTamVideoModel",
@@ -58,7 +55,6 @@ FAMILIES: dict[SamMethod, SamFamily] = {
     # `facebook/sam3` is a `sam3_video`: a detector of words and this tracker, which takes masks
     "sam3": SamFamily(
         "facebook/sam3",
-        0.8,
         ("sam3_tracker", "sam3_video"),
         ("sam3_tracker_video", "sam3_video"),
         "Sam3TrackerVideoModel",
@@ -77,9 +73,8 @@ def load_proposer(
     from transformers import AutoImageProcessor, AutoModelForMaskGeneration
 
     return GridProposer(
-        load_model(source, AutoModelForMaskGeneration, device=device, dtype=_dtype(device)),
+        load_model(source, AutoModelForMaskGeneration, device=device, dtype=_dtype(method, device)),
         load_processor(source, AutoImageProcessor),
-        min_iou=family.min_iou,
     )
 
 
@@ -94,29 +89,33 @@ def load_propagator(
 
     kind = getattr(transformers, family.video_model)
     return VideoPropagator(
-        load_model(source, kind, device=device, dtype=_dtype(device)),
+        load_model(source, kind, device=device, dtype=_dtype(method, device)),
         load_processor(source, getattr(transformers, family.video_processor)),
     )
 
 
-def _dtype(device: torch.device | str) -> torch.dtype:
-    """The format that the models were trained in, where it is fast."""
-    return torch.bfloat16 if torch.device(device).type == "cuda" else torch.float32
+def _dtype(method: SamMethod, device: torch.device | str) -> torch.dtype:
+    """The format that most models were trained in, where it is fast: on GPUs from Ampere on."""
+    place = torch.device(device)
+    if method == "sam3" or place.type != "cuda" or torch.cuda.get_device_capability(place) < AMPERE:
+        return torch.float32
+    return torch.bfloat16
 
 
 @dataclass(frozen=True)
 class GridProposer:
     """A model of the SAM family that is asked about a grid of points.
 
-    The filters are those of the authors' automatic mask generator (Kirillov et al. 2023), without
-    crops of the photo.
+    The filters are those of the authors' automatic mask generator (Kirillov et al. 2023), but for
+    `min_iou` and without crops of the photo.
     """
 
     model: Any
     processor: Any
     """Makes the model's input of photos, and masks of the photo's size of its output."""
-    min_iou: float = 0.88
-    """The quality, as the model rates it, above which masks are kept."""
+    min_iou: float = 0.7
+    """The quality, as the model rates it, above which masks are kept; that of Gaussian Grouping,
+    which keeps more than the authors' .8 and .88."""
     min_stability: float = 0.95
     """The share of a mask that must not depend on the exact threshold."""
     max_overlap: float = 0.7

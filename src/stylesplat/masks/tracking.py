@@ -122,7 +122,7 @@ TRACK_PATIENCE = 3  # keyframes in a row in which an object may be missed before
 OTHER_SIZE = 10.0  # distance of photos of another size; the cameras' mean distance is 1
 TRACK_SAME_IOU = 0.5  # of two masks of one object in one photo
 MIN_FREE = 0.5  # share of a mask that no better one may cover
-TRACK_LARGEST = 0.5  # of a photo: a larger mask is background
+TRACK_LARGEST = 0.8  # of a photo: a larger mask is background; a close-up fills half of one
 TRACK_SMALLEST = 5e-4  # of a photo: a smaller mask is a fragment
 
 

@@ -229,7 +229,8 @@ def _look_closer(
     say(f"Only {posed} fit together so far: looking for finer features.")
     config = replace(workspace.config, max_features=CLOSER * workspace.config.max_features)
     folder = workspace.folder / "closer"
-    closer = open_workspace(folder, photos, names, config, workspace.masks)
+    # Few photos do not tell more of a lens: with OPENCV's the second joined groups in two scales
+    closer = open_workspace(folder, photos, names, config, workspace.masks, simple_lens=True)
     extract_features(closer, finest=True)
     found = match_pairs(closer, choose_pairs(closer, ordered=False))
     in_turn, at_once = _map_photos(closer), _map_photos(closer, "map_photos_at_once")

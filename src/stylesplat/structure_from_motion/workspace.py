@@ -44,6 +44,8 @@ class Workspace:
     groups: list[list[int]]
     """Rows of photos by camera."""
     config: SfmConfig
+    simple_lens: bool = False
+    """Whether a lens has one focal length and one coefficient, whatever the number of photos."""
     masks: Path | None = None
     """The folder of black and white pictures, by `mask_file`, of which features are taken."""
 
@@ -94,12 +96,19 @@ class Workspace:
 
 
 def open_workspace(
-    folder: Path, photos: Path, names: Sequence[str], config: SfmConfig, masks: Path | None = None
+    folder: Path,
+    photos: Path,
+    names: Sequence[str],
+    config: SfmConfig,
+    masks: Path | None = None,
+    *,
+    simple_lens: bool = False,
 ) -> Workspace:
     """Continue an earlier call for the same photos and settings, or start a new database."""
     files = numbered_files(names)
     groups = group_by_camera(photos, names, config.cameras)
-    workspace = Workspace(folder, tuple(names), files, groups, config, masks)
+    simple_lens |= masks is not None
+    workspace = Workspace(folder, tuple(names), files, groups, config, simple_lens, masks)
     stats = [(photos / name).stat() for name in names]
     basis = {
         "photos": [[n, s.st_size, s.st_mtime_ns] for n, s in zip(names, stats, strict=True)],
@@ -108,6 +117,7 @@ def open_workspace(
         "cameras": config.cameras,
         "seed": config.seed,
         "pycolmap": pycolmap.__version__,
+        "simple_lens": simple_lens,
         "masks": None if masks is None else _digest([masks / mask_file(file) for file in files]),
     }
     if workspace.database.exists() and workspace.basis.exists():  # else it is unfinished
@@ -167,7 +177,7 @@ def _create_database(workspace: Workspace, photos: Path) -> None:
         raise cannot_write(workspace.folder, error) from error
     groups = list[dict[str, Any]]()
     for rows in workspace.groups:
-        is_simple = workspace.masks is not None or len(rows) < MIN_FOR_OPENCV
+        is_simple = workspace.simple_lens or len(rows) < MIN_FOR_OPENCV
         model = "SIMPLE_RADIAL" if is_simple else "OPENCV"
         groups.append({"names": [workspace.files[row] for row in rows], "model": model})
     workspace.run("import_photos", "reading photos", len(workspace.files), "photo", groups=groups)
