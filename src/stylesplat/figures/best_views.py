@@ -112,12 +112,12 @@ def survey_view(camera: Cameras) -> Cameras:
 def close_up(
     splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"], *, side: int = GRID_CELL
 ) -> Cameras:
-    """A square view of an object and a margin, made from the camera that shows most of it."""
-    found = find_views(splats, cameras, picked, count=1)
+    """A square view of an object and a margin, from the camera that shows most of its detail."""
+    found = find_views(splats, cameras, picked)
     if not found:
         where = cameras.names[0] if len(cameras) == 1 else f"any of {len(cameras)} views"
         raise StyleSplatError(f"The object does not show in {where}. Choose a view of it.")
-    best = cameras[found[0].row]
+    best = cameras[most_detailed(splats, cameras, found).row]
     return aim_at(splats, picked, best, side, padding=BEST_SURROUNDINGS)
 
 

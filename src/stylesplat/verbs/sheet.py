@@ -73,7 +73,7 @@ def sheet(
         styles: Pictures, or several that make one style; alternatives are rows.
         vary: Settings, named as options of `stylize`, and the values to try: the first makes
             columns, a second rows.
-        view: The photo to look from; by default the one that shows most of the object.
+        view: The photo to look from; by default one that shows most of the object and its detail.
         features: Network whose features are matched; by default that of the preset.
         weights: File of its weights.
         device: Where to compute.
