@@ -26,7 +26,7 @@ from stylesplat.io.images import image_sizes, open_image
 from stylesplat.progress import track
 from stylesplat.scene.sequences import evenly_spaced
 
-FIRST_LOOK = 12  # photos, which tell most captures from a turntable
+TURNTABLE_LOOK = 12  # photos, which tell most captures from a turntable
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Turntable:
 def find_turntable(photos: Path, names: Sequence[str]) -> Turntable | None:
     """What stands still in the photos of a folder, if the camera did while something moved."""
     still = None
-    for count in (FIRST_LOOK, STILL_PHOTOS):
+    for count in (TURNTABLE_LOOK, STILL_PHOTOS):
         some = [names[row] for row in evenly_spaced(range(len(names)), count)]
         looked = track(some, "looking for a turntable", unit="photo")
         still = find_still_background([_small(photos, name) for name in looked])
