@@ -16,9 +16,11 @@ from scipy.sparse import coo_array, csr_array
 
 from stylesplat.io.captures.colmap import posed_images
 from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.progress import track
 
 ONE_AXIS = 5.0  # degrees by which poses found one by one may be off, in the median
 WORSE = 1.3  # times the error of poses that are free, from which they do not turn on one axis
+STEP_SPREAD = 0.05  # radians by which steps of a turntable differ
 RADIAL_SPREAD = 0.05  # of the distortion of lenses; what fills half a picture hardly tells it
 ADJUSTMENTS = 50
 NEAR_PARALLEL = 1e-6  # rays of which a point is left near the axis
@@ -64,10 +66,11 @@ def turn_on_one_axis(model: pycolmap.Reconstruction, names: Sequence[str]) -> bo
     moved = (points - place) @ world.T
     starts = [np.concatenate([common, angles, moved.ravel()])]
     rows = np.array([names.index(image.name) for image in images])
-    step = np.sign(np.median(np.diff(np.unwrap(angles)) / np.diff(rows))) * 2 * np.pi / len(names)
+    step = np.median(np.diff(np.unwrap(angles)) / np.diff(rows))
+    steps = step * np.diff(rows)
     even = np.concatenate([common, step * (rows - rows[0]), moved.ravel()])
     starts.append(_with_points(even, seen, len(images)))  # poses may be right in parts alone
-    adjusted = [_adjust(start, seen, len(images)) for start in starts]
+    adjusted = [_adjust(start, seen, steps) for start in track(starts, "finding the axis")]
     errors = [
         np.linalg.norm(_project(each, seen, len(images))[0] - seen.places, axis=1).mean()
         for each in adjusted
@@ -171,31 +174,42 @@ def _with_points(
 
 
 def _adjust(
-    start: Float[np.ndarray, " V"], seen: _Observations, photos: int
+    start: Float[np.ndarray, " V"], seen: _Observations, steps: Float[np.ndarray, " S"]
 ) -> Float[np.ndarray, " V"]:
-    """Bundle adjustment of `COMMON` numbers, an angle for each photo and the points."""
-    first, last = COMMON + photos, 2 * len(seen.photos)
+    """Bundle adjustment of `COMMON` numbers, an angle for each photo and the points.
+
+    `steps` are angles from photo to photo, which hold where no point is seen on both sides.
+    """
+    photos, count = len(steps) + 1, len(seen.photos)
+    first, last = COMMON + photos, 2 * count
     columns = np.hstack(
         [
-            np.broadcast_to(np.arange(COMMON), (len(seen.photos), COMMON)),
+            np.broadcast_to(np.arange(COMMON), (count, COMMON)),
             COMMON + seen.photos[:, None],
             first + 3 * seen.points[:, None] + np.arange(3),
         ]
     )
-    rows = np.broadcast_to(np.arange(last).reshape(-1, 2, 1), (len(columns), 2, columns.shape[1]))
+    rows = np.broadcast_to(np.arange(last).reshape(-1, 2, 1), (count, 2, columns.shape[1]))
+    turns = COMMON + np.arange(photos)
+    behind = last + 1 + np.arange(photos - 1)
     where = (
-        np.append(rows.ravel(), last),
-        np.append(np.repeat(columns[:, None], 2, axis=1).ravel(), 1),
+        np.concatenate([rows.ravel(), [last], behind, behind]),
+        np.concatenate(
+            [np.repeat(columns[:, None], 2, axis=1).ravel(), [1], turns[1:], turns[:-1]]
+        ),
     )
+    known = np.concatenate([[1 / RADIAL_SPREAD], np.repeat([1, -1], photos - 1) / STEP_SPREAD])
 
     def residuals(values: Float[np.ndarray, " V"]) -> Float[np.ndarray, " R"]:
         places = _project(values, seen, photos)[0]
-        return np.append((places - seen.places).ravel(), values[1] / RADIAL_SPREAD)
+        uneven = (np.diff(values[COMMON:first]) - steps + np.pi) % (2 * np.pi) - np.pi
+        return np.concatenate(
+            [(places - seen.places).ravel(), values[1:2] / RADIAL_SPREAD, uneven / STEP_SPREAD]
+        )
 
     def jacobian(values: Float[np.ndarray, " V"]) -> csr_array:
-        slopes = _project(values, seen, photos)[1]
-        entries = np.append(slopes.ravel(), 1 / RADIAL_SPREAD)
-        return coo_array((entries, where), shape=(last + 1, len(values))).tocsr()
+        entries = np.append(_project(values, seen, photos)[1].ravel(), known)
+        return coo_array((entries, where), shape=(last + photos, len(values))).tocsr()
 
     return least_squares(
         residuals,
