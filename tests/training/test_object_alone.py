@@ -81,3 +81,9 @@ def test_an_object_whose_surroundings_move_with_it_is_not_cut_out():
     assert object_alone(CAPTURE) is None, "no label maps"
     some = [None, *labels[1:]]
     assert object_alone(replace(CAPTURE, label_maps=some)) is None, "one is missing"
+
+
+def test_a_camera_right_above_says_that_nothing_is_outlined(said: list[str]):
+    above = replace(VIEWS, viewmats=VIEWS.viewmats[:1].expand_as(VIEWS.viewmats))
+    assert outline_moving_object(replace(CAPTURE, cameras=above)) is None
+    assert any("not outlined" in line for line in said)

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.still_background import (
     GAP,
     STILL_PHOTOS,
@@ -22,7 +23,7 @@ from stylesplat.imaging.still_background import (
     find_still_background,
 )
 from stylesplat.imaging.visual_hull import silhouettes
-from stylesplat.progress import track
+from stylesplat.progress import say, track
 from stylesplat.scene.capture import BACKGROUND, Capture, Mask, at_most
 from stylesplat.scene.sequences import Lazy, evenly_spaced
 
@@ -39,7 +40,8 @@ def outline_moving_object(capture: Capture) -> list[Mask] | None:
     """Masks of what turns before a camera that stood still, at most `STILL_SIDE` in size.
 
     Its shadow is left out, since it stays where the light falls while the object turns. None if the
-    camera moved or too few photos tell, and for photos of several sizes or that are cut out.
+    camera moved or too few photos tell, and for photos of several sizes or that are cut out; after
+    a line that says so where the cameras look down the axis.
     """
     if capture.alphas is not None:
         return None
@@ -50,7 +52,11 @@ def outline_moving_object(capture: Capture) -> list[Mask] | None:
     if still is None:
         return None
     moving = [still.moving(photo) for photo in track(small.photos, "cutting out", unit="photo")]
-    outlines = silhouettes(moving, small.cameras)
+    try:
+        outlines = silhouettes(moving, small.cameras)
+    except StyleSplatError as error:  # from right above, all look the same way
+        say(f"What turns is not outlined: {error}")
+        return None
     # `moving` closes bays of an outline as well as gaps within
     return [
         outline & (still.differing(photo) | _changed(outline, cv2.erode, GAP))

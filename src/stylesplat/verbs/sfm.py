@@ -150,9 +150,10 @@ def sfm(
 ) -> Capture:
     """Find the cameras of photos or of a video, by structure from motion with COLMAP.
 
-    Near-duplicates and very blurred photos are left out. Photos of an object that turns before a
-    still background are posed by `masks` of it or a `box` around it; what lies outside is ignored.
-    Cut-outs, whose surroundings are transparent or plain, are posed by what they show.
+    Near-duplicates and very blurred photos are left out. An object that turns before a camera that
+    stands still is found and posed, and the capture gets its label maps; otherwise `masks` or a
+    `box` may say what is posed, and what lies outside is ignored. Cut-outs, whose surroundings are
+    transparent or plain, are posed by what they show.
 
     The world gets a frame that people can work in: up is -y, the content is around the origin, and
     the median distance of the cameras from it is 1. What is done so far is kept in a folder beside
@@ -227,7 +228,7 @@ def sfm(
             if (output / OBJECT_MASK).is_dir():  # of an earlier capture; they may be handwork
                 shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
                 say(f"The label maps in {output / OBJECT_MASK} are kept.")
-            elif labelled := _with_masks(load(new), drawn, is_alone=turntable is not None):
+            elif turntable is not None and (labelled := _with_masks(load(new), drawn)):
                 write_label_maps(labelled, new / OBJECT_MASK)
         shutil.rmtree(work, ignore_errors=True)
         with suppress(OSError):  # something else lies beside it
@@ -296,11 +297,11 @@ def _drawn_on(masks: Path, prepared: PreparedPhotos) -> FoundMasks:
     )
 
 
-def _with_masks(capture: Capture, drawn: FoundMasks | None, *, is_alone: bool) -> Capture | None:
+def _with_masks(capture: Capture, drawn: FoundMasks | None) -> Capture | None:
     """The capture with the masks that were given, or of the object that turns; None without any."""
     if drawn is not None:
         return with_drawn_maps(capture, drawn)
-    outlines = outline_moving_object(capture) if is_alone else None
+    outlines = outline_moving_object(capture)
     if outlines is None:
         return None
     maps = [
