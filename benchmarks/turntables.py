@@ -63,7 +63,6 @@ class Turntable:
         low, high = solid.quantile(0.01, dim=0), solid.quantile(0.99, dim=0)
         middle = (low + high) / 2
         radius = WIDE * float((solid - middle)[:, [0, 2]].norm(dim=1).median())
-
         return Turntable(replace(splats, means=means - middle), radius, float(high[1] - middle[1]))
 
     def camera(self, angle: float, name: str) -> Cameras:
@@ -105,7 +104,7 @@ class Turntable:
         on_floor = along > 0
         on_platter = on_floor & (np.linalg.norm(spots, axis=-1) < reach)
         means = self.splats.means.double().numpy()
-        opaque = self.splats.opacities.detach().numpy().reshape(-1) > 0
+        opaque = self.splats.opacities.detach().numpy().reshape(-1) > SOLID
         for step in range(steps):
             angle = 360 * step / steps
             turn = Rotation.from_euler("y", angle, degrees=True).as_matrix()

@@ -80,7 +80,7 @@ class Evaluate(MakingCommand):
                 revise(latest, replace(latest, metrics=measured), self.scene)
         lines = photo_lines(metrics)
         if lines and scene.layers:
-            lines.append("The photos show what is painted here as it was.")
+            lines.append("The photos show the painted objects without their paint.")
         if "changed_gaussians" in metrics:
             measured = {**metrics.get("nnfm_after", {}), **metrics.get("content_ssim", {})}
             lines += style_lines(metrics, measured)

@@ -79,8 +79,8 @@ def evaluate_views(
     that the capture's masks leave out are not compared. What is fitted to each photo is fitted to
     its left half on the right one, and the other way round.
 
-    Returns `psnr` and `ssim`, averaged over the views; of cut-outs also `object_psnr`, over what is
-    opaque, since nothing is easier than the rest; with fits, also `psnr_unfitted` and
+    Returns `psnr` and `ssim`, averaged over the views; of cut-outs also `object_psnr`, over opaque
+    pixels alone, since transparent ones are easy to get right; with fits, also `psnr_unfitted` and
     `ssim_unfitted`; none of them if the masks leave nothing. If the splats have identities and
     these views have label maps, also `iou` and `boundary_iou` by label id, and their means over the
     objects, `miou` and `boundary_miou`. Pixels of ids that the splats do not know are left out, and

@@ -42,10 +42,10 @@ class StillBackground:
 
     def moving(self, photo: UInt8[Tensor, "H W 3"]) -> Bool[Tensor, "H W"]:
         """Where a photo shows something else, shadows included; without gaps."""
-        return torch.from_numpy(_closed(self.differing(photo)))
+        return _closed(self.differing(photo))
 
     def differing(self, photo: UInt8[Tensor, "H W 3"]) -> Bool[Tensor, "H W"]:
-        """The same, but for where what moves has the colour of what is behind it."""
+        """The same with gaps, where what moves has the colour of what is behind it."""
         differs = (_like(photo, self.colors) - self.colors).abs().amax(dim=-1) > DIFFERS
         return _without_specks(differs & self.swept)
 
@@ -66,8 +66,7 @@ def find_still_background(photos: Sequence[UInt8[Tensor, "H W 3"]]) -> StillBack
     is_room = (edges & stays[1:, 1:]).float().mean() > EDGES
     if stays.float().mean() < STILL or not (is_room or rim.float().mean() > STILL_RIM):
         return None
-    changes = _closed(_without_specks(shares < 1))
-    swept = torch.from_numpy(cv2.dilate(changes.astype(np.uint8), _disc(GAP)) > 0)
+    swept = apply_disc(_closed(_without_specks(shares < 1)), cv2.MORPH_DILATE, GAP)
     if swept.float().mean() < SWEPT_LEAST:
         return None
     return StillBackground(_most_frequent(alike, STILL_NOISE)[0], swept)
@@ -95,14 +94,15 @@ def _most_frequent(
 
 
 def _without_specks(mask: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
-    opened = cv2.morphologyEx(mask.numpy().astype(np.uint8), cv2.MORPH_OPEN, _disc(SPECK))
-    return torch.from_numpy(opened > 0)
+    return apply_disc(mask, cv2.MORPH_OPEN, SPECK)
 
 
-def _closed(mask: Bool[Tensor, "H W"]) -> Bool[np.ndarray, "H W"]:
-    closed = cv2.morphologyEx(mask.numpy().astype(np.uint8), cv2.MORPH_CLOSE, _disc(GAP))
-    return np.asarray(binary_fill_holes(closed))
+def _closed(mask: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
+    closed = apply_disc(mask, cv2.MORPH_CLOSE, GAP)
+    return torch.from_numpy(np.asarray(binary_fill_holes(closed.numpy())))
 
 
-def _disc(size: int) -> UInt8[np.ndarray, "S S"]:
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)).astype(np.uint8)
+def apply_disc(mask: Bool[Tensor, "H W"], operation: int, width: int) -> Bool[Tensor, "H W"]:
+    """A mask after one of OpenCV's morphological operations with a disc, such as `MORPH_OPEN`."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    return torch.from_numpy(cv2.morphologyEx(mask.numpy().astype(np.uint8), operation, disc) > 0)

@@ -16,7 +16,10 @@ from stylesplat.progress import track
 from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.projection import project
 
-HULL_CELLS, HULL_LEVELS = 48, 3  # along each side at first, and how often cells are halved but once
+HULL_CELLS, HULL_LEVELS = (
+    48,
+    3,
+)  # cells along each side at first; sizes of cells, each half the last
 HULL_SHARE = 0.9  # of the masks: some have holes, and a shadow falls on one place in fewer
 HULL_PART = 0.02  # of the largest part of a mask: smaller ones are noise
 HULL_SEEN = 0.5  # share of the photos that have to show a place

@@ -68,8 +68,8 @@ def turn_on_one_axis(model: pycolmap.Reconstruction, names: Sequence[str]) -> bo
     rows = np.array([names.index(image.name) for image in images])
     step = np.median(np.diff(np.unwrap(angles)) / np.diff(rows))
     steps = step * np.diff(rows)
-    even = np.concatenate([common, step * (rows - rows[0]), moved.ravel()])
-    starts.append(_with_points(even, seen, len(images)))  # poses may be right in parts alone
+    even = step * (rows - rows[0])  # poses may be right in parts alone
+    starts.append(np.concatenate([common, even, _points(common, even, seen, len(keys)).ravel()]))
     adjusted = [_adjust(start, seen, steps) for start in track(starts, "finding the axis")]
     errors = [
         np.linalg.norm(_project(each, seen, len(images))[0] - seen.places, axis=1).mean()
@@ -155,22 +155,23 @@ def _vector(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
     return cv2.Rodrigues(rotation)[0][:, 0]
 
 
-def _with_points(
-    values: Float[np.ndarray, " V"], seen: _Observations, photos: int
-) -> Float[np.ndarray, " V"]:
-    """The values with each point where the rays of its photos come closest to each other."""
-    still, shift = cv2.Rodrigues(values[2:5])[0], values[5:COMMON]
-    turns = np.stack([still @ _about_y(a) for a in values[COMMON : COMMON + photos]])[seen.photos]
-    rays = np.hstack([seen.places / values[0], np.ones((len(seen.places), 1))])
+def _points(
+    common: Float[np.ndarray, " C"],
+    angles: Float[np.ndarray, " P"],
+    seen: _Observations,
+    count: int,
+) -> Float[np.ndarray, "M 3"]:
+    """Points where the rays of their photos come closest to each other."""
+    focal, still, shift = common[0], cv2.Rodrigues(common[2:5])[0], common[5:]
+    turns = np.stack([still @ _about_y(angle) for angle in angles])[seen.photos]
+    rays = np.hstack([seen.places / focal, np.ones((len(seen.places), 1))])
     rays = np.einsum("nji,nj->ni", turns, rays / np.linalg.norm(rays, axis=1)[:, None])
     across = np.eye(3) - rays[:, :, None] * rays[:, None]
     centres = -np.einsum("nji,j->ni", turns, shift)
-    count = (len(values) - COMMON - photos) // 3
     sums, targets = np.zeros((count, 3, 3)), np.zeros((count, 3))
     np.add.at(sums, seen.points, across)
     np.add.at(targets, seen.points, np.einsum("nij,nj->ni", across, centres))
-    points = np.linalg.solve(sums + NEAR_PARALLEL * np.eye(3), targets[..., None])
-    return np.concatenate([values[: COMMON + photos], points.ravel()])
+    return np.linalg.solve(sums + NEAR_PARALLEL * np.eye(3), targets[..., None])[..., 0]
 
 
 def _adjust(

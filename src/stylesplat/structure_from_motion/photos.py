@@ -56,7 +56,7 @@ CAMERA_TAGS = (Base.Make, Base.Model)
 LENS_TAGS = (Base.FocalLength, Base.FocalLengthIn35mmFilm, Base.LensModel)
 SENSOR_TAGS = Base.FocalPlaneXResolution, Base.FocalPlaneYResolution, Base.FocalPlaneResolutionUnit
 CUT_OUT_SUFFIX = ".png"  # of photos written with their transparency
-SOME_TRANSPARENT = 0.001  # share of the pixels of a photo that is no cut-out
+SOME_TRANSPARENT = 0.001  # share of a photo's pixels, up to which it is no cut-out
 MAX_TEXT = 64  # characters of a camera's name
 MAX_NUMBER = 1e6  # millimetres or pixels in an inch: no camera has as many
 

@@ -4,12 +4,10 @@ Before a turntable, whose camera stands still, or a plain wall, poses are those 
 what is around it contradicts them: a splat of both is a fog. Such photos are cut out to the object.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
 
 import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
@@ -20,6 +18,7 @@ from stylesplat.imaging.still_background import (
     STILL_PHOTOS,
     STILL_SAME_COLOR,
     STILL_SIDE,
+    apply_disc,
     find_still_background,
 )
 from stylesplat.imaging.visual_hull import silhouettes
@@ -59,7 +58,7 @@ def outline_moving_object(capture: Capture) -> list[Mask] | None:
         return None
     # `moving` closes bays of an outline as well as gaps within
     return [
-        outline & (still.differing(photo) | _changed(outline, cv2.erode, GAP))
+        outline & (still.differing(photo) | apply_disc(outline, cv2.MORPH_ERODE, GAP))
         for outline, photo in zip(outlines, small.photos, strict=True)
     ]
 
@@ -85,7 +84,8 @@ def cut_out_labels(capture: Capture) -> Capture:
         assert labels is not None
         shown = labels != BACKGROUND
         width = 2 * max(1, round(RIM * max(shown.shape))) + 1
-        inside, near = (_changed(shown, change, width) for change in (cv2.erode, cv2.dilate))
+        inside = apply_disc(shown, cv2.MORPH_ERODE, width)
+        near = apply_disc(shown, cv2.MORPH_DILATE, width)
         valid, given = inside | ~near, capture.valid(row)
         valid = valid if given is None else valid & given
         return capture.photos[row] * inside[..., None], 255 * inside.to(torch.uint8), valid
@@ -109,7 +109,7 @@ def _stands_still_around(capture: Capture) -> bool:
         if labels is None or not (labels != BACKGROUND).any():
             return False
         photos.append(small.photos[row])
-        around.append(~_changed(labels != BACKGROUND, cv2.dilate, ALONE_MARGIN))
+        around.append(~apply_disc(labels != BACKGROUND, cv2.MORPH_DILATE, ALONE_MARGIN))
     return _share_of_still(torch.stack(photos).float(), torch.stack(around)) > SURROUNDINGS
 
 
@@ -121,9 +121,3 @@ def _share_of_still(photos: Float[Tensor, "P H W 3"], around: Bool[Tensor, "P H 
     same = (beside - beside.nanmedian(dim=0).values).abs().amax(dim=-1) < STILL_SAME_COLOR
     counted = around & (around.sum(dim=0) >= ALONE_FEWEST)
     return float(same[counted].float().mean()) if counted.any() else 0.0
-
-
-def _changed(mask: Mask, change: Callable[..., np.ndarray], width: int) -> Mask:
-    """A mask eroded or dilated by a disc, over the picture's rim as at it."""
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-    return torch.from_numpy(change(mask.numpy().astype(np.uint8), disc) > 0)

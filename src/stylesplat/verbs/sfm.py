@@ -1,7 +1,7 @@
 """`sfm`: photos or a video in, a capture with poses out; `check`: whether it is good enough."""
 
 import shutil
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool
 
-from stylesplat.errors import StyleSplatError, count_noun, join_names, printable
+from stylesplat.errors import StyleSplatError, count_noun, join_names, printable, shell_command
 from stylesplat.figures.capture_picture import capture_picture
 from stylesplat.io.atomic import atomic_folder, locked_folder, progress_path, refuse_occupied
 from stylesplat.io.captures.capture_folder import (
@@ -53,7 +53,7 @@ from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.diagnostics import CaptureReport, Finding
 from stylesplat.structure_from_motion.earlier_capture import source_digest
 from stylesplat.structure_from_motion.image_measures import MEASURE_SIDE
-from stylesplat.structure_from_motion.object_features import PhotoBox, cut_out_mask
+from stylesplat.structure_from_motion.object_features import MaskReaders, PhotoBox, cut_out_mask
 from stylesplat.structure_from_motion.photos import PreparedPhotos
 from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.structure_from_motion.reconstruct import (
@@ -207,17 +207,20 @@ def sfm(
         turntable = None if prepared.cut_outs else find_turntable(photos, prepared.names)
         if turntable is not None:
             say("The camera stood still before an object that turns: the object is posed.")
-        found = _posed_by(
-            source,
-            output,
-            prepared,
+        pose = partial(
+            reconstruct,
             photos,
+            prepared,
             work,
-            config,
-            drawn=drawn,
-            box=box,
-            turntable=turntable,
+            config=config,
+            masks=None if box is not None else _masks_of(source, prepared, drawn, turntable),
+            box=None if box is None else _place_box(box, photos, prepared),
+            turntable=turntable is not None,
         )
+        if turntable is None or drawn is not None or box is not None:
+            found = pose()
+        else:
+            found = _pose_or_name_box(pose, prepared, turntable, (source, "-o", output))
         frame = move_to_working_frame(found.model)
         with atomic_folder(output, overwrite=overwrite, marker=SFM_FILE) as new:
             write_colmap(found.model, photos, new)
@@ -243,49 +246,40 @@ def sfm(
     return load(output)
 
 
-def _posed_by(
-    source: Path,
-    output: Path,
-    prepared: PreparedPhotos,
-    photos: Path,
-    work: Path,
-    config: SfmConfig,
-    *,
-    drawn: FoundMasks | None,
-    box: Places | None,
-    turntable: Turntable | None,
-) -> Reconstruction:
-    """Find the poses of what the photos, masks of them, or a box in one say is to be posed."""
-    masks, placed = None, None
+def _masks_of(
+    source: Path, prepared: PreparedPhotos, drawn: FoundMasks | None, turntable: Turntable | None
+) -> MaskReaders | None:
+    """What to find features in, by photo; None where that is everything."""
     if drawn is not None:
-        masks = {name: partial(_shown, each) for name, each in drawn.maps.items()}
-    elif box is not None:
-        placed = _place_box(box, photos, prepared)
-    elif prepared.cut_outs:
+        return {name: partial(_shown, each) for name, each in drawn.maps.items()}
+    if prepared.cut_outs:
         paths = {n: resolve_within(source, own) for n, own in prepared.origins.items()}
-        masks = {name: partial(cut_out_mask, path) for name, path in paths.items()}
-    elif turntable is not None:
-        masks = turntable.masks(prepared.names)
-    options = {"config": config, "masks": masks, "box": placed}
-    if turntable is None or drawn is not None or box is not None:
-        return reconstruct(photos, prepared, work, **options, turntable=turntable is not None)
+        return {name: partial(cut_out_mask, path) for name, path in paths.items()}
+    return None if turntable is None else turntable.masks(prepared.names)
+
+
+def _pose_or_name_box(
+    pose: Callable[[], Reconstruction],
+    prepared: PreparedPhotos,
+    turntable: Turntable,
+    arguments: tuple[object, ...],
+) -> Reconstruction:
+    """Pose what turns; where that fails, the error names `sfm` with a box around it."""
     try:
-        found = reconstruct(photos, prepared, work, **options, turntable=True)
+        found = pose()
         count, total = found.model.num_reg_images(), len(prepared.names)
-        few = count < MIN_POSED * total and not found.numbers["turns_on_one_axis"]
-        fault = f"Only {count} of {count_noun(total, 'photo')} fit together." if few else None
+        if count >= MIN_POSED * total or found.numbers["turns_on_one_axis"]:
+            return found
+        fault = f"Only {count} of {count_noun(total, 'photo')} fit together."
     except StyleSplatError as error:
-        found, fault = None, str(error)
-    if found is None or fault is not None:
-        name = prepared.names[len(prepared.names) // 2]
-        corners = ",".join(map(str, turntable.box(name)))
-        view = f"{prepared.origins[name]}:{corners}"
-        raise StyleSplatError(
-            f"Cannot pose the object that turns. {fault} Put something with print beside it on the "
-            "turntable, or draw a box around what has detail: "
-            f"stylesplat sfm {source} -o {output} --object {view}"
-        )
-    return found
+        fault = str(error)
+    name = prepared.names[len(prepared.names) // 2]
+    box = f"{prepared.origins[name]}:{','.join(map(str, turntable.box(name)))}"
+    raise StyleSplatError(
+        f"Cannot pose the object that turns. {fault} Put something with print beside it on the "
+        "turntable, or draw a box around what has detail: "
+        f"{shell_command('sfm', *arguments, '--object', box)}"
+    )
 
 
 def _drawn_on(masks: Path, prepared: PreparedPhotos) -> FoundMasks:
