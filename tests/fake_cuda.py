@@ -66,7 +66,7 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)
     stream = SimpleNamespace(is_capturing=lambda: False)
     monkeypatch.setattr(torch.accelerator, "current_stream", lambda: stream)
-    card = SimpleNamespace(name="stand-in", total_memory=2**34)
+    card = SimpleNamespace(name="stand-in", total_memory=2**34, major=8, minor=0)
     monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: card)
     with FakeCuda():
         yield "cuda"
