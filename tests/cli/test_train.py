@@ -114,6 +114,24 @@ def test_an_interrupted_run_continues_and_keeps_the_scene_until_then(
     assert [*scene.parent.iterdir()] == [scene], "what was interrupted is done"
 
 
+def test_photos_are_made_smaller_unless_all_pixels_are_wanted(
+    capture: Path, tmp_path: Path, capsys, interrupted, monkeypatch: pytest.MonkeyPatch
+):
+    measured = iter([2.0])  # once: a run that goes on has the size that it had
+    monkeypatch.setattr(
+        "stylesplat.training.photo_size.affordable_downscale", lambda *_, **__: next(measured)
+    )
+    command = ("train", capture, "-o", tmp_path / "scene", "--steps", 12)
+    interrupted(*command)
+    assert "2 times smaller than they are; `--downscale 1`" in capsys.readouterr().err
+    assert run(*command) == 0
+    assert "Continuing" in capsys.readouterr().err
+    assert ss.open(tmp_path / "scene").downscale == 2
+    assert run(*command, "--overwrite", "--downscale", 1) == 0
+    assert "times smaller" not in capsys.readouterr().err
+    assert ss.open(tmp_path / "scene").downscale == 1
+
+
 def test_restart_begins_anew_and_deletes_what_is_ours_only(
     capture: Path, tmp_path: Path, capsys, interrupted
 ):

@@ -1,6 +1,5 @@
 """`stylesplat train`."""
 
-import math
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -32,8 +31,6 @@ from stylesplat.progress import Observer, observed, say
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished
 from stylesplat.training.config import PRESETS, SEGMENTS, Segment, TrainConfig, refuse_two_lengths
 
-# Pixels of a photo's longer side, beyond which INRIA's code makes them smaller too
-TRAIN_LARGE = 1600
 TRAIN_BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
 GOOD, FAIR = 27.0, 22.0  # dB of photos held out: sharp as photos are; soft, with objects in place
 ENOUGH = TrainConfig.steps  # shorter runs gain most by more steps
@@ -50,7 +47,7 @@ Worth = Literal["good", "fair", "poor"]
 class Train(MakingCommand):
     """Train a splat with objects from photos.
 
-    Example: stylesplat train garden -o garden-scene --downscale 2 --max-seconds 120
+    Example: stylesplat train garden -o garden-scene --max-seconds 120
     """
 
     capture: Positional[Path]
@@ -59,8 +56,9 @@ class Train(MakingCommand):
     first, beside the scene."""
     output: Output
     """Folder of the scene to make. An interrupted run is kept beside it, and continues."""
-    downscale: float = 1.0
-    """How many times smaller the photos are made."""
+    downscale: float | None = None
+    """How many times smaller the photos are made; 1 trains on all pixels. By default so that the
+    default steps take about seven minutes on this machine, or `--max-seconds`."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
     settings: Annotated[dict[str, Any], from_config(TrainConfig)] = field(default_factory=dict)
@@ -111,13 +109,13 @@ class Train(MakingCommand):
             if rank:  # the first process prints and saves
                 with observed(Observer()):
                     dist.barrier()  # the first process has found the poses
-                    train(self._capture())
+                    train(self._capture(processes))
                 sys.exit()
             if self.finish:
                 self.refuse_given(("restart",), "--finish")
                 require_checkpoint(self._checkpoint)
             with new_scene(self.output, overwrite=self.overwrite) as save:
-                capture = self._capture()
+                capture = self._capture(processes)
                 if self.restart:
                     self._delete_checkpoints()
                 if processes > 1:
@@ -144,15 +142,29 @@ class Train(MakingCommand):
             worth, advice = judge(metrics, config, photos, check=check)
             yield f"That is {worth}: {advice}" if advice else f"That is {worth}."
 
-    def _capture(self) -> "ss.Capture":
-        folder = find_photos_capture(self.capture, beside=self.output)
-        capture = ss.load(folder, downscale=self.downscale, masks=self.masks)
-        longest = int(capture.cameras.sizes.max())
-        if longest > TRAIN_LARGE:
-            factor = math.ceil(longest / TRAIN_LARGE)
+    def _capture(self, processes: int) -> "ss.Capture":
+        """The capture with photos of the size to train on, that of an interrupted run first."""
+        from stylesplat.io.captures.capture_folder import open_capture
+        from stylesplat.rendering.render import pick_device
+        from stylesplat.training.checkpoint import checkpoint_downscale
+        from stylesplat.training.photo_size import affordable_downscale, usual_downscale
+
+        files = open_capture(
+            find_photos_capture(self.capture, beside=self.output), masks=self.masks
+        )
+        earlier = None if self.restart else checkpoint_downscale(self._checkpoint)
+        factor = self.downscale if self.downscale is not None else earlier
+        if factor is None and processes > 1:  # the others would measure other times
+            factor = usual_downscale(files.whole)
+        elif factor is None:
+            limit, device = self.settings.get("max_seconds"), pick_device(self.device)
+            factor = affordable_downscale(files.at, device=device, max_seconds=limit)
+        capture = files.at(factor)
+        if factor > 1 and self.downscale is None:
+            width, height = max((camera.size for camera in capture.cameras), key=max)
             say(
-                f"The photos are {longest} pixels long. `--downscale {factor}` trains "
-                f"up to {factor**2} times as fast, and shows as much at usual sizes."
+                f"Training on photos of {width}x{height}, {factor:g} times smaller than they are; "
+                "`--downscale 1` trains on all pixels."
             )
         return capture
 

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ class Checkpoint:
     config: TrainConfig
     capture: str
     photos: int = 0
+    downscale: float = 1.0
 
 
 def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
@@ -46,6 +48,7 @@ def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
         "seconds": state.seconds,
         "config": asdict(checkpoint.config),
         "capture": checkpoint.capture,
+        "downscale": checkpoint.downscale,
     }
     with atomic_path(checkpoint.path) as temporary:
         try:
@@ -65,6 +68,15 @@ def require_checkpoint(path: Path | None) -> None:
         raise StyleSplatError(
             f"Cannot finish a training: {fact}. Without `--finish` a new training begins."
         )
+
+
+def checkpoint_downscale(path: Path) -> float | None:
+    """How many times smaller the photos of a run are; None without a run that can be read."""
+    if not path.exists():
+        return None
+    with suppress(Exception):  # torch.load raises half a dozen kinds; `load_checkpoint` tells them
+        return float(torch.load(path, mmap=True, weights_only=True).get("downscale", 1.0))
+    return None
 
 
 def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: bool = False) -> State:

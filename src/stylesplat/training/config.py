@@ -67,10 +67,7 @@ class TrainConfig(Config):
     seed: Seed = 0
     """Seed of everything random; the same seed and thread count reproduce a run."""
     max_memory: Annotated[float | None, Option(0, MANY)] = None
-    """GiB for decoded photos and label maps; the others are read again each time.
-
-    None: 1 for a GPU, whose steps are as short as decoding takes; 0.25 on the CPU.
-    """
+    """GiB for decoded photos and label maps, by default 1; the others are read again each time."""
     photos_at_once: Annotated[int | None, COUNT] = None
     """Photos whose gradients are computed in parallel, before a step is taken for each.
 

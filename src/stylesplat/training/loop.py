@@ -43,9 +43,8 @@ ESTIMATE_ROUNDS = 10  # of the copy
 # A run shorter than so many copies gets no estimate, which would cost over 10 %
 ESTIMATE_LEAST = 20
 LONG_SECONDS = 120  # a run that takes longer is offered a first look
-# A first look of the fox, at this length of the photos' longer side, has 31 dB (README, "How fast")
+# A first look of the fox, on photos of 480 pixels, has 31 dB (README, "How fast")
 FIRST_LOOK = "--max-seconds 60 --max-gaussians 50000"
-FIRST_LOOK_SIZE = 480
 
 Report = Callable[[State, float, float], None]
 """Takes the state, and the means of loss and PSNR since the last report."""
@@ -118,7 +117,7 @@ def fit(
     saved = continued = None
     if checkpoint is not None:
         mark = fingerprint(replace(capture, object_names={}))
-        saved = Checkpoint(checkpoint, config, mark, len(rows))
+        saved = Checkpoint(checkpoint, config, mark, len(rows), capture.downscale)
         if checkpoint.exists():
             continued = load_checkpoint(saved, device, finish=finish)
             continued = replace(continued, world_offset=capture.world_offset)
@@ -127,7 +126,7 @@ def fit(
                 say(f"Taking no more steps than the {steps} of {checkpoint}.")
                 return continued
             say(f"Continuing from {checkpoint}, after {steps} steps. `--restart` begins anew.")
-    run, state = _begin(capture, config, rows, device, continued, strategy)
+    run, state = begin_run(capture, config, rows, device, continued, strategy)
     try:
         warm_up_training(run, state)
         if continued is None:
@@ -219,14 +218,15 @@ def _check_alone(config: TrainConfig, checkpoint: Path | None) -> None:
         )
 
 
-def _begin(
+def begin_run(
     capture: Capture,
     config: TrainConfig,
     rows: list[int],
     device: torch.device,
-    continued: State | None,
-    strategy: Strategy | None,
+    continued: State | None = None,
+    strategy: Strategy | None = None,
 ) -> tuple[TrainingRun, State]:
+    """The run on these photos, and its first state, or that of a run to continue."""
     ids = learned_ids(capture, rows) if continued is None else continued.ids
     rank, processes = rank_and_processes()
     photos, extent = config.photos_at_once, scene_extent(capture.cameras)
@@ -367,10 +367,11 @@ def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
     quality = advice = ""
     if config.steps < TrainConfig.steps:
         quality = f" Fewer than {TrainConfig.steps:,} steps leave pictures softer."
+    if capture.downscale > 1:
+        most = _duration(seconds * capture.downscale**2)
+        advice = f" `--downscale 1` trains on all pixels, in up to {most}."
     if seconds > LONG_SECONDS:
-        factor = round(max(width, height) / FIRST_LOOK_SIZE) * capture.downscale
-        smaller = f" --downscale {factor:g}" if factor > capture.downscale else ""
-        advice = f" `{FIRST_LOOK}{smaller}` gives a first look."
+        advice += f" `{FIRST_LOOK}` gives a first look."
     photos = f"{count_noun(len(run.rows), 'photo')} of {width}x{height}"
     say(
         f"{photos}, at most {config.max_gaussians:,} Gaussians: {config.steps:,} steps take "

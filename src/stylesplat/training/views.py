@@ -18,7 +18,7 @@ from stylesplat.scene.capture import BACKGROUND, Capture, ids_of, resize_labels,
 from stylesplat.scene.sequences import GIB, Cache
 from stylesplat.training.config import TrainConfig
 
-VIEW_KEPT = {"cuda": 1.0, "cpu": 0.25}  # GiB, unless the settings say otherwise
+VIEW_KEPT = 1.0  # GiB, unless the settings say otherwise: 200 photos of 1.5 megapixels
 # Photos decoded in advance for a GPU, by as many threads: each takes up to two steps
 VIEW_AHEAD = 4
 VIEW_COARSER = 1.25  # what half the size takes in addition to the whole, while both are kept
@@ -83,7 +83,7 @@ class TrainingViews:
         max_memory: float | None = None,
     ) -> None:
         """`ids` are the label ids of the classes; `max_memory` is that of `TrainConfig`."""
-        room = int((VIEW_KEPT[device.type] if max_memory is None else max_memory) * GIB)
+        room = int((VIEW_KEPT if max_memory is None else max_memory) * GIB)
         self._capture, self._ids, self._device = capture, ids, device
         self._cache: Cache[tuple[int, int]] = Cache(room)
         self._all_fit = VIEW_COARSER * sum(_bytes(capture, row, ids) for row in rows) <= room

@@ -1,0 +1,81 @@
+"""The size of photos at which training ends in a time that people accept."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+
+from stylesplat.progress import SILENCE, observed, task
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.sequences import evenly_spaced
+from stylesplat.training.config import TrainConfig
+from stylesplat.training.loop import begin_run, estimate_seconds, warm_up_training
+
+ACCEPTED_SECONDS = 420.0  # so that 80 photos are posed, trained and painted in 15 min on two cores
+SMALLEST, LARGEST = (
+    480.0,
+    1600.0,
+)  # pixels of the longer side; INRIA's code trains on at most the latter
+TRIED = (480.0, 960.0)  # such sizes that are measured
+TRIED_PHOTOS = 8
+FACTOR_STEP = 4  # factors are quarters
+
+
+def affordable_downscale(
+    capture_at: Callable[[float], Capture],
+    *,
+    device: torch.device,
+    max_seconds: float | None = None,
+) -> float:
+    """How many times smaller photos must be for a usual run to end in time on this machine.
+
+    A step takes a time for the Gaussians and one for the pixels. Both follow from a few rounds of
+    the default training at two small sizes. Photos are as large as the time allows, within
+    `SMALLEST` and `LARGEST`.
+
+    Args:
+        capture_at: The capture with photos that are so many times smaller.
+        device: Where training will be.
+        max_seconds: What the default number of steps may take; None: `ACCEPTED_SECONDS`.
+
+    Returns:
+        The factor, 1 for all pixels, in quarters.
+    """
+    whole = capture_at(1.0)
+    longest = int(whole.cameras.sizes.max())
+    if longest <= SMALLEST:
+        return 1.0
+    sides, seconds = [min(side, float(longest)) for side in TRIED], list[float]()
+    with task("choosing the size of photos", len(sides), unit="size") as counted:
+        for side in sides:
+            with observed(SILENCE):
+                seconds.append(_seconds_at(capture_at(longest / side), device))
+            counted.advance()
+    areas = [side**2 for side in sides]
+    rate = (seconds[1] - seconds[0]) / (areas[1] - areas[0])  # per pixel
+    left = (ACCEPTED_SECONDS if max_seconds is None else max_seconds) - seconds[0]
+    side = LARGEST if rate <= 0 else math.sqrt(max(areas[0] + left / rate, 0.0))
+    return _factor(longest, min(max(side, SMALLEST), LARGEST))
+
+
+def usual_downscale(capture: Capture) -> float:
+    """How many times smaller photos must be to be no longer than `LARGEST`, in quarters."""
+    return _factor(int(capture.cameras.sizes.max()), LARGEST)
+
+
+def _factor(longest: int, side: float) -> float:
+    return max(math.ceil(longest / side * FACTOR_STEP) / FACTOR_STEP, 1.0)
+
+
+def _seconds_at(capture: Capture, device: torch.device) -> float:
+    """What a default run on such photos takes, by a few of them."""
+    few = replace(capture, label_maps=None).only(evenly_spaced(range(len(capture)), TRIED_PHOTOS))
+    config = TrainConfig(test_every=0)
+    run, state = begin_run(few, config, [*range(len(few))], device)
+    try:
+        warm_up_training(run, state)
+        return estimate_seconds(run, state)
+    finally:
+        run.pool.end()
+        run.views.end()
