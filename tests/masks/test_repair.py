@@ -1,16 +1,21 @@
 from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from balls import BALLS, CAMERAS, PLAIN, SPLATS
 from right_ids import right_pixels
-from stylesplat.masks.repair import connected_parts, map_labels, repair_ids
+from stylesplat.masks.repair import cluster_parts, connected_parts, map_labels, repair_ids
 from stylesplat.scene.capture import resize_labels
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import render_labels
 
 TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
+Array = NDArray[Any]
 RED, GREEN, BLUE = BALLS
 
 
@@ -123,3 +128,48 @@ def test_no_view_has_a_say_in_its_own_labels(row: int):
         labels[row] = resize_labels(labels[row], (36 * factor, 48 * factor))
     found = repair_ids(PLAIN, replace(CAMERAS, Ks=Ks, sizes=sizes), maps)
     assert right_pixels(maps, truth) < 0.65 < 0.9 < right_pixels(found, truth)
+
+
+def random_parts(seed: int, views: int = 8, each: int = 17) -> tuple[csr_array, Array, Array]:
+    """Parts of views, and the roots of the views' pixels, as `cluster_parts` takes them."""
+    rng = np.random.default_rng(seed)
+    view_of = np.repeat(np.arange(views), each)
+    centres, spread = rng.uniform(0, 99, len(view_of)), rng.uniform(1, 6, len(view_of))
+    near = np.exp(-(((np.arange(99) - centres[:, None]) / spread[:, None]) ** 2))
+    pixels = np.where(near > 0.1, near * rng.uniform(0.5, 2, near.shape), 0)
+    roots = np.sqrt([pixels[view_of == view].sum(axis=0) for view in range(views)])
+    parts = pixels / np.maximum(roots[view_of], 1e-6)
+    return csr_array(parts.astype(np.float32)), roots.astype(np.float32), view_of
+
+
+def groups_by_every_pair(parts: csr_array, roots: Array, view_of: Array) -> set[frozenset[int]]:
+    """The same from tables of every two groups."""
+    dense, count = parts.toarray().astype(float), len(view_of)
+    visible = dense @ roots.T.astype(float)
+    whole = visible[range(count), view_of]
+    mine = visible[:, view_of]
+    enough = np.minimum(mine, mine.T) >= 0.2 * np.minimum(whole[:, None], whole)
+    shared = enough * (dense @ dense.T)
+    unions = enough * (mine + mine.T - dense @ dense.T)
+    groups = [frozenset([part]) for part in range(count)]
+    while True:
+        iou = np.triu(shared / np.maximum(unions, 1e-9), 1)
+        one, other = np.unravel_index(iou.argmax(), iou.shape)
+        if iou[one, other] < 0.3:
+            return {*groups}
+        groups[one] |= groups.pop(other)
+        for table in (shared, unions):
+            table[one] += table[other]
+            table[:, one] += table[:, other]
+        shared, unions = (
+            np.delete(np.delete(table, other, axis=0), other, axis=1) for table in (shared, unions)
+        )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_groups_are_those_of_tables_of_every_pair(seed: int):
+    parts = random_parts(seed)
+    found = cluster_parts(*parts)
+    expected = groups_by_every_pair(*parts)
+    assert 30 < len(expected) < 0.8 * len(found), "neither nothing united nor everything"
+    assert {frozenset(np.flatnonzero(found == k).tolist()) for k in found} == expected

@@ -26,6 +26,7 @@ REPAIR_SMALL = 5e-4  # of a photo: a smaller part is dropped
 REPAIR_FAINT = 1e-2  # pixels of a Gaussian in a part that do not matter
 # Grouping of parts
 REPAIR_SAME_IOU = 0.3  # of two groups of parts, in what both sides see, from which they are one
+REPAIR_BLOCK = 128  # parts that are compared with all others at once
 COMMON_SIGHT = 0.2  # share of the smaller part that both views must see for their IoU to count
 # In which groups of parts must have had the same id, for that to be no accident
 REPAIR_MIN_PHOTOS = 3
@@ -73,7 +74,7 @@ def _group_parts(splats: Splats, cameras: Cameras, maps: Sequence[OwnLabels]) ->
     if not view_of:
         return numbered
     views = np.array(view_of)
-    groups = cluster_parts(*_overlaps(csr_array(vstack(rows)), np.stack(roots), views))
+    groups = cluster_parts(csr_array(vstack(rows)), np.stack(roots), views)
     groups = _unite_by_id(groups, views, np.array(id_of))
     ids = {BACKGROUND: BACKGROUND} | {part: int(k) + 1 for part, k in enumerate(groups, start=1)}
     return [map_labels(parts, ids) for parts in numbered]
@@ -114,34 +115,106 @@ def map_labels(labels: Labels, ids: Mapping[int, int]) -> Labels:
 
 
 def cluster_parts(
-    intersections: Float[np.ndarray, "P P"], unions: Float[np.ndarray, "P P"]
+    parts: csr_array, roots: Float[np.ndarray, "V N"], view_of: Int[np.ndarray, " P"]
 ) -> Int[np.ndarray, " P"]:
-    """Groups of parts: the two with the greatest IoU united, until none have enough, in place."""
+    """Groups of parts: the two with the greatest IoU united, until none have enough.
+
+    The IoU of two groups is at most the greatest of a part of one with a part of the other. So only
+    parts that chains of enough IoU join can become one group, and tables of every two are made for
+    these alone: for all of 20,000 parts they would take 3 GB.
+
+    Args:
+        parts: Pixels of every Gaussian in a part, over the root of its pixels in the part's view,
+            [P, N].
+        roots: These roots.
+        view_of: The view of every part.
+
+    Returns:
+        The group of every part, from 0.
+    """
+    visible = np.asarray(parts @ roots.T)  # [P, V]
+    group = np.arange(len(view_of))
+    chains = [chain for chain in _chains(parts, visible, view_of) if len(chain) > 1]
+    with task("same objects", sum(map(len, chains)), unit="part") as bar:
+        for chain in chains:
+            tables = [_overlaps(parts, visible, view_of, some, chain) for some in _blocks(chain)]
+            intersections, unions = map(np.concatenate, zip(*tables, strict=True))
+            group[chain] = chain[_merge(intersections, unions)]
+            bar.advance(len(chain))
+    return np.unique(group, return_inverse=True)[1]
+
+
+def _chains(
+    parts: csr_array, visible: Float[np.ndarray, "P V"], view_of: Int[np.ndarray, " P"]
+) -> list[Int[np.ndarray, " C"]]:
+    """The connected components of parts of which two have enough IoU."""
+    every, pairs = np.arange(len(view_of)), [np.zeros((2, 0), int)]
+    for some in track(_blocks(every), "comparing parts", unit="block"):
+        later = every[some[0] :]
+        iou = _iou(*_overlaps(parts, visible, view_of, some, later))
+        one, other = np.nonzero(iou >= REPAIR_SAME_IOU)
+        pairs.append(np.stack([some[one], later[other]]))
+    places = np.concatenate(pairs, axis=1)
+    joined = csr_array((np.ones(places.shape[1], bool), places), shape=(len(every), len(every)))
+    component = connected_components(joined, directed=False)[1]
+    return np.split(component.argsort(kind="stable"), np.bincount(component).cumsum()[:-1])
+
+
+def _blocks(rows: Int[np.ndarray, " C"]) -> list[Int[np.ndarray, " _"]]:
+    return np.split(rows, range(REPAIR_BLOCK, len(rows), REPAIR_BLOCK))
+
+
+def _overlaps(
+    parts: csr_array,
+    visible: Float[np.ndarray, "P V"],
+    view_of: Int[np.ndarray, " P"],
+    some: Int[np.ndarray, " A"],
+    others: Int[np.ndarray, " B"],
+) -> tuple[Float[np.ndarray, "A B"], Float[np.ndarray, "A B"]]:
+    """Intersections and unions of parts, in what both their views see, or 0.
+
+    `visible` are the pixels of a part that each view sees. 0 says that both views see too little.
+    """
+    mine, theirs = visible[some][:, view_of[others]], visible[others][:, view_of[some]].T
+    whole = visible[some, view_of[some]][:, None], visible[others, view_of[others]]
+    enough = np.minimum(mine, theirs) >= COMMON_SIGHT * np.minimum(*whole)
+    shared = (parts[some] @ csr_array(parts[others].T)).toarray()
+    return np.where(enough, shared, 0), np.where(enough, mine + theirs - shared, 0)
+
+
+def _iou(
+    intersections: Float[np.ndarray, "*S"], unions: Float[np.ndarray, "*S"]
+) -> Float[np.ndarray, "*S"]:
+    return intersections / np.maximum(unions, 1e-9)
+
+
+def _merge(
+    intersections: Float[np.ndarray, "C C"], unions: Float[np.ndarray, "C C"]
+) -> Int[np.ndarray, " C"]:
+    """One part of its group for every part; see `cluster_parts`. The tables are overwritten."""
     group = np.arange(len(intersections))
     np.fill_diagonal(intersections, 0)
     best, most = np.zeros(len(group), int), np.zeros(len(group), intersections.dtype)
     stale = group
-    with task("same objects", len(group), unit="part") as bar:
-        while True:
-            for row in stale:
-                iou = intersections[row] / np.maximum(unions[row], 1e-9)
-                best[row] = iou.argmax()
-                most[row] = iou[best[row]]
-            one = int(most.argmax())
-            other = int(best[one])
-            if most[one] < REPAIR_SAME_IOU:
-                return np.unique(group, return_inverse=True)[1]
-            group[group == other] = one
-            for table in (intersections, unions):
-                table[one] += table[other]
-                table[one, one] = 0
-                table[:, one] = table[one]
-                table[other] = table[:, other] = 0
-            best[other], most[other] = -1, 0
-            stale = np.union1d(np.flatnonzero((best == one) | (best == other)), [one])
-            iou = intersections[one] / np.maximum(unions[one], 1e-9)
-            best[iou > most], most = one, np.maximum(most, iou)
-            bar.advance()
+    while True:
+        for row in stale:
+            iou = _iou(intersections[row], unions[row])
+            best[row] = iou.argmax()
+            most[row] = iou[best[row]]
+        one = int(most.argmax())
+        other = int(best[one])
+        if most[one] < REPAIR_SAME_IOU:
+            return group
+        group[group == other] = one
+        for table in (intersections, unions):
+            table[one] += table[other]
+            table[one, one] = 0
+            table[:, one] = table[one]
+            table[other] = table[:, other] = 0
+        best[other], most[other] = -1, 0
+        stale = np.union1d(np.flatnonzero((best == one) | (best == other)), [one])
+        iou = _iou(intersections[one], unions[one])
+        best[iou > most], most = one, np.maximum(most, iou)
 
 
 def _number_parts(labels: Labels, first: int) -> tuple[Labels, dict[int, int]]:
@@ -156,28 +229,6 @@ def _number_parts(labels: Labels, first: int) -> tuple[Labels, dict[int, int]]:
     return numbers, ids
 
 
-def _overlaps(
-    parts: csr_array, roots: Float[np.ndarray, "V N"], view_of: Int[np.ndarray, " P"]
-) -> tuple[Float[np.ndarray, "P P"], Float[np.ndarray, "P P"]]:
-    """Intersection and union of every two parts, in what both their views see, or 0.
-
-    `parts` are pixels of every Gaussian in a part, over the root of its pixels in the view, which
-    `roots` holds; `view_of` is the view of every part. 0 says that both views see too little.
-    """
-    visible = np.asarray(parts @ roots.T)  # [P, V]
-    whole = visible[np.arange(len(view_of)), view_of]
-    gaussians = csr_array(parts.T)
-    intersections, unions = np.zeros((2, len(whole), len(whole)), np.float32)
-    for view in track(range(len(roots)), "comparing parts", unit="photo"):
-        rows = view_of == view
-        mine, theirs = visible[rows][:, view_of], visible[:, view].T
-        enough = np.minimum(mine, theirs) >= COMMON_SIGHT * np.minimum(whole[rows][:, None], whole)
-        shared = (parts[rows] @ gaussians).toarray()
-        intersections[rows] = np.where(enough, shared, 0)
-        unions[rows] = np.where(enough, mine + theirs - shared, 0)
-    return intersections, unions
-
-
 def _unite_by_id(
     groups: Int[np.ndarray, " P"], view_of: Int[np.ndarray, " P"], id_of: Int[np.ndarray, " P"]
 ) -> Int[np.ndarray, " P"]:
@@ -186,16 +237,16 @@ def _unite_by_id(
     What matters is that ids are the same in one photo, not from photo to photo.
     """
 
-    def count_together(rows: Int[np.ndarray, " P"]) -> Int[np.ndarray, "G G"]:
-        """In how many rows two groups occur together."""
-        occurs = np.zeros((rows.max() + 1, groups.max() + 1), bool)
-        occurs[rows, groups] = True
-        table = csr_array(occurs.astype(int))
-        return (table.T @ table).toarray()
+    def count_together(rows: Int[np.ndarray, " P"]) -> csr_array:
+        """In how many rows two groups occur together, [G, G]."""
+        occurs = csr_array((np.ones(len(rows), int), (rows, groups)))  # sums what occurs twice
+        occurs.data[:] = 1
+        return csr_array(occurs.T @ occurs)
 
     masks = np.unique(np.stack([view_of, id_of]), axis=1, return_inverse=True)[1]
     together = count_together(masks)
-    same = (together >= REPAIR_MIN_PHOTOS) & (together > count_together(view_of) / 2)
+    often = csr_array(together >= REPAIR_MIN_PHOTOS)
+    same = often.multiply(2 * together > count_together(view_of))
     return connected_components(same)[1][groups]
 
 
