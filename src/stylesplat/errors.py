@@ -76,6 +76,18 @@ def count_noun(count: int, what: str) -> str:
     return f"{count:,} {what}{'s' * (count != 1)}"
 
 
+def format_duration(seconds: float) -> str:
+    """A duration in a unit that suits it.
+
+    Example:
+        >>> format_duration(99.0), format_duration(600.0), format_duration(9000.0)
+        ('99 s', '10 min', '2.5 h')
+    """
+    if seconds < 180:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
 def shell_command(verb: str, *arguments: object) -> str:
     """A command for the shell, its arguments quoted where necessary."""
     return shlex.join(["stylesplat", verb, *map(str, arguments)])

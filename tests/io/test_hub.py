@@ -2,17 +2,18 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
-import huggingface_hub
 import pytest
 import torch
 from huggingface_hub import constants
 from safetensors.torch import load_file, save_file
 
+from hub_server import COMMIT, Hub, point_to, serve
 from stylesplat.errors import StyleSplatError
 from stylesplat.io import hub
 from stylesplat.io.hub import find_model, is_at_hand, load_model, load_processor
@@ -131,37 +132,91 @@ def test_a_download_that_ended_early_is_no_model(missing: str, folder: Path, cac
     assert not is_at_hand(NAME)
 
 
-def test_a_download_is_announced_and_starts_with_the_type(
-    folder: Path, cache: Path, monkeypatch, said: list[str]
+@pytest.fixture
+def online(folder: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+    """A hub with the model, and an empty cache."""
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
+    hub = Hub(NAME, folder, {"license": "apache-2.0"})
+    with serve(hub, monkeypatch):
+        yield hub
+
+
+def test_a_download_is_announced_and_found_again_without_network(
+    online: Hub, cache: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
 ):
-    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
-    fetched = []
+    (online.folder / "pytorch_model.bin").touch()
+    (online.folder / "notes.json").write_text("{}")
+    with pytest.raises(StyleSplatError, match="pass one of the type opera"):
+        find_model(NAME, ["opera"], job="sing")
+    assert online.fetched == ["config.json"] * 2 and not said, "HEAD and GET, and nothing else"
+    found = find(NAME).path
+    assert "model.safetensors" in online.fetched and "pytorch_model.bin" not in online.fetched
+    (line,) = said
+    assert line.startswith(f"Downloading {NAME} to {cache}: 0.00 GB, about 0 s at 100 Mbit/s")
+    assert line.endswith("licence: apache-2.0.")
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    assert is_at_hand(NAME) and find(NAME).path == found
+    assert found == cache / "models--owner--tiny" / "snapshots" / COMMIT
+    assert (found / "model.safetensors").is_symlink(), "to a file by its hash, as the hub's are"
+    load(found)
+    (found / "notes.json").unlink()
+    assert is_at_hand(NAME), "nothing reads it, although the library knows that it belongs there"
 
-    def snapshot(name: str, *, allow_patterns: list[str], local_files_only: bool = False) -> str:
-        if local_files_only:
-            raise FileNotFoundError
-        fetched.append(allow_patterns)
-        return str(folder)
 
-    monkeypatch.setattr(huggingface_hub, "hf_hub_download", lambda name, file: folder / file)
-    monkeypatch.setattr(huggingface_hub, "snapshot_download", snapshot)
-    with pytest.raises(StyleSplatError, match="pass one of the type sam"):
-        find_model(NAME, ["sam"], job="sing")
-    assert fetched == []
-    assert find(NAME).path == folder
-    assert fetched == [["*.json", "*.txt", "model*.safetensors"]]
-    assert said[-1] == f"Downloading the model {NAME} to {cache}."
-
-
-def test_the_hub_refuses(cache: Path, monkeypatch):
-    def download(name: str, file: str) -> str:
-        raise OSError("[Errno 28] No space left on device\nsecond line")
-
-    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
-    monkeypatch.setattr(huggingface_hub, "hf_hub_download", download)
-    match = r"^Cannot download owner/tiny: .*No space left on device\..*hf auth login.*FOLDER`\.$"
-    with pytest.raises(StyleSplatError, match=match):
+def test_the_size_is_that_of_what_is_not_there_yet(online: Hub, said: list[str], monkeypatch):
+    monkeypatch.setattr(hub, "disk_usage", lambda _: SimpleNamespace(free=10**12))
+    online.card = {"license": "other", "license_name": "sam-license"}
+    online.sizes = {"config.json": 10**9, "model.safetensors": 2_440_000_000}
+    online.breaks = "model.safetensors"
+    with pytest.raises(StyleSplatError, match="download broke off"):
         find(NAME)
+    online.breaks = ""
+    find(NAME)
+    assert ": 3.44 GB, about 5 min at 100 Mbit/s; licence: sam-license." in said[0]
+    assert ": 2.44 GB, about 3 min" in said[1]
+
+
+@pytest.mark.parametrize(
+    ("failure", "match"),
+    [
+        (
+            "gated",
+            r"it is gated\. Ask for access on http://.*/owner/tiny, then run `hf auth login`",
+        ),
+        ("missing", r"has no public model of that name\. Check it, OWNER/MODEL"),
+        ("token", r"refuses your token\. Run `hf auth login`"),
+        ("no config", r"has no config\.json, which `transformers` needs"),
+        ("down", r"answered: .*503.*\. Try again later\."),
+        (
+            "unreachable",
+            r"http://127.0.0.1:9 cannot be reached \(.*refused.*`hf download owner/tiny",
+        ),
+        ("disk full", r"needs 9000\.00 GB, and \d+\.\d\d GB are free in .*cache\. .*HF_HOME"),
+        ("broken", r"the download broke off \(.*\)\. Run the same command again"),
+    ],
+)
+def test_why_a_model_cannot_be_had(
+    failure: str, match: str, online: Hub, cache: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """One line each, for the errors that the library itself raises."""
+    name = "owner/other" if failure == "missing" else NAME
+    if failure == "gated":
+        online.gated = True
+    elif failure in ("token", "down"):
+        online.status = 401 if failure == "token" else 503
+    elif failure == "no config":
+        (online.folder / "config.json").unlink()
+    elif failure == "unreachable":
+        point_to("http://127.0.0.1:9", monkeypatch)
+    elif failure == "disk full":
+        online.sizes = {"model.safetensors": 9 * 10**12}
+    elif failure == "broken":
+        online.breaks = "model.safetensors"
+    with pytest.raises(StyleSplatError, match=f"^Cannot download {name}: .*{match}") as refused:
+        find(name)
+    assert "\n" not in str(refused.value)
+    assert not is_at_hand(name)
 
 
 def test_packages_that_are_missing(folder: Path, monkeypatch):

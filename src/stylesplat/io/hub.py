@@ -5,18 +5,21 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from errno import ENOSPC
+from fnmatch import fnmatch
 from http.client import HTTPException
 from importlib.util import find_spec
 from os.path import expanduser
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any
 from urllib.request import Request, urlopen
 
 import torch
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
-from stylesplat.io.files import reason
+from stylesplat.errors import StyleSplatError, format_duration
+from stylesplat.io.files import FILE_DISK_FULL, reason
 from stylesplat.io.json_yaml import read_json
 from stylesplat.progress import Task, say, task
 
@@ -78,6 +81,7 @@ FILES = ["*.json", "*.txt", "model*.safetensors"]
 WEIGHTS, INDEX = "model.safetensors", "model.safetensors.index.json"  # in one file or several
 PROCESSORS = ("processor_config.json", "preprocessor_config.json")  # either suffices
 TOKENIZERS = (("tokenizer.json",), ("vocab.txt",), ("vocab.json", "merges.txt"))  # any
+LINE_SPEED = 1e8  # bits a second, for a duration that users can scale to their line
 HUB_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")  # OWNER/MODEL
 INSTALL = "Run `pip install 'stylesplat[segment]'`."
 
@@ -154,13 +158,14 @@ def _local_folder(name: str) -> Path | None:
         return folder
     if not HUB_NAME.fullmatch(name) or find_spec("huggingface_hub") is None:
         return None
-    from huggingface_hub import snapshot_download
+    from huggingface_hub import try_to_load_from_cache
 
     try:
-        folder = Path(snapshot_download(name, allow_patterns=FILES, local_files_only=True))
-    except (OSError, ValueError):  # absent, incomplete, or an impossible name
+        config = try_to_load_from_cache(name, CONFIG)
+    except ValueError:  # an impossible name
         return None
-    return folder if _is_whole(folder) else None
+    folder = Path(config).parent if isinstance(config, str) else None
+    return folder if folder is not None and _is_whole(folder) else None
 
 
 def _is_whole(folder: Path) -> bool:
@@ -200,21 +205,108 @@ def _check_type(config: Path, name: str, types: Collection[str], job: str) -> st
 def _download(name: str, types: Collection[str], job: str) -> Path:
     from huggingface_hub import constants, hf_hub_download, is_offline_mode, snapshot_download
 
-    by_hand = (
+    if is_offline_mode():
+        raise StyleSplatError(
+            f"{name} is not in the cache, and HF_HUB_OFFLINE is set. {_by_hand(name)}"
+        )
+    try:
+        size, licence = _describe(name)
+    except Exception as error:
+        raise _cannot_download(name, error) from error
+    try:
+        config = Path(hf_hub_download(name, CONFIG))
+        _check_type(config, name, types, job)  # before gigabytes of the wrong model
+        if size > _free_bytes():
+            raise OSError(ENOSPC, "No space left on device")
+        say(
+            f"Downloading {name} to {constants.HF_HUB_CACHE}: {size / 1e9:.2f} GB, about "
+            f"{format_duration(8 * size / LINE_SPEED)} at 100 Mbit/s; licence: {licence}."
+        )
+        return Path(snapshot_download(name, allow_patterns=FILES))
+    except StyleSplatError:
+        raise
+    except Exception as error:
+        raise _cannot_download(name, error, size) from error
+
+
+def _describe(name: str) -> tuple[int, str]:
+    """The bytes of a model that are not in the cache yet, and its licence."""
+    from huggingface_hub import model_info, try_to_load_from_cache
+
+    info = model_info(name, files_metadata=True, timeout=TIMEOUT)
+    size = sum(
+        file.size or 0
+        for file in info.siblings or ()
+        if any(fnmatch(file.rfilename, pattern) for pattern in FILES)
+        and not isinstance(try_to_load_from_cache(name, file.rfilename, revision=info.sha), str)
+    )
+    card: Mapping[str, Any] = info.card_data.to_dict() if info.card_data else {}
+    return size, card.get("license_name") or card.get("license") or f"see {_page(name)}"
+
+
+def _cannot_download(name: str, error: Exception, size: int | None = None) -> StyleSplatError:
+    """Why a model of `size` bytes, which the hub has said if it answered, cannot be had."""
+    from huggingface_hub import constants
+    from huggingface_hub.errors import (
+        GatedRepoError,
+        HfHubHTTPError,
+        HFValidationError,
+        RemoteEntryNotFoundError,
+        RepositoryNotFoundError,
+    )
+
+    what = reason(error.__cause__ if isinstance(error.__cause__, Exception) else error)
+    match error:
+        case GatedRepoError():
+            cause = (
+                f"it is gated. Ask for access on {_page(name)}, then run `hf auth login`, or pass "
+                "another --model"
+            )
+        case RepositoryNotFoundError() | HFValidationError():
+            cause = (
+                "the Hugging Face Hub has no public model of that name. Check it, OWNER/MODEL; for "
+                "a private one run `hf auth login`"
+            )
+        case RemoteEntryNotFoundError():
+            cause = f"it has no {CONFIG}, which `transformers` needs. Pass another model"
+        case HfHubHTTPError() if error.response.status_code == 401:
+            cause = "the Hugging Face Hub refuses your token. Run `hf auth login`"
+        case HfHubHTTPError():
+            cause = f"the Hugging Face Hub answered: {reason(error).rstrip('.:')}. Try again later"
+        case OSError(errno=code) if size is not None and code in FILE_DISK_FULL:
+            cause = (
+                f"it needs {size / 1e9:.2f} GB, and {_free_bytes() / 1e9:.2f} GB are free in "
+                f"{constants.HF_HUB_CACHE}. Free some, or set HF_HOME to a folder on another disk"
+            )
+        case _ if size is None:
+            cause = f"{constants.ENDPOINT} cannot be reached ({what}). {_by_hand(name)}"
+        case _:
+            cause = (
+                f"the download broke off ({what}). Run the same command again: files that have "
+                "come whole are kept"
+            )
+    return StyleSplatError(f"Cannot download {name}: {cause.rstrip('.')}.")
+
+
+def _by_hand(name: str) -> str:
+    return (
         f"Run `hf download {name} --local-dir FOLDER` on a machine with network, then pass "
         "`--model FOLDER`."
     )
-    if is_offline_mode():
-        raise StyleSplatError(f"{name} is not in the cache, and HF_HUB_OFFLINE is set. {by_hand}")
-    say(f"Downloading the model {name} to {constants.HF_HUB_CACHE}.")
-    remedy = (
-        "Check the name. For a gated or private model accept the terms on its page and run "
-        f"`hf auth login`. {by_hand}"
-    )
-    with _short_errors(f"Cannot download {name}", remedy):
-        config = Path(hf_hub_download(name, CONFIG))
-        _check_type(config, name, types, job)  # before gigabytes of the wrong model
-        return Path(snapshot_download(name, allow_patterns=FILES))
+
+
+def _page(name: str) -> str:
+    from huggingface_hub import constants
+
+    return f"{constants.ENDPOINT}/{name}"
+
+
+def _free_bytes() -> int:
+    """Of the disk with the hub's cache, which need not exist yet."""
+    from huggingface_hub import constants
+
+    cache = Path(constants.HF_HUB_CACHE).absolute()
+    return disk_usage(next(each for each in (cache, *cache.parents) if each.exists())).free
 
 
 @contextmanager
@@ -222,8 +314,6 @@ def _short_errors(failure: str, remedy: str) -> Iterator[None]:
     """Turn any library's error into one line: the failure, its first line, the remedy."""
     try:
         yield
-    except StyleSplatError:
-        raise
     except Exception as error:
         remedy = INSTALL if isinstance(error, ImportError) else remedy
         raise StyleSplatError(f"{failure}: {reason(error).rstrip('.:')}. {remedy}") from error

@@ -13,7 +13,7 @@ import torch.distributed as dist
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, count_noun
+from stylesplat.errors import StyleSplatError, count_noun, format_duration
 from stylesplat.interrupts import held_signals
 from stylesplat.progress import Task, say, task
 from stylesplat.rendering.render import pick_device
@@ -375,11 +375,5 @@ def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
     photos = f"{count_noun(len(run.rows), 'photo')} of {width}x{height}"
     say(
         f"{photos}, at most {config.max_gaussians:,} Gaussians: {config.steps:,} steps take "
-        f"about {_duration(seconds)} on this machine.{quality}{advice}"
+        f"about {format_duration(seconds)} on this machine.{quality}{advice}"
     )
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 180:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
