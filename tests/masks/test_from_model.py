@@ -1,14 +1,17 @@
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import pytest
 import torch
 from PIL import Image
 from torch import Tensor
 
-from balls import CAMERAS, PLAIN, SPLATS
+from balls import CAMERAS, PLAIN, SPLATS, viewmat_from
 from capture_files import write_ball_capture
+from fake_cuda import cuda  # noqa: F401  (a fixture)
 from right_ids import right_pixels
 from stylesplat.cli.mask import MaskCommand
 from stylesplat.errors import StyleSplatError
@@ -27,7 +30,8 @@ TRUTH = [render_labels(SPLATS, CAMERAS[row]) for row in range(len(CAMERAS))]
 class Scripted:
     """Knows the balls, recognises photos by their content, and writes down what it is asked."""
 
-    def __init__(self, capture: Path) -> None:
+    def __init__(self, capture: Path, truth: Sequence[Tensor] = TRUTH) -> None:
+        self.truth, self.followed = truth, False
         photos = load(capture, masks=False).photos
         self.rows = {photos[row].numpy().tobytes(): row for row in range(len(photos))}
         self.asked: list[int] = []
@@ -40,12 +44,13 @@ class Scripted:
         if len(self.asked) == self.stop_after:
             raise KeyboardInterrupt
         self.asked.append(self.row(photo))
-        return [*labels_to_masks(TRUTH[self.row(photo)]).values()]
+        return [*labels_to_masks(self.truth[self.row(photo)]).values()]
 
     def propagate(
         self, photos: Sequence[Tensor], seeds: Mapping[int, Tensor]
     ) -> list[dict[int, Tensor]]:
-        first, *rest = (TRUTH[self.row(photo)] for photo in photos)
+        self.followed = True
+        first, *rest = (self.truth[self.row(photo)] for photo in photos)
         meant = {id: int(first[mask].mode().values) for id, mask in seeds.items()}
         return [
             dict(seeds),
@@ -73,10 +78,14 @@ def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
 
 
 def run_model(
-    capture: Path, method: SamMethod, scene: Path | None, model: str | None = None
+    capture: Path,
+    method: SamMethod,
+    scene: Path | None,
+    model: str | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
 ) -> dict:
     """`stylesplat mask CAPTURE --method METHOD`."""
-    return MaskCommand(capture, method, model=model, scene=scene, device="cpu").run().values
+    return MaskCommand(capture, method, model=model, scene=scene, device=device).run().values
 
 
 def found_maps(capture: Path) -> list[Tensor]:
@@ -113,19 +122,53 @@ def test_in_memory_with_and_without_a_folder_for_progress(
         assert one is not None and other is not None and torch.equal(one, other)
 
 
-def test_without_a_follower_the_splat_carries_masks(
-    capture: Path, scene: Path, scripted: Scripted, monkeypatch: pytest.MonkeyPatch
+def test_on_a_cpu_a_splat_carries_the_masks_of_few_photos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
 ):
-    monkeypatch.setattr(mask_models, "load_propagator", lambda *_: pytest.fail("sam has none"))
-    run_model(capture, "sam", scene)
-    assert right_pixels(found_maps(capture), TRUTH) > 0.8
+    angles = torch.arange(24) * math.tau / 24
+    places = [(-3 * math.sin(a), -3 * math.cos(a), 1.5) for a in angles.tolist()]
+    orbit = replace(
+        CAMERAS,
+        viewmats=torch.stack([viewmat_from(place) for place in places]),
+        Ks=CAMERAS.Ks[:1].expand(24, 3, 3),
+        sizes=CAMERAS.sizes[:1].expand(24, 2),
+        names=tuple(f"{row:04d}.jpg" for row in range(24)),
+    )
+    capture = write_ball_capture(tmp_path / "orbit", orbit, masks=False)
+    save(Scene(PLAIN, orbit), tmp_path / "scene")
+    truth = [render_labels(SPLATS, orbit[row]) for row in range(24)]
+    model = Scripted(capture, truth)
+    monkeypatch.setattr(mask_models, "load_proposer", lambda *_: model)
+    monkeypatch.setattr(mask_models, "load_propagator", lambda *_: pytest.fail("not needed"))
+    run_model(capture, "sam2", tmp_path / "scene")
+    assert len(model.asked) == len(set(model.asked)) == 16
+    assert "On a CPU sam2 is asked about 16 of 24 photos in about " in said[0]
+    maps = found_maps(capture)
+    others = [row for row in range(24) if row not in model.asked]
+    assert right_pixels([maps[row] for row in others], [truth[row] for row in others]) > 0.8
+    assert right_pixels(maps, truth) > 0.9
+
+
+def test_on_a_gpu_the_model_follows_objects_and_goes_on(
+    cuda: Literal["cuda"],  # noqa: F811
+    capture: Path,
+    scene: Path,
+    scripted: Scripted,
+):
+    scripted.stop_after = 4  # in the second clip: the first asks about three photos
+    with pytest.raises(KeyboardInterrupt):
+        run_model(capture, "sam2", scene, device=cuda)
+    before, scripted.asked, scripted.stop_after = scripted.asked, [], 10**6
+    assert run_model(capture, "sam2", scene, device=cuda)["ids"] == [1, 2, 3]
+    assert not set(before[:3]) & set(scripted.asked), "the first clip is done"
+    assert scripted.followed and right_pixels(found_maps(capture), TRUTH) > 0.9
 
 
 @pytest.mark.parametrize("changed", ["nothing", "method", "photo"])
 def test_an_interrupted_run_goes_on_unless_something_changed(
     changed: str, capture: Path, scene: Path, scripted: Scripted, said: list[str]
 ):
-    scripted.stop_after = 4  # in the second stretch: the first asks about three photos
+    scripted.stop_after = 4
     with pytest.raises(KeyboardInterrupt):
         run_model(capture, "sam2", scene)
     assert not (capture / "object_mask").exists()
@@ -137,7 +180,7 @@ def test_an_interrupted_run_goes_on_unless_something_changed(
     found = run_model(capture, "edgetam" if changed == "method" else "sam2", scene)
     if changed == "nothing":
         assert "Continuing from" in "\n".join(said)
-        assert not set(before[:3]) & set(scripted.asked), "the first stretch is done"
+        assert sorted(before + scripted.asked) == [*range(8)], "none is asked about twice"
     else:
         assert "beginning anew" in "\n".join(said)
         assert len(set(scripted.asked)) == len(scripted.asked) and 0 in scripted.asked

@@ -179,11 +179,7 @@ def test_masks_are_propagated_by_a_splat(
     capture = load(write_ball_capture(tmp_path / "capture"))
     oracle = Oracle(capture.photos, maps_of(capture))
     monkeypatch.setattr(from_model, "load_proposer", lambda *_: oracle)
-    found, usual = (
-        mask(capture, method="sam", scene=TRAINED, device=device) for device in (cuda, "cpu")
-    )
-    for one, other in zip(maps_of(found), maps_of(usual), strict=True):
-        assert (one == other).float().mean() > 0.98
+    found = mask(capture, method="sam", scene=TRAINED, device=cuda)
     assert right_pixels(maps_of(found), oracle.maps) > 0.8
 
 

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, format_duration
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.json_yaml import read_json, write_json
 from stylesplat.masks.repair import repair_ids
@@ -20,15 +20,20 @@ from stylesplat.masks.sam import FAMILIES, SamMethod, load_propagator, load_prop
 from stylesplat.masks.tracking import (
     Segmenter,
     TrackingState,
+    lift_and_render,
+    masks_to_labels,
     propagate_through_splat,
+    separate_masks,
     split_clips,
     track_clip,
 )
 from stylesplat.masks.working_splat import with_label_maps, working_splat
-from stylesplat.progress import say, task
+from stylesplat.progress import say, task, track
 from stylesplat.rendering.render import pick_device
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, Labels, Mask, at_most, fingerprint
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.sequences import farthest_views
 
 SETTINGS = "settings.json"
 
@@ -101,13 +106,18 @@ def _is_ours(folder: Path) -> bool:
 
 
 MODEL_SIZE = 1024  # pixels of the longer side; the models look at no more
+# On a CPU the model is asked about one photo in so many, but at least about as many as show every
+# side of an object on an orbit twice
+ASKED_SHARE, ASKED_LEAST = 4, 16
 
 
 @dataclass(frozen=True, eq=False)
 class FromModel:
     """Label maps of all objects that a segmentation model finds, under ids that agree in 3D.
 
-    `sam` knows single photos; its masks are propagated from photo to photo by the splat.
+    On a GPU the objects are followed from photo to photo, by the model or, as `sam` knows single
+    photos, by the splat. On a CPU the model is asked about some photos from all sides, and the
+    splat carries what it finds to the others.
     """
 
     family: SamMethod
@@ -118,15 +128,17 @@ class FromModel:
     def mask(self, capture: Capture, device: str) -> Capture:
         """Find the objects of all photos."""
         family, small, place = self.family, at_most(capture, MODEL_SIZE), pick_device(device)
-        proposer, is_video = load_proposer(family, self.model, place), FAMILIES[family].video_types
-        propagator = load_propagator(family, self.model, place) if is_video else None
+        on_cpu, is_video = place.type == "cpu", FAMILIES[family].video_types
+        clips = self._asked(small.cameras) if on_cpu else split_clips(small.cameras)
+        proposer = load_proposer(family, self.model, place)
+        propagator = load_propagator(family, self.model, place) if is_video and not on_cpu else None
         bare = replace(small, label_maps=None, object_names={})
         settings = {
             "method": family,
             "model": self.model,
             "sizes": small.cameras.sizes.tolist(),
             "photos": fingerprint(bare, photos=len(bare)),
-            "clips": split_clips(small.cameras),
+            "clips": clips,
         }
         with TemporaryDirectory() as temporary:
             checkpoint = open_checkpoint(self.progress or Path(temporary) / "progress", settings)
@@ -145,28 +157,62 @@ class FromModel:
                 width, height = cameras[row].size
                 return height, width
 
-            tracked = _track(Segmenter(size, propose, propagate), checkpoint)
-        maps = repair_ids(working.splats, cameras, tracked)
-        if not any(labels.any() for labels in maps):
+            segmenter = Segmenter(size, propose, propagate)
+            found = _find(label_photo if on_cpu else track_clip, segmenter, checkpoint)
+        rows = sorted(found)
+        repaired = repair_ids(working.splats, cameras[rows], [found[row] for row in rows])
+        maps = dict(zip(rows, repaired, strict=True))
+        if not any(labels.any() for labels in repaired):
             raise StyleSplatError(
-                f"{self.family} has found no object that several photos confirm. Try another "
+                f"{family} has found no object that several photos confirm. Try another "
                 "model, or draw boxes with --box."
             )
+        others = [row for row in range(len(cameras)) if row not in maps]
+        rendered = lift_and_render(working.splats, cameras, maps, others)
+        if others:
+            rendered = track(rendered, "objects in other photos", unit="photo", total=len(others))
+        maps |= dict(zip(others, rendered, strict=True))
         return with_label_maps(
             capture, [partial(maps.__getitem__, row) for row in range(len(maps))], {}
         )
 
+    def _asked(self, cameras: Cameras) -> list[list[int]]:
+        """The photos that the model is asked about on a CPU, each a clip of its own."""
+        count = min(max(ASKED_LEAST, -(-len(cameras) // ASKED_SHARE)), len(cameras))
+        seconds = count * FAMILIES[self.family].core_seconds / torch.get_num_threads()
+        duration = f" in about {format_duration(seconds)}" if self.model is None else ""
+        say(
+            f"On a CPU {self.family} is asked about {count} of {len(cameras)} photos{duration}; "
+            "a splat carries what it finds to the others. On a GPU it follows objects through all."
+        )
+        return [[row] for row in sorted(farthest_views(cameras, count))]
 
-def _track(segmenter: Segmenter, checkpoint: MaskCheckpoint) -> list[Labels]:
-    """The label maps of all photos, from where an earlier run stopped."""
+
+def label_photo(
+    rows: Sequence[int], state: TrackingState, segmenter: Segmenter
+) -> tuple[dict[int, Labels], TrackingState]:
+    """Label a clip of one photo by what is detected there, under ids of its own."""
+    (row,) = rows
+    masks = dict(enumerate(separate_masks(segmenter.propose(row)), start=1))
+    return {row: masks_to_labels(masks, segmenter.size(row))}, state
+
+
+def _find(
+    label_clip: Callable[
+        [Sequence[int], TrackingState, Segmenter], tuple[dict[int, Labels], TrackingState]
+    ],
+    segmenter: Segmenter,
+    checkpoint: MaskCheckpoint,
+) -> dict[int, Labels]:
+    """The label maps by photo, from where an earlier run stopped."""
     maps, state, done = dict[int, Labels](), TrackingState(), 0
     for found, after in checkpoint.load():
         maps, state = maps | found, after
         done += 1
     with task("finding objects", len(checkpoint.clips), unit="clip", done=done) as bar:
         for clip, rows in enumerate(checkpoint.clips[done:], start=done):
-            found, state = track_clip(rows, state, segmenter)
+            found, state = label_clip(rows, state, segmenter)
             checkpoint.save(clip, found, state)
             maps |= found
             bar.advance()
-    return [maps[row] for row in range(len(maps))]
+    return maps

@@ -1,7 +1,7 @@
 """The SAM family: which models exist, how they are loaded, and masks of all objects in a photo."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import torch
@@ -17,6 +17,7 @@ SamMethod = Literal["sam", "sam2", "edgetam", "sam3"]
 # Pixels of enlarged masks that are in memory together: 64 MB as float32. 64 points at once with 3
 # masks each would be 3 GB for 4 megapixels
 SAM_PIXELS_AT_ONCE = 2**24
+CPU_POINTS = 16  # a side, as a decoder takes a tenth of a second for each point on a core
 AMPERE = (8, 0)  # compute capability
 STABLE_WITHIN = 1.0  # logits around 0 between which the border of a stable mask hardly moves
 
@@ -27,6 +28,8 @@ class SamFamily:
 
     checkpoint: str
     """The default checkpoint: small, or the only one."""
+    core_seconds: float
+    """What it takes a CPU to find the masks of a photo, at `CPU_POINTS` a side."""
     proposer_types: tuple[str, ...]
     """`model_type`s of checkpoints that hold the model for photos."""
     video_types: tuple[str, ...] = ()
@@ -37,9 +40,10 @@ class SamFamily:
 
 
 FAMILIES: dict[SamMethod, SamFamily] = {
-    "sam": SamFamily("facebook/sam-vit-base", ("sam",)),
+    "sam": SamFamily("facebook/sam-vit-base", 35.0, ("sam",)),
     "sam2": SamFamily(
         "facebook/sam2.1-hiera-tiny",
+        30.0,
         ("sam2", "sam2_video"),
         ("sam2_video",),
         "Sam2VideoModel",
@@ -47,6 +51,7 @@ FAMILIES: dict[SamMethod, SamFamily] = {
     ),
     "edgetam": SamFamily(
         "yonigozlan/EdgeTAM-hf",
+        29.0,
         ("edgetam", "edgetam_video"),
         ("edgetam_video",),
         "EdgeTamVideoModel",
@@ -55,6 +60,7 @@ FAMILIES: dict[SamMethod, SamFamily] = {
     # `facebook/sam3` is a `sam3_video`: a detector of words and this tracker, which takes masks
     "sam3": SamFamily(
         "facebook/sam3",
+        110.0,
         ("sam3_tracker", "sam3_video"),
         ("sam3_tracker_video", "sam3_video"),
         "Sam3TrackerVideoModel",
@@ -72,10 +78,12 @@ def load_proposer(
     source = find_model(name, family.proposer_types, job=f"propose masks with {method}")
     from transformers import AutoImageProcessor, AutoModelForMaskGeneration
 
-    return GridProposer(
+    proposer = GridProposer(
         load_model(source, AutoModelForMaskGeneration, device=device, dtype=_dtype(method, device)),
         load_processor(source, AutoImageProcessor),
     )
+    on_cpu = torch.device(device).type == "cpu"
+    return replace(proposer, points_per_side=CPU_POINTS) if on_cpu else proposer
 
 
 def load_propagator(

@@ -97,7 +97,6 @@ def _drop_masks(session: Any, row: int) -> None:
                 memories.get(row, {}).pop(name, None)
 
 
-@torch.no_grad()
 def propagate_through_splat(
     splats: Splats, cameras: Cameras, rows: Sequence[int], seeds: Mapping[int, Mask]
 ) -> list[dict[int, Mask]]:
@@ -105,14 +104,20 @@ def propagate_through_splat(
     if not seeds:
         return [{} for _ in rows]
     labels = masks_to_labels(seeds, next(iter(seeds.values())).shape)
-    ids, pixels = label_pixels(splats, cameras, [(rows[0], labels)])
+    maps = lift_and_render(splats, cameras, {rows[0]: labels}, rows[1:])
+    return [dict(seeds), *map(labels_to_masks, maps)]
+
+
+def lift_and_render(
+    splats: Splats, cameras: Cameras, maps: Mapping[int, Labels], rows: Sequence[int]
+) -> Iterator[Labels]:
+    """The labels that Gaussians have by the label maps of some photos, in other photos."""
+    ids, pixels = label_pixels(splats, cameras, maps.items())
     shares = csr_array(pixels.multiply(1 / (pixels.sum(axis=1) + PRIOR)[:, None]))
-    known, found = torch.tensor(ids), [dict(seeds)]
-    for row in rows[1:]:
+    known = torch.tensor(ids, dtype=torch.int32)
+    for row in rows:
         certainty, column = render_argmax(splats, cameras[row], shares)
-        labels = torch.where(certainty > MIN_CERTAINTY, known[column], BACKGROUND)
-        found.append(labels_to_masks(labels))
-    return found
+        yield torch.where(certainty > MIN_CERTAINTY, known[column], BACKGROUND)
 
 
 CLIP = 5  # photos from one keyframe, where objects are detected, to the next
