@@ -36,7 +36,7 @@ class Observer(Task):
         Args:
             what: What is done.
             total: How much there is to do; None if that is unknown.
-            unit: What is counted.
+            unit: What is counted; empty if nothing is.
             done: How much of it an earlier run has done.
         """
         return nullcontext(self)
@@ -86,6 +86,11 @@ def task(
     """
     with _observer.get().task(what, total, unit, done) as shown:
         yield _InterruptibleTask(shown)
+
+
+def uncounted(what: str) -> AbstractContextManager[Task]:
+    """Report work of which nothing can be counted."""
+    return task(what, unit="")
 
 
 def track(

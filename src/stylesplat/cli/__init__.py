@@ -42,8 +42,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from stylesplat.io.json_yaml import strict_json
 
         with closing(Bars()) as bars, observed(bars):
+            if not command.serves:
+                bars.fill_gaps()
             answer = command.run()
-            bars.close()
+            bars.clear()
             if command.json:
                 print(strict_json(answer.values), flush=True)
             else:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
@@ -75,6 +75,8 @@ class Command:
     """A verb of the command line: its fields are its options."""
 
     json: Annotated[bool, arg(help="Print the result as JSON on stdout.")] = False
+    serves: ClassVar[bool] = False
+    """Whether it waits for somebody rather than works."""
 
     def run(self) -> Answer:
         """Run the verb."""

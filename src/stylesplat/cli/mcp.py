@@ -9,7 +9,7 @@ from inspect import getdoc
 from pathlib import Path
 from subprocess import DEVNULL
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -36,6 +36,7 @@ class Mcp(Command):
 
     root: Positional[Path] = Path()
     """Folder that all paths have to lie in; relative ones start there."""
+    serves: ClassVar[bool] = True
 
     def run(self) -> Answer:
         from stylesplat.cli import VERBS

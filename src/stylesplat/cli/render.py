@@ -132,6 +132,7 @@ class ViewCommand(Command):
     port: int = 8080
     """Port on 127.0.0.1, or the next free one."""
     after_interruption: ClassVar[str] = "The viewer is closed."
+    serves: ClassVar[bool] = True
 
     def run(self) -> NoReturn:
         from stylesplat.studio_app.studio import until_interrupted
@@ -157,6 +158,7 @@ class StudioCommand(Command):
     """Address to serve at; any other than 127.0.0.1 lets the network in."""
     device: Device = "auto"
     after_interruption: ClassVar[str] = "The studio is closed."
+    serves: ClassVar[bool] = True
 
     def run(self) -> NoReturn:
         from stylesplat.studio_app.studio import until_interrupted

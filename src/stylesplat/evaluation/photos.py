@@ -147,7 +147,7 @@ def _label_metrics(splats: Splats, capture: Capture, rows: Sequence[int]) -> dic
     known = torch.tensor(splats.classifier.ids)
     pairs: list[tuple[Labels, Labels]] = []
     unknown: set[int] = set()
-    for row in rows:
+    for row in track(rows, "comparing with label maps"):
         given = capture.labels(row)
         if given is not None:
             rendered = render_labels(splats, capture.cameras[row]).cpu()

@@ -14,7 +14,7 @@ Ctrl-C that came while the kernel ran) is a segmentation fault.
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import cache
 from importlib import import_module
 from inspect import unwrap
@@ -24,7 +24,7 @@ from typing import Any
 import numba
 from numba.core import event
 
-from stylesplat.progress import say
+from stylesplat.progress import say, uncounted
 
 COMPILING = (
     "Compiling the CPU kernels for this processor. It takes up to half a minute, once: later "
@@ -37,18 +37,27 @@ NO_CACHE = (
 
 
 class _Announcement(event.Listener):
-    """Says a line when the first compilation of the process begins."""
+    """Says a line when the first compilation of the process begins, and reports each as work.
+
+    Compilations nest, and numba's lock keeps those of other threads apart.
+    """
 
     said = False
+
+    def __init__(self) -> None:
+        self._under_way = list[ExitStack]()
 
     def on_start(self, event: event.Event) -> None:
         """Called before each compilation, but not when a kernel is loaded from the cache."""
         if not self.said and no_cache.cache_info().currsize == 0:
             say(COMPILING)
         self.said = True
+        self._under_way.append(ExitStack())
+        self._under_way[-1].enter_context(uncounted("compiling"))
 
     def on_end(self, event: event.Event) -> None:
-        """Nothing to say."""
+        """Called after each compilation, also of one that failed."""
+        self._under_way.pop().close()
 
 
 @cache
