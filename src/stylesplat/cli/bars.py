@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from threading import Event, Thread
+from time import time
 from typing import Any
 
 from tqdm import tqdm
@@ -39,7 +40,7 @@ class _Bar(tqdm):
     def tick(self, every: float) -> None:
         """Draw it if it was not drawn for so many seconds, or never and its delay is over."""
         with self.get_lock():
-            now, shown = self._time(), self.start_t + self.delay
+            now, shown = time(), self.start_t + self.delay
             is_due = self.last_print_t < shown or now - self.last_print_t >= every
             if not self.disable and now >= shown and is_due:
                 self.refresh(nolock=True)

@@ -21,6 +21,7 @@ from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.meshes.rasterize import pixel_of, projection_of
+from stylesplat.progress import track
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.surface import near_side_depth_map
 from stylesplat.rendering.weights import COVERED, geometry_only
@@ -159,7 +160,7 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Fus
             f"{name} has no surface to make a mesh of: one can see through {1 - solid / shown:.0%} "
             "of it. Export its splats."
         )
-    for row, depth, cosines, edges, *_ in every:
+    for row, depth, cosines, edges, *_ in track(every, "fusing depths"):
         camera = views.cameras[row]
         matrix = projection_of(camera)
         near = max(voxel, FUSION_NEAR * side)

@@ -19,13 +19,13 @@ from stylesplat.meshes.rasterize import (
     projection_of,
 )
 from stylesplat.meshes.surface import FusedSurface, MeshViews, vertex_normals
+from stylesplat.meshes.unwrap import unwrap_faces
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import TINY_COVERAGE
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import per_view
 
-TEXTURE_PADDING = 4  # texels between the parts of a texture
 TEXTURE_SOLID = 0.9  # coverage from which a pixel's colour is the object's
 THINNED = 4  # one in so many texels is searched for the nearest
 TEXTURE_HIDDEN = 0.01  # of the extent: what lies farther behind the depth buffer is hidden
@@ -48,15 +48,7 @@ class TexturedMesh:
 
 def unwrap(surface: FusedSurface, size: int) -> TexturedMesh:
     """Lay the faces of a surface flat into a texture, which is grey."""
-    import xatlas
-
-    atlas = xatlas.Atlas()
-    atlas.add_mesh(surface.vertices, surface.faces.astype(np.uint32))
-    charts, pack = xatlas.ChartOptions(), xatlas.PackOptions()
-    charts.max_iterations = 1
-    pack.resolution, pack.padding, pack.bilinear = size, TEXTURE_PADDING, True
-    atlas.generate(charts, pack)
-    origins, faces, uvs = atlas[0]
+    origins, faces, uvs = unwrap_faces(surface.vertices, surface.faces, size)
     return TexturedMesh(
         vertices=surface.vertices[origins],
         normals=vertex_normals(surface)[origins],
