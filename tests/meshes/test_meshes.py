@@ -27,6 +27,7 @@ from stylesplat.meshes.surface import (
     split_nonmanifold_edges,
 )
 from stylesplat.meshes.texture import TexturedMesh
+from stylesplat.meshes.unwrap import unwrap_faces
 from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.objects import SceneObject
@@ -255,3 +256,9 @@ def test_files_have_the_coordinates_of_the_world(suffix: str, mesh: TexturedMesh
     places = [trimesh.load_scene(path).to_mesh().vertices for path in (near, far)]
     moved = places[0] + [-4e6, 3e6, 5e6]  # turned by half, as all of it
     np.testing.assert_allclose(places[1], moved, atol=1e-5)
+
+
+def test_faces_that_cannot_be_unwrapped():
+    corners = np.eye(3, dtype=np.float32)
+    with pytest.raises(StyleSplatError, match=r"1 face.*--faces"):
+        unwrap_faces(corners, np.array([[0, 1, 7]]), 64)

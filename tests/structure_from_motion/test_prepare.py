@@ -181,6 +181,7 @@ def test_sources_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for source, message in (
         (tmp_path / "none", "no folder or video"),
         (tmp_path / "empty", "has no photos"),
+        (walk(tmp_path / "lone", 1), "has 1 photo that"),
         (few, r"has 2 photos .* 1 left out: text\.jpg \(no readable picture"),
         (posed / "images" / "IMG_8.jpg", "is one photo"),
         (posed, "has its poses already .sparse.*find new ones"),

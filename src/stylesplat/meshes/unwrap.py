@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import stylesplat
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, count_noun
 from stylesplat.interrupts import wait_until
 from stylesplat.progress import uncounted
 
@@ -46,9 +46,10 @@ def unwrap_faces(
         ended = running.result()
     if ended.returncode:
         fault = ended.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+        what = count_noun(len(faces), "face")
         raise StyleSplatError(
-            f"Cannot unwrap {len(faces):,} faces: xatlas ended with status {ended.returncode} "
-            f"{fault}. Ask for fewer, with --faces."
+            f"Cannot unwrap {what}: xatlas ended with status {ended.returncode}. {fault}. Ask for "
+            "fewer, with --faces."
         )
     found = np.load(io.BytesIO(ended.stdout))
     origins, faces, uvs = (found[name] for name in NAMES)

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from PIL import ExifTags, Image
 
-from stylesplat.errors import StyleSplatError, join_names, shorten
+from stylesplat.errors import StyleSplatError, count_noun, join_names, shorten
 from stylesplat.io.atomic import PARTIAL, atomic_path
 from stylesplat.io.captures.photos import BLACK, SmallPhoto, plain_suffix, read_small
 from stylesplat.io.captures.posed_files import check_path
@@ -308,8 +308,9 @@ def too_few_photos(source: Path, usable: int, left_out: Mapping[str, str]) -> St
         (f"{shorten(name)} ({text})" for name, text in left_out.items()), whole=True
     )
     others = f"; {len(left_out)} left out: {reasons}" if reasons else ""
+    usable_photos = count_noun(usable, "photo") if usable else "no photos"
     return StyleSplatError(
-        f"{source} has {usable or 'no'} photos that can be used{others}. "
+        f"{source} has {usable_photos} that can be used{others}. "
         f"Give {MIN_PHOTOS} at least, better 30 or more, that overlap."
     )
 
