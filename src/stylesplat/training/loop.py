@@ -15,7 +15,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, count_noun, format_duration
 from stylesplat.interrupts import held_signals
-from stylesplat.progress import Task, say, task
+from stylesplat.progress import Task, say, task, uncounted
 from stylesplat.rendering.render import pick_device
 from stylesplat.rendering.view_pool import RenderPool
 from stylesplat.scene.capture import Capture, fingerprint
@@ -128,7 +128,8 @@ def fit(
             say(f"Continuing from {checkpoint}, after {steps} steps. `--restart` begins anew.")
     run, state = begin_run(capture, config, rows, device, continued, strategy)
     try:
-        warm_up_training(run, state)
+        with uncounted("getting ready to train"):
+            warm_up_training(run, state)
         if continued is None:
             say_estimate(run, state, capture)
         checkpointer = Checkpointer(saved if run.rank == 0 else None)
