@@ -14,6 +14,7 @@ import pytest  # isort: skip
 import torch  # isort: skip
 
 from filelock import FileLock
+from numba import get_num_threads, set_num_threads
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
@@ -63,6 +64,37 @@ def each_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> It
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Dispatcher, "compile", compile_alone)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def files_are_not_flushed() -> Iterator[None]:
+    """It takes long, and only power cuts need it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: None)
+        yield
+
+
+CORES = get_num_threads()
+
+
+def use_threads(count: int) -> None:
+    set_num_threads(count)
+    torch.set_num_threads(count)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def workers_share_the_cores() -> None:
+    """More threads than cores wait for each other: a third of the processor time."""
+    use_threads(max(1, CORES // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
+
+
+@pytest.fixture
+def all_cores() -> Iterator[None]:
+    """For what is to be the same by any number of threads."""
+    before = get_num_threads()
+    use_threads(CORES)
+    yield
+    use_threads(before)
 
 
 @pytest.fixture

@@ -126,7 +126,7 @@ def test_photos_without_anything_of_their_own_teach_the_same(
 
 
 @pytest.fixture
-def one_thread() -> Iterator[int]:
+def one_thread(all_cores: None) -> Iterator[int]:
     """As each of two threads has it that share two cores; yields how many there are else."""
     before = numba.get_num_threads(), torch.get_num_threads()
     numba.set_num_threads(1)
