@@ -226,12 +226,24 @@ def painted(
     return stylize(scene, {name: style}, **rest)
 
 
+QUICKLY = {
+    "evaluation.style.LOOK_LENGTH": 30.0,  # pixels
+    "stylization.canvas.CANVAS_STEPS": 4,
+    "stylization.config.PATTERN_LENGTH": 48.0,  # pixels
+    "stylization.config.WINDOW": 64,  # pixels
+    "stylization.form.FORM_ROUNDS": 1,
+    "stylization.painter.BLUR_VIEWS": 2,
+    "stylization.painter.WHOLE_VIEWS": 2,
+    "stylization.views.WHOLE_VIEWS": 2,
+}
+
+
 @contextmanager
 def painting_quickly() -> Iterator[None]:
-    """Objects are compared with their styles at a small size, and new Gaussians hardly fitted."""
+    """All stages of painting at small sizes, with few views of the whole object."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stylesplat.evaluation.style.LOOK_LENGTH", 30.0)
-        patch.setattr("stylesplat.stylization.canvas.CANVAS_STEPS", 4)
+        for name, value in QUICKLY.items():
+            patch.setattr(f"stylesplat.{name}", value)
         yield
 
 

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import pytest
 from looks import Options, main
 
 import stylesplat as ss
@@ -12,8 +13,9 @@ from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 
 
+@pytest.mark.usefixtures("quick_painting")
 def test_an_object_is_painted_judged_and_shown_once(tmp_path: Path):
-    cameras = enlarged(CAMERAS, 8)
+    cameras = enlarged(CAMERAS, 4)
     scene = Scene(SCENE, cameras, held_out=cameras.names[::4])
     scene = scene.with_object("doll", SceneObject(ball(0)))
     ss.save(scene, tmp_path / "scenes" / "doll")

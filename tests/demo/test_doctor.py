@@ -13,7 +13,7 @@ from stylesplat.demo import doctor as module
 from stylesplat.demo.doctor import SelfTest, doctor, gsplat_state
 from stylesplat.rendering.render import render as real_render
 
-TINY = SelfTest(photos=3, gaussians=500, train_steps=25, paint_steps=20, object_size=60, renders=1)
+TINY = SelfTest(photos=3, gaussians=500, train_steps=25, paint_steps=10, object_size=48, renders=1)
 REPORT = {
     "versions": {"stylesplat": "1", "python": "3", "torch": "2", "numba": "0", "gsplat": None},
     "system": {"processor": "one", "threads": 2, "memory_gib": 8.0},
@@ -27,6 +27,7 @@ REPORT = {
 }
 
 
+@pytest.mark.usefixtures("quick_painting")
 def test_the_devices_render_and_paint_alike(cuda: str):  # noqa: F811
     found = [doctor(device, TINY) for device in ("cpu", cuda)]
     (processor,), (card,) = (each["self_test"] for each in found)

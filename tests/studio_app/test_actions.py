@@ -35,6 +35,8 @@ CAMERAS = EIGHT[::2]  # all around
 CAMERA = enlarged(CAMERAS, 4)[0]
 WIDTH, HEIGHT = CAMERA.size
 
+pytestmark = pytest.mark.usefixtures("quick_painting")
+
 
 class Page:
     """A page without a browser."""

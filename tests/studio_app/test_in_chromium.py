@@ -21,7 +21,7 @@ from stylesplat.studio_app.pictures import camera_of
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.style import Style
 
-pytestmark = needs_chromium
+pytestmark = [needs_chromium, pytest.mark.usefixtures("quick_painting")]
 
 SIZE = 1100, 700  # pixels of the window
 FAR = 8  # pixels around an object to which its strokes may reach

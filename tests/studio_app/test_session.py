@@ -26,6 +26,8 @@ from stylesplat.stylization.config import plain_settings
 from stylesplat.stylization.painter import paint
 from stylesplat.verbs.export import export
 
+pytestmark = pytest.mark.usefixtures("quick_painting")
+
 
 @pytest.fixture
 def said(session: Session) -> list[str]:
