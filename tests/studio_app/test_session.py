@@ -36,10 +36,10 @@ def said(session: Session) -> list[str]:
     return lines
 
 
-@pytest.fixture(scope="module")
-def wanted(tmp_path_factory: pytest.TempPathFactory) -> Splats:
-    """What painting gives without a studio."""
-    scene = session_in(tmp_path_factory.mktemp("wanted")).state.scene  # of degree 3, as files are
+@pytest.fixture
+def wanted(all_cores: None, tmp_path: Path) -> Splats:
+    """What painting gives without a studio, whose thread has all cores."""
+    scene = session_in(tmp_path / "wanted").state.scene  # of degree 3, as files are
     return paint(scene.splats, CAMERAS, find_object(scene, "3"), stripes(), config=QUICK)
 
 
