@@ -84,7 +84,7 @@ def use_threads(count: int) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def workers_share_the_cores() -> None:
-    """More threads than cores wait for each other: a third of the processor time."""
+    """More threads than cores wait for each other, which takes about a tenth more."""
     use_threads(max(1, CORES // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
 
 
