@@ -160,3 +160,16 @@ def test_a_masked_object_reaches_down_to_what_it_stands_on():
     low = of & (means[:, 2] < 0.15) & (means[:, 2] > 0.06)
     assert found[low].float().mean() > 0.8 and found[of].float().mean() > 0.8
     assert found[~of].float().mean() < 0.02, "the table is not taken"
+
+
+def test_a_bed_that_leaves_the_photos_is_not_taken_with_what_lies_on_it():
+    """It is no plane, and its outline shows nowhere."""
+    x, y = (2 * TABLE).unbind(dim=1)
+    bed, ball = (
+        torch.stack([x, y, -0.3 * x**2], dim=1),
+        1.5 * SHELL + CENTRES.new_tensor([0, 0, 0.35]),
+    )
+    scene = Scene(cloud(torch.cat([bed, ball]), 0.06, opacity=3.0), VIEWS)
+    found = select(scene, "it", point=at((0.0, 0.0, 0.35))).objects["it"].mask
+    wanted = torch.arange(len(found)) >= len(bed)
+    assert float((found & wanted).sum() / (found | wanted).sum()) > 0.7

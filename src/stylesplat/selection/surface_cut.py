@@ -10,6 +10,8 @@ colours, planes included.
 Masks of a few views are completed on the graph of pieces: what they do not tell about goes with
 the side, the object or what is outside, from which walks come to it more often.
 
+An outline is open, too, where it leaves the photos: then walks end at their margins.
+
 A pick that does not stand before something is background. What is behind an object shows along its
 outline: there the depth jumps. A piece of a wall ends where something nearer hides it, or nowhere.
 """
@@ -198,16 +200,20 @@ CUT_FOLD, SOFT_FOLD = 8.0, 2.0
 CUT_NEAREST = 40_000  # patches around the clicks; farther ones are background
 # Of the outline of a disc of its area, below which an object's is closed: a toy's is open by .2
 # where it stands, and by .04 at its neck, a bottle's by .3, a fox's on its plaque by .4. With .3
-# the fox and the bottle are the same, and a mouse takes its desk.
+# the fox and the bottle are the same, and a mouse takes its desk. The same for the part of an
+# outline where the photos end: of toy, cape, fox, bottle and mouse it is .0 to .3, of a bed with a
+# doll, and of a desk with its wall, 1.2 to 3.5.
 CLICK_OPEN = 0.5
 # Cut connections over the root of the smaller side's, below which two objects touch: those of the
 # demo have .2, a toy's neck .5, its single objects 2.9. Sharper folds divide the neck, too.
 CONTACT = 0.4
-ACROSS = 2 / 3 * GRAPH_TOUCH**3  # pairs of patches across an edge of a patch of a straight line
+# Pairs of patches that touch across the outline of a disc on a flat surface, over the root of the
+# number of its patches; 2/3 GRAPH_TOUCH^3 cross a straight line in an edge of a patch
+DISC_OUTLINE = 2 * np.pi**0.5 * 2 / 3 * GRAPH_TOUCH**3
 # The same cost, below which a piece of a surface is bounded all around: the fox's plaque has 0.09
 # to 0.17 from seven clicks, smaller pieces of it 0.29 and more.
 BOUNDED = 0.2
-CUT_FEW = 20  # patches that a piece has at least
+CUT_FEW = 20  # patches that an object or a piece has at least
 MIN_OCCLUDING = 0.02  # of `occluding_share`, below which a pick is background
 
 
@@ -239,7 +245,6 @@ def pick_clicked(
         np.unique([_patch_at(surface, splats, cameras, *each, size) for each in some]).astype(int)
         for some in (places, not_points)
     )
-    graph = surface.pieces() if size == "part" else surface.connections(CUT_FOLD)
     chosen = np.zeros(len(surface.points), bool)
     parts = _parts(surface, size)
     for part in np.unique(parts[clicked]):
@@ -247,10 +252,7 @@ def pick_clicked(
         seeds, rivals = (each[parts[each] == part] for each in (clicked, others))
         if len(np.intersect1d(seeds, rivals)):
             raise StyleSplatError("A point and a point to exclude hit the same place. Move one.")
-        own = _cut_click(graph, rows, seeds, rivals, size)
-        if size == "object":
-            own = two_sided(surface.connections(SOFT_FOLD), own, seeds, CONTACT)
-        chosen[own] = True
+        chosen[_cut_click(surface, rows, seeds, rivals, size)] = True
     picked = torch.from_numpy(chosen[surface.owners])
     if size != "part" and occluding_share(splats, cameras, picked) < MIN_OCCLUDING:
         raise _background_error(*places[0])
@@ -267,16 +269,22 @@ def _parts(surface: SurfaceGraph, size: PickSize) -> Int[np.ndarray, " K"]:
 
 
 def _cut_click(
-    graph: csr_array, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: PickSize
+    surface: SurfaceGraph, rows: np.ndarray, seeds: np.ndarray, rivals: np.ndarray, size: PickSize
 ) -> np.ndarray:
     """The patches of the seeds among connected ones, without those of the rivals."""
+    graph = surface.pieces() if size == "part" else surface.connections(CUT_FOLD)
+    sums = graph.sum(axis=1)
     if len(rivals):
-        rows = nearer_to_seeds(graph, rows, seeds, rivals, graph.sum(axis=1)[rows])
+        rows = nearer_to_seeds(graph, rows, seeds, rivals, sums[rows])
     if size == "part":
         return _piece(graph, rows, seeds)
-    if size == "object":
-        return _enclosed(graph, rows, seeds)
-    return rows
+    if size == "group":
+        return rows
+    own = _enclosed(surface, graph, sums, rows, seeds)
+    beyond = sums * surface.at_margin  # as many connections lead out of the photos as into them
+    if beyond[own].sum() < CLICK_OPEN * DISC_OUTLINE * len(own) ** 0.5:
+        return own
+    return _enclosed(surface, graph, sums + beyond, rows, seeds)
 
 
 def _piece(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
@@ -302,18 +310,26 @@ def _nearest(surface: SurfaceGraph, rows: np.ndarray, seeds: np.ndarray) -> np.n
     return np.sort(rows[np.argpartition(away, CUT_NEAREST)[:CUT_NEAREST]])
 
 
-def _enclosed(graph: csr_array, rows: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+def _enclosed(
+    surface: SurfaceGraph,
+    graph: csr_array,
+    sums: Float[np.ndarray, " K"],
+    rows: np.ndarray,
+    seeds: np.ndarray,
+) -> np.ndarray:
     """The largest set of patches around the seeds whose outline is hardly open.
 
     An outline is open where the surface goes on across it without a fold. Where that holds for no
-    set, it is the one of which the smallest share of connections leads out.
+    set, it is the one of which the smallest share of connections leads out. It is cut once more
+    where two objects touch.
     """
-    order, boundary, sums = sweep(graph, rows, seeds, graph.sum(axis=1)[rows])
-    least = len(seeds) - 1
-    discs = 2 * np.sqrt(np.pi * np.arange(1, len(rows) + 1))  # their outlines, in edges of a patch
-    closed = np.flatnonzero((boundary < CLICK_OPEN * ACROSS * discs)[least:])
-    best = closed[-1] if len(closed) else (boundary / sums)[least:].argmin()
-    return rows[order[: least + 1 + int(best)]]
+    order, boundary, totals = sweep(graph, rows, seeds, sums[rows])
+    least = min(max(CUT_FEW, len(seeds)), len(rows)) - 1
+    discs = DISC_OUTLINE * np.sqrt(np.arange(1, len(rows) + 1))
+    closed = np.flatnonzero((boundary < CLICK_OPEN * discs)[least:])
+    best = closed[-1] if len(closed) else (boundary / totals)[least:].argmin()
+    own = rows[order[: least + 1 + int(best)]]
+    return two_sided(surface.connections(SOFT_FOLD), own, seeds, CONTACT)
 
 
 def _patch_at(

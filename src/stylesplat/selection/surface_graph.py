@@ -29,6 +29,7 @@ from stylesplat.selection.shares import small_views
 # Edge of a patch in pixels of the sampled views, at the median distance. On the fox and the demo 4
 # to 9 give the same objects.
 PATCH = 5.0
+MARGIN = 5  # pixels of the sampled views, the edge of a patch
 GRAPH_GRAZING = 0.15  # cosine of the angle to the view's ray below which depth is noise
 MIN_POINTS, MIN_PATCHES = 3, 8  # in a patch, and in connected patches; fewer are noise
 GRAPH_TOUCH = 1.8  # edges of a patch between the middles of two that touch
@@ -77,6 +78,8 @@ class SurfaceGraph:
     """Pairs of patches."""
     is_background: Bool[np.ndarray, " K"]
     """Large planes, and patches that touch hardly any other."""
+    at_margin: Bool[np.ndarray, " K"]
+    """Patches that photos show at their margins alone: the surface goes on beyond these."""
 
     def connections(self, fold: float) -> csr_array:
         """How strongly patches are connected, 1 at most: weakly across concave folds."""
@@ -121,20 +124,25 @@ def symmetric(
 def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     """The graph over the surface of a splat on the CPU."""
     bare = geometry_only(splats)
-    found, sums = [], torch.zeros(len(splats), 4)
+    found, margins, sums = [], list[torch.Tensor](), torch.zeros(len(splats), 4)
     for camera in track(small_views(cameras), "finding the surface"):
         shown, (image, _) = depth_map(bare, camera), render(bare, camera, sh_degree=0)
         found.append(surface_points(shown, image.clamp(0, 1), grazing=GRAPH_GRAZING))
         valid = shown.reliable(GRAPH_GRAZING)
+        inner = torch.zeros_like(valid)
+        inner[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
+        margins.append(~inner[valid])
         known = torch.cat([shown.points * valid[..., None], valid[..., None]], dim=-1)
         sums += pixels_in(bare, camera, [known])
     points, normals, colors, sizes, _ = map(torch.cat, zip(*found, strict=True))
     if len(points) < MIN_POINTS * MIN_PATCHES:
         raise NothingToPick("Hardly any Gaussian shows in the views. Select by --box3d.")
     edge = PATCH * float(sizes.median())
-    counts, means = average_in_voxels(edge, points.double(), colors.double(), normals.double())
-    enough = counts >= MIN_POINTS
-    weights, points, colors, normals = (each[enough].numpy() for each in (counts.double(), *means))
+    at_margin = torch.cat(margins)[:, None].expand(-1, 3)
+    values = (each.double() for each in (points, colors, normals, at_margin))
+    counts, means = average_in_voxels(edge, *values)
+    kept = (each[counts >= MIN_POINTS].numpy() for each in (counts.double(), *means))
+    weights, points, colors, normals, at_margin = kept
     tree = KDTree(points)
     touching = tree.query_pairs(GRAPH_TOUCH * edge, output_type="ndarray")
     beside = symmetric(np.ones(len(touching)), touching, len(points))
@@ -157,7 +165,9 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     for plane in planes:  # what an object hides of a plane is not the object's
         below = np.flatnonzero(~seen & (np.abs(plane.heights(places)) < FLAT * edge))
         owners[below] = np.flatnonzero(flat)[KDTree(points[flat]).query(places[below])[1]]
-    return SurfaceGraph(owners, points, colors, normals, touching, flat | lone)
+    return SurfaceGraph(
+        owners, points, colors, normals, touching, flat | lone, at_margin[:, 0] == 1
+    )
 
 
 def find_planes(
