@@ -65,7 +65,8 @@ def by_hand(scene: Scene, outlines: dict[str, list[tuple[int, int]]]) -> list[Ou
 def judge(scene: Scene, name: str, click: Click, outlines: list[Outline], size: PickSize) -> list:
     """A row of the table."""
     start = time.process_time()
-    picked = pick_clicked(scene.splats, scene.cameras, [click], size=size)
+    camera = scene.cameras[scene.cameras.index(click[0])]
+    picked = pick_clicked(scene.splats, scene.cameras, [(camera, click[1])], size=size)
     spent = time.process_time() - start
     shown = [coverage(scene.splats, camera, picked) > COVERED for camera, _ in outlines]
     ious = [mask_iou(one, mask) for one, (_, mask) in zip(shown, outlines, strict=True)]

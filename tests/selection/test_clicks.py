@@ -1,6 +1,7 @@
 import gc
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from typing import get_args
 from weakref import ref
 
 import pytest
@@ -58,6 +59,17 @@ def test_a_click_picks_one_body_and_a_group_all_that_touch():
     assert agreement(picked(0, 2), 0, 1, 2) > 0.7
     assert agreement(picked(0, size="group"), 0, 1) > 0.7
     assert agreement(picked(0, size="group", but=1), 0) > 0.7
+
+
+def test_a_click_tells_what_the_other_sizes_take(said: list[str]):
+    counts = {size: f"{picked(0, size=size).sum():,}" for size in get_args(PickSize)}
+    said.clear()
+    picked(0)
+    others = f"--size part {counts['part']}, --size group {counts['group']}"
+    assert said == [f"object: {counts['object']} Gaussians; {others}."]
+    said.clear()
+    select(BARE, "table", point=at((0.9, -0.9, 0.0)), size="part")
+    assert len(said) == 1 and said[0].startswith("part") and "--size" not in said[0]
 
 
 def test_a_part_is_bounded_by_its_color_and_may_lie_flat_on_a_plane():

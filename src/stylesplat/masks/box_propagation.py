@@ -92,7 +92,7 @@ def _candidates(
             splats, cameras, [(row, cuts[row], ~box) for row, box in box_masks.items()]
         )
     with suppress(NothingToPick):
-        clicks = [(cameras.names[row], _deepest_pixel(cuts[row])) for row in box_masks]
+        clicks = [(cameras[row], _deepest_pixel(cuts[row])) for row in box_masks]
         yield pick_clicked(splats, cameras, clicks)
 
 

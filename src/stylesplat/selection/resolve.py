@@ -1,7 +1,8 @@
 """Selections, names and label ids resolved: the Gaussians of a scene that they stand for."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from contextlib import suppress
+from typing import Any, get_args
 
 import torch
 from jaxtyping import Bool
@@ -10,6 +11,8 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.io.gaussian_lists import read_rows
+from stylesplat.options import PickSize
+from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.objects import SceneObject, is_id
@@ -184,9 +187,22 @@ def _clicked(scene: Scene, selection: Selection) -> Bool[Tensor, " B"]:
     if not selection.points:
         raise StyleSplatError("--size and --not-point on a surface go with --point. Add one.")
     from stylesplat.selection.surface_cut import pick_clicked
+    from stylesplat.selection.surface_graph import NothingToPick
 
+    clicks = [
+        [(_camera(scene, view), pixel) for view, pixel in places]
+        for places in (selection.points, selection.not_points)
+    ]
     size = selection.size or ("part" if selection.of else "object")
-    return pick_clicked(scene.base, scene.cameras, selection.points, selection.not_points, size)
+    found = pick_clicked(scene.base, scene.cameras, *clicks, size=size)
+    others = list[str]()
+    for other in get_args(PickSize):
+        with suppress(NothingToPick):
+            if other != size:
+                count = int(pick_clicked(scene.base, scene.cameras, *clicks, size=other).sum())
+                others.append(f"--size {other} {count:,}")
+    say("; ".join([f"{size}: {int(found.sum()):,} Gaussians", ", ".join(others)]) + ".")
+    return found
 
 
 def _ids_at(scene: Scene, places: Sequence[tuple[str, Any]], what: str) -> list[int]:

@@ -217,11 +217,15 @@ CUT_FEW = 20  # patches that an object or a piece has at least
 MIN_OCCLUDING = 0.02  # of `occluding_share`, below which a pick is background
 
 
+Click = tuple[Cameras, tuple[float, float]]
+"""A single camera and a pixel of it."""
+
+
 def pick_clicked(
     splats: Splats,
     cameras: Cameras,
-    points: Iterable[tuple[str, tuple[float, float]]],
-    not_points: Iterable[tuple[str, tuple[float, float]]] = (),
+    points: Iterable[Click],
+    not_points: Iterable[Click] = (),
     size: PickSize = "object",
 ) -> Bool[Tensor, " N"]:
     """The Gaussians of the clicked objects of a splat; labels are not needed.
@@ -229,7 +233,7 @@ def pick_clicked(
     Args:
         splats: The splat.
         cameras: Views of it.
-        points: Views and pixels of the objects.
+        points: Single cameras, which need not be of the views, and pixels of the objects.
         not_points: The same for what touches them and does not belong to them.
         size: `group` is everything that touches, `object` ends at folds, and `part` is a piece of
             a surface, large planes included, that is bounded by folds or changes of colour.
@@ -242,7 +246,7 @@ def pick_clicked(
         splats = splats.to("cpu")
     surface, places = surface_of(splats, cameras), [*points]
     clicked, others = (
-        np.unique([_patch_at(surface, splats, cameras, *each, size) for each in some]).astype(int)
+        np.unique([_patch_at(surface, splats, *each, size) for each in some]).astype(int)
         for some in (places, not_points)
     )
     chosen = np.zeros(len(surface.points), bool)
@@ -255,7 +259,8 @@ def pick_clicked(
         chosen[_cut_click(surface, rows, seeds, rivals, size)] = True
     picked = torch.from_numpy(chosen[surface.owners])
     if size != "part" and occluding_share(splats, cameras, picked) < MIN_OCCLUDING:
-        raise _background_error(*places[0])
+        camera, point = places[0]
+        raise _background_error(camera.names[0], point)
     return picked.to(device)
 
 
@@ -335,13 +340,12 @@ def _enclosed(
 def _patch_at(
     surface: SurfaceGraph,
     splats: Splats,
-    cameras: Cameras,
-    view: str,
+    camera: Cameras,
     point: tuple[float, float],
     size: PickSize,
 ) -> int:
     """The patch that shows most at a pixel."""
-    camera = cameras[cameras.index(view)]
+    (view,) = camera.names
     check_point(point, camera.size, view)
     pixel = crop(camera, (int(point[0]), int(point[1])), (1, 1))
     shown = pixels_in(splats, pixel, [torch.ones(1, 1)]).numpy()
