@@ -1,4 +1,5 @@
 import gc
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -102,6 +103,31 @@ def test_stop_keeps_what_there_is_and_continue_finishes_it(
     assert not torch.equal(session.state.scene.splats.sh0, early.splats.sh0)
     assert session.state.picked == ("7",)
     assert not queue.stopped_note
+
+
+@pytest.mark.parametrize("parts", [1, 8, 10])
+def test_a_painting_that_is_stopped_between_its_stages_can_go_on(
+    session: Session, said: list[str], wanted: Splats, parts: int
+):
+    """Stages are prepared within a step, in parts that give way to other work."""
+    queue, done, listening = PaintQueue(session, device="cpu"), list[float](), session.listening
+
+    def stop(share: float) -> None:
+        if session.progress is not None and session.progress.share > 0:
+            done.append(share)
+            if len(done) == parts:
+                queue.stop()
+
+    def counted(stopped: Callable[[], bool] = lambda: False):
+        return listening(stopped, stop)
+
+    session.listening = counted  # type: ignore
+    session.ask(lambda: queue.paint(("3",), quick_style(), "stripes"))
+    assert session.worker.wait_until_idle()
+    assert len(done) >= parts and session.state.scene.layers and queue.stopped_note
+    session.ask(queue.resume)
+    assert session.worker.wait_until_idle()
+    assert torch.equal(session.state.scene.splats.sh0, wanted.sh0) and not said
 
 
 def test_stop_before_the_first_stroke_ends_the_preparation(session: Session):

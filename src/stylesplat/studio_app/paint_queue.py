@@ -53,7 +53,7 @@ class PaintQueue:
         self._current: PaintJob | None = None
         self._latest: Live | None = None
         self._lives: Iterator[Live] = iter(())
-        self._stopped: tuple[StudioState, PaintJob, Iterator[Live]] | None = None
+        self._stopped: tuple[StudioState, PaintJob, Iterator[Live], Live] | None = None
         self._times = list[tuple[float, float]]()  # when each share of it was done
         self._usual = dict[str, list[tuple[float, float]]]()  # the times of the last, by quality
         self._drawn_at, self._drawing = 0.0, 0.0
@@ -96,8 +96,8 @@ class PaintQueue:
     def resume(self) -> None:
         if self._stopped is None or not self.stopped_note:
             raise StyleSplatError("No stopped painting can go on. Paint the object again.")
-        _, job, lives = self._stopped
-        self._begin(job, lives)
+        _, job, lives, latest = self._stopped
+        self._begin(job, lives, latest)
 
     def warm_up(self) -> None:
         """Paint a ball of noise for a step, which loads kernels, libraries and the network."""
@@ -121,7 +121,7 @@ class PaintQueue:
             return True
         lives, step = self._lives, latest.state.step
         self._finish(current, latest, f"Painted {current.name} like {current.title}, {step} steps")
-        self._stopped = (self.session.state, current, lives)
+        self._stopped = (self.session.state, current, lives, latest)
         self.session.on_painted.call(current.name, f"{current.title}, {step} steps")
         self.session.on_change.call()
         return True
@@ -141,25 +141,30 @@ class PaintQueue:
         lives = stylize_live(state.scene, job.name, job.style, **self.options)
         self._begin(job, lives)
 
-    def _begin(self, job: PaintJob, lives: Iterator[Live]) -> None:
-        self._current, self._latest, self._stopped, self._lives = job, None, None, lives
+    def _begin(self, job: PaintJob, lives: Iterator[Live], latest: Live | None = None) -> None:
+        """Begin a painting, or go on with one from its latest result."""
+        self._current, self._latest, self._stopped, self._lives = job, latest, None, lives
         self._times, self._drawn_at = [], 0.0
         self.session.painting = True
         self.session.progress = Progress(f"Painting {job.name} like {job.title}", 0.0)
-        self.session.worker.set_background_task(self._steps(job, lives))
+        self.session.worker.set_background_task(self._steps(job, lives, begun=latest is not None))
         self.session.on_change.call()
 
-    def _steps(self, job: PaintJob, lives: Iterator[Live]) -> Iterator[None]:
+    def _steps(self, job: PaintJob, lives: Iterator[Live], *, begun: bool) -> Iterator[None]:
         try:
-            # The first step has no result yet, so Stop ends it in its middle
             while True:
-                with self.session.listening(lambda: not (self._latest or self._current is job)):
+                # Stop ends the first step in its middle, as there is nothing to keep. Later ones
+                # are finished, since what is ended in a step cannot go on
+                with self.session.listening(lambda: not begun and self._current is not job):
                     live = next(lives, None)
+                stopped = self._stopped
+                if self._current is not job:  # it was stopped meanwhile
+                    if live is not None and stopped is not None and stopped[2] is lives:
+                        self._stopped = (*stopped[:3], live)
+                    return
                 if live is None:
                     break
-                if self._current is not job:  # it was stopped meanwhile
-                    return
-                self._latest = live
+                self._latest, begun = live, True
                 self._show(job, live)
                 yield
             latest = self._latest
