@@ -290,6 +290,7 @@ KEYS = {
     "ArrowRight": 39,
     "Enter": 13,
     "b": 66,
+    "w": 87,
 }  # as the protocol numbers them
 # The middle of an element that lies on top and no longer moves
 RESTING = """async (found) => {

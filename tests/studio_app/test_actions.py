@@ -1,5 +1,6 @@
 """What the page asks for, what comes of it, and what the page is told: without a browser."""
 
+import io
 import json
 import shlex
 from collections.abc import Iterator
@@ -62,7 +63,7 @@ class Page:
     def act(self, what: str, **fields: Any) -> m.StateMessage:
         """Ask as the page does, and wait until it is done."""
         text = msgspec.json.encode({"do": what, **fields})
-        self.actions.act(1, self.actions.decoder.decode(text))
+        self.actions.act(1, self.actions.decoder.decode(text), lambda: None)
         assert self.session.worker.wait_until_idle()
         return self.actions.state_message()
 
@@ -322,6 +323,22 @@ def test_other_strokes_take_the_place_of_a_painting(page: Page):
     assert "rotate 90" in state.layers[0].settings
 
 
+def test_of_several_styles_in_a_row_the_newest_is_painted(page: Page):
+    session, asked = page.session, list[int]()
+
+    def ask_twice_more() -> None:
+        if session.painting and len(asked) < 2:
+            asked.append(1)
+            style = Style(stripes(), config=QUICK)
+            session.ask(lambda: page.actions.queue.paint(("3",), style, f"style {len(asked)}"))
+
+    session.on_change.append(ask_twice_more)
+    state = painted(page, "3")
+    assert [each.title for each in state.variants] == ["style 2"], page.said
+    page.act("step", rows=-1)
+    assert not session.state.scene.layers, "one undo takes it back"
+
+
 def test_what_cannot_be_painted_is_told(page: Page):
     for fields, words in (
         ({"style": 0, "names": []}, "Nothing is picked"),
@@ -371,6 +388,34 @@ def test_browsers_with_a_graphics_card_get_the_gaussians(page: Page):
     rows = most_visible(replace(SPLATS, opacities=opacities), 100)
     assert rows.tolist() == [*range(len(SPLATS) - 100, len(SPLATS))]
     assert most_visible(SPLATS, 10**9).tolist() == [*range(len(SPLATS))]
+
+
+def test_a_browser_does_not_draw_gaussians_that_are_no_longer_so(page: Page):
+    page.look(2, draws=True)
+    drawn = list[bool]()
+
+    def keep_drawn() -> None:
+        drawn.append(page.pictures["after"][0]["drawn"])
+
+    page.session.on_change.append(keep_drawn)
+    painted(page, "3")
+    assert not any(drawn[1:]), "of a painting under way"
+    page.look(3, draws=True)
+    assert page.pictures["after"][0]["drawn"], "it has them by now"
+
+
+def test_a_large_window_gets_all_its_pixels_after_the_first_picture(page: Page):
+    sizes = list[tuple[int, int]]()
+
+    def keep_size(client: int, kind: object, message: bytes | m.Download) -> None:
+        if kind == "after" and isinstance(message, bytes):
+            length = int.from_bytes(message[:4], "little")
+            sizes.append(Image.open(io.BytesIO(message[4 + length :])).size)
+
+    page.session.on_send.append(keep_size)
+    viewmat = CAMERA.viewmats[0].flatten().tolist()
+    page.act("look", number=5, viewmat=viewmat, focal=1500.0, size=[2560, 1440])
+    assert sizes == [(960, 540), (2560, 1440)]
 
 
 @pytest.mark.parametrize(

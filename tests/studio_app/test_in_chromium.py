@@ -175,6 +175,55 @@ def test_an_object_and_a_part_of_a_picture_are_chosen_by_keyboard(opened: Studio
     tab.assert_accessible()
 
 
+def test_a_reload_keeps_the_view_and_a_double_click_frames_what_it_hits(
+    opened: StudioServer, tab: Tab
+):
+    tab.click(*tab.middle_of("7"), clickCount=1)
+    tab.click(*tab.middle_of("7"), clickCount=2)
+    until(lambda: tab.page.evaluate("Boolean(studio.flight)"), "a flight")
+    tab.wait_until_idle()
+    rows = "[...studio.overlay.map.ids.keys()].filter((row) => studio.overlay.map.ids[row] === n)"
+    number = "const n = studio.overlay.map.names.indexOf('7') + 1"
+    ys = f"(() => {{ {number}; return {rows}.map((row) => row / studio.overlay.map.size[0]) }})()"
+    shown = tab.page.evaluate(ys)
+    high = (max(shown) - min(shown)) / tab.page.evaluate("studio.overlay.map.size[1]")
+    assert 0.5 < high < 0.95, "it fills the picture, and all of it is seen"
+    place = "JSON.stringify([studio.camera.target, studio.camera.distance])"
+    before = tab.page.evaluate(place)
+    tab.open(opened.url)
+    assert tab.page.evaluate(place) == before
+    tab.key("w", True)  # without a click into the picture
+    until(lambda: tab.page.evaluate(place) != before, "a step ahead")
+
+
+def test_two_fingers_move_the_camera_whatever_the_tool(opened: StudioServer, tmp_path: Path):
+    with studio_tab(size=(390, 760), downloads=tmp_path) as tab:
+        tab.page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+        tab.open(opened.url)
+        x, y = 200, 360  # below the tools
+        tab.press_button("Brush over")
+        distance = tab.page.evaluate("studio.camera.distance")
+
+        def touch(kind: str, *places: tuple[float, float]) -> None:
+            points = [{"x": x, "y": y, "id": n} for n, (x, y) in enumerate(places)]
+            tab.page.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
+        touch("touchStart", (x - 20, y))
+        touch("touchStart", (x - 20, y), (x + 20, y))
+        for wide in (40, 60):
+            touch("touchMove", (x - wide, y), (x + wide, y))
+        touch("touchEnd")
+        assert tab.page.evaluate("studio.camera.distance") < 0.6 * distance
+        assert opened.session.worker.wait_until_idle() and not opened.session.state.picked
+        tab.press_button("Pick objects")
+        tab.press_button("Add")
+        for name in ("3", "7"):
+            touch("touchStart", tab.middle_of(name))
+            touch("touchEnd")
+            until(lambda name=name: name in opened.session.state.picked, name)
+        assert opened.session.state.picked == ("3", "7"), "without a key"
+
+
 def changed(tab: Tab, from_: np.ndarray) -> np.ndarray:
     """The next picture, which differs from one before."""
 
@@ -252,7 +301,7 @@ def compares(tab: Tab, before: np.ndarray, painted: np.ndarray) -> None:
     assert shown > 1000
     knob = until(lambda: tab.place_of("Border between"), "the handle")
     tab.drag(knob, (knob[0] + 80, knob[1]))
-    assert tab.page.evaluate("studio.cut") > 0.55
+    assert float(tab.page.evaluate("document.querySelector('.knob').ariaValueNow")) > 55
     assert "inset(0" in tab.page.evaluate("studio.before.style.clipPath")
     tab.press_button("After")
     visible = "getComputedStyle(studio.before).visibility"

@@ -3,8 +3,10 @@
 import http.client
 import socket
 import sys
+import threading
 from collections.abc import Iterator
 from email.message import Message
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +18,10 @@ from websockets.sync.client import connect
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
 from stylesplat.interrupts import Terminated
+from stylesplat.io.scene_folder import save
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.gallery import MOST_BYTES
-from stylesplat.studio_app.studio import StudioServer, view
+from stylesplat.studio_app.studio import StudioServer, studio, view
 
 WEBSOCKET = {
     "Upgrade": "websocket",
@@ -106,6 +109,53 @@ def test_a_viewer_changes_nothing_and_survives_what_it_does_not_understand(
         assert header["look"] == 3 and header["which"] == "after"
     assert viewer.server.session.worker.wait_until_idle()
     assert len(viewer.server.session.state.note) > 0
+
+
+@pytest.fixture
+def edited(tmp_path: Path) -> Iterator[StudioServer]:
+    save(Scene(SPLATS, CAMERAS), tmp_path / "balls")
+    found = studio(tmp_path / "balls", port=0, block=False, device="cpu")
+    yield found
+    found.close()
+
+
+def test_a_page_learns_what_it_waits_for_and_that_the_server_answers(edited: StudioServer):
+    url = f"ws://127.0.0.1:{edited.server.port}/socket?token={edited.server.token}"
+    with connect(url) as client:
+        assert header_of(client.recv(10))["kind"] == "hello"
+        assert edited.session.worker.wait_until_idle()
+        waiting = threading.Event()
+        edited.session.ask(waiting.wait)
+        client.send('{"do": "resize_picked", "share": 0.05}')
+        client.send('{"do": "ping"}')
+        heard = (header_of(each) for each in client)
+        kinds = [each for each in islice(heard, 4) if each["kind"] in ("pong", "busy")]
+        waiting.set()
+        assert {"kind": "pong"} in kinds
+        assert {"kind": "busy", "what": "Growing or shrinking what is picked"} in kinds
+        assert next(each for each in heard if each["kind"] == "busy")["what"] == ""
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        ({"do": "picture", "width": 9000}, "The width must be at most 8192."),
+        ({"do": "turntable", "seconds": -1}, "The seconds must be more than 0"),
+        ({"do": "fly"}, "Reload the page."),
+    ],
+)
+def test_what_is_wrong_is_told_to_the_page_alone_in_a_sentence(
+    edited: StudioServer, message: dict[str, Any], words: str
+):
+    url = f"ws://127.0.0.1:{edited.server.port}/socket?token={edited.server.token}"
+    with connect(url) as client, connect(url) as other:
+        client.send(msgspec.json.encode(message).decode())
+        notes = (header_of(each) for each in client)
+        text = next(each for each in notes if each["kind"] == "note")["text"]
+        assert words in text and "$" not in text and "`" not in text
+        other.send('{"do": "ping"}')
+        heard = [header_of(other.recv(10))["kind"] for _ in range(2)]
+        assert "note" not in heard
 
 
 def header_of(message: str | bytes) -> dict[str, Any]:

@@ -221,7 +221,7 @@ def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
     for name, mask in {**painted, **named}.items():
         if mask.any():
             extent = extent_of(scene.base, mask)
-            place = {"centre": extent.centre.tolist(), "radius": float(extent.size.norm()) / 2}
+            place = {"centre": extent.centre.tolist(), "sides": extent.size.tolist()}
             yield {"name": name, **place, "painted": name in painted}
 
 

@@ -53,6 +53,18 @@ from stylesplat.verbs.render import orbit, render
 STUDIO_MOST_PIXELS = 8192  # along a side of a still picture
 STUDIO_NEAREST = 0.1  # world units from a photo's camera to its target, at least
 DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
+SLOW = {
+    "pick_at": "Looking for what is alike",
+    "pick_drawn": "Looking for what was drawn around",
+    "pick_box": "Looking for what is in the box",
+    "pick_words": "Looking for what the words mean",
+    "resize_picked": "Growing or shrinking what is picked",
+    "picture": "Making the picture",
+    "save": "Saving",
+    "save_as": "Saving",
+    "step": "Going back or forth",
+}
+"""What is said while an action takes long."""
 
 
 class Actions:
@@ -88,27 +100,36 @@ class Actions:
         self._changes = {each.__name__: each for each in changes}
         known = {} if self.readonly else {**self._changes, **self._methods}
         structs = [_struct_of(name, each) for name, each in known.items()]
-        self.decoder = msgspec.json.Decoder(reduce(or_, structs, m.ViewRequest))
+        self.decoder = msgspec.json.Decoder(reduce(or_, structs, m.ViewRequest | m.Ping))
 
-    def act(self, client: int, message: m.ViewRequest | msgspec.Struct) -> None:
-        """Ask for what a page wants; called in the server's thread."""
+    def act(
+        self, client: int, message: m.ViewRequest | msgspec.Struct, done: Callable[[], None]
+    ) -> str:
+        """Ask for what a page wants; called in the server's thread.
+
+        `done` is called when it is done, or has failed. Returns what it is, in a few words.
+        """
         if isinstance(message, m.ViewRequest):
             self.pictures.look(client, message)
-            return
+            return ""
         name = str(type(message).__struct_config__.tag)
         values = msgspec.structs.asdict(message)
 
         def change(state: StudioState) -> StudioState | None:
             self.client = client
-            if name in self._changes:
-                return self._changes[name](state, **values)
-            return self._methods[name](**values)
+            try:
+                if name in self._changes:
+                    return self._changes[name](state, **values)
+                return self._methods[name](**values)
+            finally:
+                done()
 
         key = None
         if name in DRAGGED:
             whats = [k for k, v in values.items() if v is not None and k in ("strength", "form")]
             key = name, values.get("name"), str(values.get("names")), values.get("setting"), *whats
         self.session.do(change, merge=key, kind=str(key or ""))
+        return SLOW.get(name, "Working")
 
     def warm_up(self) -> None:
         """What takes long and is wanted soon, though not for the first picture."""
@@ -178,6 +199,8 @@ class Actions:
         self.session.on_change.call()
 
     def restore(self, number: int) -> StudioState:
+        if not 0 <= number < len(self.snapshots):
+            raise StyleSplatError("This snapshot is not there any more. Reload the page.")
         name, kept = self.snapshots[number]
         return replace(kept.state(), note=f"Restored {name}")
 
@@ -235,7 +258,10 @@ class Actions:
         return camera_of(look, pixels)
 
     def _style(self, number: int) -> StylePicture:
-        return [*self.gallery.pictures.values()][number]
+        pictures = [*self.gallery.pictures.values()]
+        if not 0 <= number < len(pictures):
+            raise StyleSplatError("This picture is not there any more. Reload the page.")
+        return pictures[number]
 
     def _deliver(self, ending: str) -> Callable[[bytes], None]:
         """The function that lets the present page download a file."""
@@ -265,6 +291,8 @@ class Actions:
         return known[2]
 
     def _with_variant(self, state: StudioState, number: int) -> StudioState:
+        if not 0 <= number < len(self.variants):
+            raise StyleSplatError("This variant is not there any more. Reload the page.")
         variant, layer = self.variants[number]
         layers.refuse_locked(state, layer.name)
         return layers.replace_layer(state, layer, f"Switched {layer.object} to {variant.title}")
@@ -331,7 +359,7 @@ class Actions:
             thumbnail=self.thumbnails.url(name) if found else "",
             count=int(session.masks.of(state.scene, name).sum()) if found else None,
             centre=_vector(extent.centre) if extent else None,
-            radius=float(extent.size.norm()) / 2 if extent else 0.0,
+            sides=_vector(extent.size) if extent else None,
         )
 
     def _command(self) -> str:

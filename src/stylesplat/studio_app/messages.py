@@ -36,6 +36,10 @@ class ViewRequest(
     draws: bool = False  # whether the browser draws the Gaussians itself while the camera moves
 
 
+class Ping(msgspec.Struct, frozen=True, tag="ping", tag_field="do", forbid_unknown_fields=True):
+    """Asks whether the server answers, while the worker may be busy."""
+
+
 class ServerMessage(msgspec.Struct, frozen=True, tag_field="kind"):
     """What the server tells the page."""
 
@@ -81,7 +85,7 @@ class ObjectInfo(msgspec.Struct, frozen=True):
     thumbnail: str
     count: int | None = None  # of its Gaussians; None until they are found
     centre: ViewVector | None = None
-    radius: float = 0.0
+    sides: ViewVector | None = None  # of the box around it, along the world's axes
 
 
 class LayerInfo(msgspec.Struct, frozen=True):
@@ -134,6 +138,16 @@ class Progress(ServerMessage, frozen=True, tag="progress"):
     left: float | None = None  # estimated seconds that it still takes
     doing: str = ""  # the preparation that is under way
     export: bool = False  # whether it is an export, which can be cancelled
+
+
+class Busy(ServerMessage, frozen=True, tag="busy"):
+    """What a page asked for and takes long; empty when it is done."""
+
+    what: str = ""
+
+
+class Pong(ServerMessage, frozen=True, tag="pong"):
+    """The answer to `Ping`."""
 
 
 class Note(ServerMessage, frozen=True, tag="note"):

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -70,18 +71,18 @@ class PaintQueue:
     def paint(self, names: Sequence[str], style: Style, title: str, instead: bool = False) -> None:
         """Paint objects, one after the other.
 
-        `instead`: drop a painting of them that is under way, and those that wait.
+        Their paintings that wait or are under way are dropped. `instead` keeps the picture of that
+        under way until there are strokes.
         """
         if not names:
             raise StyleSplatError("Nothing is picked. Click an object first.")
         style.read()  # an unfit picture is told before anything changes
         for name in names:
             refuse_locked(self.session.state, name)
-        if instead:
-            self.waiting = deque(each for each in self.waiting if each.name not in names)
-            if self._current is not None and self._current.name in names:
-                self._current, self.session.painting = None, False
-                self.session.worker.set_background_task(None)
+        self.waiting = deque(each for each in self.waiting if each.name not in names)
+        if self._current is not None and self._current.name in names:
+            self._current, self.session.painting = None, False
+            self.session.worker.set_background_task(None)
         numbers = self._numbers
         self.waiting += [PaintJob(next(numbers), name, style, title, instead) for name in names]
         if self.session.painting:
@@ -155,10 +156,11 @@ class PaintQueue:
             while True:
                 # Stop ends the first step in its middle, as there is nothing to keep. Later ones
                 # are finished, since what is ended in a step cannot go on
-                with self.session.listening(lambda: not begun and self._current is not job):
+                stops = partial(self._is_dropped, job) if not begun else bool
+                with self.session.listening(stops):
                     live = next(lives, None)
                 stopped = self._stopped
-                if self._current is not job:  # it was stopped meanwhile
+                if self._is_dropped(job):  # or stopped, meanwhile
                     if live is not None and stopped is not None and stopped[2] is lives:
                         self._stopped = (*stopped[:3], live)
                     return
@@ -179,6 +181,9 @@ class PaintQueue:
             self._end()
             raise
         self._start()
+
+    def _is_dropped(self, job: PaintJob) -> bool:
+        return self._current is not job
 
     def _show(self, job: PaintJob, live: Live) -> None:
         now, step, steps = time.monotonic(), live.state.step, live.state.steps

@@ -38,7 +38,8 @@ from stylesplat.studio_app.history import object_names
 from stylesplat.studio_app.messages import ViewRequest
 from stylesplat.studio_app.session import Display, Session
 
-STUDIO_PICTURE_PIXELS = 960 * 540  # of a picture at rest: more takes too long
+STUDIO_PICTURE_PIXELS = 960 * 540  # of the first picture at rest, which is there at once
+SHARP_PIXELS = 2560 * 1440  # of the second, at most
 MOVING = STUDIO_PICTURE_PIXELS // 4  # of a picture while the camera moves
 MAP = STUDIO_PICTURE_PIXELS // 4  # of a map
 STUDIO_PICTURE_MOST = 500_000  # Gaussians that a browser draws; a laptop turns 300,000 smoothly
@@ -104,25 +105,37 @@ class Pictures:
         look = self.looks.get(client)
         if look is None:
             return
-        camera = camera_of(look, MOVING if look.moving else STUDIO_PICTURE_PIXELS)
-        displays = {"after": self.session.display}
-        if look.before:
-            displays["before"] = self._before()
-        for which, display in displays.items():
-            if self._is_new(client, which, (look.number, look.moving, display, self.background)):
-                pixels = render_display(display, camera, self.background)
-                content = jpeg(pixels, MOVING_QUALITY if look.moving else QUALITY)
-                self._send(client, which, "picture", content, look, which=which, moving=look.moving)
+        self._render(client, look, MOVING if look.moving else STUDIO_PICTURE_PIXELS)
         if look.moving:
             return
         scene, masks = self.session.state.scene, self.session.masks
         for name in object_names(scene):
             if not masks.has(scene, name):
                 self.session.ask(partial(self._find, name), kind=f"find {name}", patient=True)
-        for job in (self._map, self._picked, self._splats):  # after all that is waiting
+        for job in (self._sharp, self._map, self._picked, self._splats):  # after all that waits
             if look.draws or job != self._splats:
                 kind = f"{job.__name__} {client}"
                 self.session.ask(partial(self._at_rest, job, client), kind=kind, patient=True)
+
+    def _render(self, client: int, look: ViewRequest, pixels: int) -> None:
+        """Send the pictures, of so many pixels at most, that the browser does not have yet."""
+        camera = camera_of(look, pixels)
+        displays = {"after": self.session.display}
+        if look.before:
+            displays["before"] = self._before()
+        for which, display in displays.items():
+            value = look.number, look.moving, display, self.background
+            if self._is_new(client, f"{which} {pixels}", value):
+                content = render_display(display, camera, self.background)
+                content = jpeg(content, MOVING_QUALITY if look.moving else QUALITY)
+                header = {"which": which, "moving": look.moving, "drawn": self._has_splats(client)}
+                self._send(client, which, "picture", content, look, **header)
+
+    def _sharp(self, client: int, look: ViewRequest) -> None:
+        """In a large window, the picture with all its pixels; a painting goes on meanwhile."""
+        width, height = look.size
+        if width * height > STUDIO_PICTURE_PIXELS and not self.session.painting:
+            self._render(client, look, SHARP_PIXELS)
 
     def _find(self, name: str) -> None:
         with suppress(StyleSplatError):  # an id without Gaussians
@@ -140,6 +153,10 @@ class Pictures:
             return False
         self._sent[client, kind] = value
         return True
+
+    def _has_splats(self, client: int) -> bool:
+        """Whether a browser that draws has the Gaussians that are displayed now."""
+        return self._sent.get((client, "splats")) is self.session.display
 
     def _send(
         self, client: int, key: str, kind: str, content: bytes, look: ViewRequest, **header: Any

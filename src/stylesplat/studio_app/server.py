@@ -8,6 +8,7 @@ websockets. Browsers send neither the cookie with the token.
 import asyncio
 import errno
 import hmac
+import re
 import secrets
 import socket
 import threading
@@ -47,6 +48,7 @@ POLICY = (
 )
 PORTS = 100  # that are tried, one after the other
 STOP_SECONDS = 10.0
+BUSY_AFTER = 0.15  # seconds after which a page is told what it waits for
 WARM_UP_AFTER = 2.0  # seconds after a browser has connected, in which its first picture is made
 
 
@@ -294,9 +296,37 @@ class PageServer:
 
     def _receive(self, client: int, text: str) -> None:
         try:
-            self.actions.act(client, self.actions.decoder.decode(text))
+            message = self.actions.decoder.decode(text)
         except (msgspec.ValidationError, msgspec.DecodeError) as error:
-            self.session.tell(f"The page sent something that is not understood: {error}")
+            self.send(client, object(), m.Note(_refusal(str(error)), failure=True))
+            return
+        if isinstance(message, m.Ping):
+            self.send(client, "pong", m.Pong())
+            return
+        done = threading.Event()
+
+        def end() -> None:
+            done.set()
+            self.send(client, "busy", m.Busy())
+
+        what = self.actions.act(client, message, end)
+
+        def tell() -> None:
+            if not done.is_set():
+                self.send(client, "busy", m.Busy(what))
+
+        if what:
+            asyncio.get_running_loop().call_later(BUSY_AFTER, tell)
+
+
+def _refusal(error: str) -> str:
+    """What is wrong with a message of a page, from the words of its decoder."""
+    limit = re.search(r"(<=|>=|<|>) ([\d.e+-]+).* at `\$\.(\w+)", error)
+    if limit is None:
+        return "The page and the studio do not understand each other. Reload the page."
+    sign, value, field = limit.groups()
+    words = {"<=": "at most", ">=": "at least", "<": "less than", ">": "more than"}[sign]
+    return f"The {field.replace('_', ' ')} must be {words} {value}. Change it, and try again."
 
 
 async def _sending(socket: "WebSocket", client: _Client) -> None:

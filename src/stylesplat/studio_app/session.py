@@ -267,6 +267,9 @@ class Session:
     def report(self, error: Exception) -> None:
         if not isinstance(error, StyleSplatError):
             traceback.print_exception(error)  # our fault: the terminal gets the whole trace
+            error = StyleSplatError(
+                "This failed by a fault of the studio, and changed nothing. Its terminal says more."
+            )
         self.tell(str(error), failure=True)
 
 

@@ -3,6 +3,7 @@
 const STEEPEST = 1.54; // radians above or below: a little less than from right above
 const NEAREST = 0.02; // of the distance at the start, and
 const FARTHEST = 20;
+const FILLED = 0.8; // of the picture, by what is approached
 
 export const plus = (a, b, times = 1) => a.map((value, axis) => value + times * b[axis]);
 export const dot = (a, b) => a.reduce((sum, value, axis) => sum + value * b[axis], 0);
@@ -33,10 +34,16 @@ export class Orbit {
     this.turn(0, 0);
   }
 
-  // From where it is, but so near that a ball fills two thirds of the picture
-  approach(centre, radius) {
+  // From where it is, but so near that a box, by its middle and its sides, fills most of a picture
+  approach(centre, sides, size) {
+    const { viewmat, focal } = this.view(size);
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((bits) => sides.map((side, axis) => ((bits >> axis) & 1 ? 0.5 : -0.5) * side));
+    const needed = corners.flatMap((corner) => {
+      const [x, y, z] = [0, 1, 2].map((row) => dot(corner, viewmat.slice(4 * row, 4 * row + 3)));
+      return [[x, size[0]], [y, size[1]]].map(([off, pixels]) => (2 * Math.abs(off) * focal[0]) / (FILLED * pixels) - z);
+    });
     this.target = centre;
-    this.distance = (3 * radius) / Math.min(...this.start.slopes);
+    this.distance = Math.max(...needed);
   }
 
   turn(aside, above) {

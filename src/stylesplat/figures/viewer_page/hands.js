@@ -4,9 +4,10 @@ import { plus, scaled } from "./camera.js";
 
 const STEP = 0.04; // of the distance, by a key
 
-// A gesture that is `taken` does something else
+// A gesture that is `taken` does something else, until a second finger comes
 export function listen(canvas, camera, changed, taken = () => false) {
   const fingers = new Map();
+  let takenBy = null;
   const size = () => [canvas.clientWidth, canvas.clientHeight];
   const middle = () => {
     const all = [...fingers.values()];
@@ -14,13 +15,18 @@ export function listen(canvas, camera, changed, taken = () => false) {
     return [mean, all.length > 1 ? Math.hypot(...plus(all[0], all[1], -1)) : 0];
   };
   canvas.addEventListener("pointerdown", (event) => {
-    if (taken(event)) return;
-    canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    takenBy = taken(event) ? event.pointerId : null;
+    if (takenBy !== null) return;
+    canvas.setPointerCapture(event.pointerId);
     canvas.focus({ focusVisible: false });
   });
   canvas.addEventListener("pointermove", (event) => {
     if (!fingers.has(event.pointerId)) return;
+    if (event.pointerId === takenBy) {
+      fingers.set(event.pointerId, [event.clientX, event.clientY]);
+      return;
+    }
     const [from, apart] = middle();
     fingers.set(event.pointerId, [event.clientX, event.clientY]);
     const [to, apartNow] = middle();
@@ -42,7 +48,8 @@ export function listen(canvas, camera, changed, taken = () => false) {
     camera.zoom(Math.exp(0.0012 * lines * event.deltaY));
     changed();
   }, { passive: false });
-  canvas.addEventListener("keydown", (event) => {
+  window.addEventListener("keydown", (event) => {
+    if (event.target.closest?.("input, textarea, select, dialog, [role=slider]")) return;
     const does = {
       arrowleft: () => camera.turn(0.1, 0),
       arrowright: () => camera.turn(-0.1, 0),

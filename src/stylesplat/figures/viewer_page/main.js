@@ -13,14 +13,14 @@ function say(message) {
   document.body.classList.toggle("quiet", !message);
 }
 
-function legend(objects, camera, changed) {
-  for (const { name, centre, radius, painted } of objects) {
+function legend(objects, camera, size, changed) {
+  for (const { name, centre, sides, painted } of objects) {
     const button = document.createElement("button");
     button.textContent = name;
     button.className = painted ? "painted" : "";
     button.title = painted ? "painted; look at it" : "look at it";
     button.addEventListener("click", () => {
-      camera.approach(centre, radius);
+      camera.approach(centre, sides, size());
       changed();
     });
     element("legend").append(button);
@@ -56,7 +56,7 @@ async function start() {
   new ResizeObserver(fit).observe(canvas);
   canvas.addEventListener("webglcontextlost", () => say("The graphics driver has stopped. Load this page again."));
   listen(canvas, camera, changed);
-  legend(about.objects, camera, changed);
+  legend(about.objects, camera, () => [canvas.width, canvas.height], changed);
   if (about.painted) slide(element("cut"), element("knob"), canvas, cut, (share) => ((cut = share), changed()));
   document.body.classList.toggle("compared", about.painted > 0);
   fit();

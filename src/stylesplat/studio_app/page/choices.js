@@ -3,17 +3,19 @@
 import { effect, signal } from "./libraries/signals.js";
 
 // A choice that a reload of the page keeps
-function kept(name, value) {
+export function kept(name, value) {
   const choice = signal(JSON.parse(sessionStorage.getItem(name)) ?? value);
   effect(() => sessionStorage.setItem(name, JSON.stringify(choice.value)));
   return choice;
 }
 
 export const tool = signal("object"); // or wand, ball, brush, lasso, rectangle, box, strokes
+export const how = signal("new"); // what a pick does to the one before: new, add or away
 export const radius = signal(0); // of the ball, in world units
 export const reach = signal(0); // of the wand, likewise
 export const brush = signal(0.03); // its radius, as a share of the picture's height
-export const mode = signal("after"); // or split, before
+export const mode = kept("mode", "after"); // or split, before
+export const cut = kept("cut", 0.5); // where the border between before and after is, as a share
 export const showPhotos = signal(false);
 export const background = signal([0.086, 0.086, 0.094]);
 export const settings = kept("settings", {}); // of paintings, where they are not the defaults

@@ -7,12 +7,16 @@ export const state = signal(null);
 export const progress = signal({ what: "" });
 export const notes = signal([]);
 export const online = signal(true);
+export const renewed = signal(false); // whether the studio was started anew, under another address
+export const busy = signal(""); // what takes long just now
 export const newest = signal(null); // the title of the style picture that was added last
 
 const SECONDS = 6; // that a note stays; a failure stays three times as long
+const SILENT = 5000; // milliseconds without an answer, after which the server is said not to answer
+const PATIENCE = 15000; // milliseconds between two tries to connect, at most
 const NAMED = 3; // files that one note names
 const handlers = {}; // of binary messages, by kind
-let socket = null, number = 0;
+let socket = null, number = 0, heard = 0, tries = 0;
 
 export function on(kind, handler) {
   handlers[kind] = handler;
@@ -20,6 +24,7 @@ export function on(kind, handler) {
 
 export function act(what, fields = {}) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ do: what, ...fields }));
+  else if (what !== "look" && what !== "ping") note("The studio cannot be reached, so nothing was done. Try again when it answers.", true);
 }
 
 export function note(text, failure = false) {
@@ -36,6 +41,8 @@ const texts = {
   hello: (message) => (hello.value = message),
   state: (message) => (state.value = message),
   progress: (message) => (progress.value = message),
+  busy: (message) => (busy.value = message.what),
+  pong() {},
   note: (message) => note(message.text, message.failure),
   download({ url, name }) {
     const link = Object.assign(document.createElement("a"), { href: url, download: name });
@@ -46,6 +53,8 @@ const texts = {
 };
 
 function receive({ data }) {
+  heard = performance.now();
+  online.value = true;
   if (typeof data === "string") {
     const message = JSON.parse(data);
     batch(() => texts[message.kind]?.(message));
@@ -62,13 +71,31 @@ export function connect(opened) {
   socket.onmessage = receive;
   socket.onopen = () => {
     online.value = true;
+    tries = 0;
+    heard = performance.now();
     opened();
   };
-  socket.onclose = () => {
+  socket.onclose = async () => {
     online.value = false;
-    setTimeout(() => connect(opened), 1000);
+    busy.value = "";
+    if ((renewed.value = await isRefused())) return;
+    setTimeout(() => connect(opened), Math.min(PATIENCE, 1000 * 2 ** tries++));
   };
 }
+
+// Whether there is a server that this page's token is not for
+async function isRefused() {
+  try {
+    return (await fetch("/", { cache: "no-store" })).status === 403;
+  } catch {
+    return false;
+  }
+}
+
+setInterval(() => {
+  act("ping");
+  if (socket?.readyState === WebSocket.OPEN && performance.now() - heard > SILENT) online.value = false;
+}, SILENT / 4);
 
 // Add style pictures, one after the other, and tell at the end what became of them
 export async function upload(files) {

@@ -4,7 +4,7 @@ import { render } from "./libraries/preact.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
 import "./libraries/signals.js";
 import { mode, tab } from "./choices.js";
-import { act, connect, dismiss, hello, note, notes, online, progress, state, upload } from "./connection.js";
+import { act, busy, connect, dismiss, hello, note, notes, online, progress, renewed, state, upload } from "./connection.js";
 import { Dialogs } from "./dialogs.js";
 import { Layers, Objects, paint, Styles, Toolbar } from "./panels.js";
 import { isTyping, Viewport } from "./viewport.js";
@@ -67,10 +67,11 @@ const Views = () => html`<${Button} icon="home" label="Home: what is picked, or 
 
 function Progress() {
   const { what, share, left, doing, export: exporting } = progress.value, now = state.value;
-  if (!what && !now.stopped && !now.waiting.length) return null;
+  if (!what && !now.stopped && !now.waiting.length && !busy.value) return null;
   const percent = Math.round(100 * share);
   const time = left == null ? "" : left < 90 ? `${Math.round(left)} s left` : `${Math.round(left / 60)} min left`;
   return html`<section class="progress" aria-label="Progress">
+    ${busy.value && html`<div class="line busy" role="status"><span>${busy.value}…</span></div>`}
     ${what && html`<div class="line"><span>${what}${doing && !share ? `: ${doing}` : ""}</span><span>${time}</span>
       <${Button} small icon="stop" text=${exporting ? "Cancel" : "Stop"} label=${exporting ? "Cancel the export" : "Stop and keep what is painted so far"}
         onClick=${() => act(exporting ? "cancel" : "stop")} /></div>
@@ -83,7 +84,7 @@ function Progress() {
 }
 
 const Notes = () => html`<div class="notes" role="status" aria-live="polite">
-  ${!online.value && html`<p class="failure">The studio does not answer. Trying again. If it was started anew, open the address that it printed.</p>`}
+  ${!online.value && html`<p class="failure">${renewed.value ? "The studio was started anew. Open the address that it printed." : "The studio does not answer. What you do now is not done; trying again."}</p>`}
   ${notes.value.map((each) => html`<p key=${each.number} class=${each.failure ? "failure" : ""}><span>${each.text}</span>
     <${Button} small icon="close" label="Dismiss" onClick=${() => dismiss(each.number)} /></p>`)}</div>`;
 
@@ -114,9 +115,14 @@ window.addEventListener("keydown", (event) => {
   event.preventDefault();
   does();
 });
-window.addEventListener("dragover", (event) => event.preventDefault());
+window.addEventListener("dragover", (event) => {
+  event.preventDefault();
+  document.body.classList.toggle("dropping", event.dataTransfer.types.includes("Files"));
+});
+window.addEventListener("dragleave", (event) => event.relatedTarget || document.body.classList.remove("dropping"));
 window.addEventListener("drop", async (event) => {
   event.preventDefault();
+  document.body.classList.remove("dropping");
   const entries = [...event.dataTransfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
   const files = (await Promise.all(entries.map(filesIn))).flat();
   if (entries.length && !files.length) note("There is no picture in this folder.", true);

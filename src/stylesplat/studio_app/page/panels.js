@@ -1,6 +1,6 @@
 // The panels: tools, objects, layers with their variants, and style pictures
 
-import { brush, dialog, mode, part, radius, reach, regions, settings, tool } from "./choices.js";
+import { brush, dialog, how, mode, part, radius, reach, regions, settings, tool } from "./choices.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
 import { act, hello, newest, note, state, upload } from "./connection.js";
 import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
@@ -50,6 +50,8 @@ export function Toolbar() {
   const chosen = tool.value, { extent } = hello.value;
   return html`<div class="toolbar" role="toolbar" aria-label="Picking tools">
     ${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}
+    <div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"]].map(([key, words]) =>
+      html`<button type="button" aria-pressed=${how.value === key} onClick=${() => (how.value = key)}>${words}</button>`)}</div>
     ${chosen === "wand" && html`<div class="options"><${Slider} label="Reach" value=${reach.value} low=${extent / 100} high=${extent} step=${extent / 200}
       show=${(value) => value.toPrecision(2)} onInput=${(value) => { reach.value = value; window.studio.tools.reachAgain(); }} />
       </div>`}
@@ -87,7 +89,7 @@ export function Objects({ viewport }) {
     ${!now.objects.length && html`<p class="hint">This scene has no labels. Click a thing in the picture: the wand picks what looks alike around it, as far as <i>Reach</i>. Shift adds, Ctrl removes. Then give it a name.</p>`}
     <ul class="cards">${now.objects.map((each) => html`<li key=${each.name} class=${each.hidden ? "off" : ""}>
       <button type="button" class="card" aria-pressed=${each.picked} title=${`${each.name}: ${each.count?.toLocaleString() ?? "counting"} Gaussians`}
-        onClick=${(event) => choose(event, each)} onDblClick=${() => each.centre && viewport().approach(each.centre, each.radius)}
+        onClick=${(event) => choose(event, each)} onDblClick=${() => each.centre && viewport().approach(each)}
         onMouseEnter=${() => viewport()?.overlay.setPointed(each.name)} onMouseLeave=${() => viewport()?.overlay.setPointed(null)}>
         ${each.thumbnail ? html`<img src=${each.thumbnail} alt="" />` : html`<span class="blank"></span>`}
         <span class="name">${each.name}</span></button>

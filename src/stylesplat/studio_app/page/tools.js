@@ -1,7 +1,7 @@
 // What the pointer does to objects: clicks, rectangles, lassos, brushes, balls and a box
 
 import { effect } from "./libraries/signals.js";
-import { brush, radius, reach, tool } from "./choices.js";
+import { brush, how, radius, reach, tool } from "./choices.js";
 import { act, hello, state } from "./connection.js";
 import { KNOB_NEAR, KNOB_STEP } from "./overlay.js";
 import { setStrokes } from "./panels.js";
@@ -11,7 +11,7 @@ const DRAWING = ["brush", "lasso", "rectangle"];
 const REST = 150; // milliseconds without motion of a slider
 const GRIP = 16; // pixels around a handle
 
-const howOf = (event) => (event.ctrlKey || event.metaKey ? "away" : event.shiftKey ? "add" : "new");
+const howOf = (event) => (event.ctrlKey || event.metaKey ? "away" : event.shiftKey ? "add" : how.value);
 
 export class Tools {
   constructor(viewport, label) {
@@ -162,7 +162,7 @@ export class Tools {
   focus(event) {
     const name = this.overlay.objectAt(...this.place(event));
     const found = state.value?.objects.find((each) => each.name === name);
-    if (found?.centre && tool.value === "object") this.viewport.approach(found.centre, found.radius);
+    if (found?.centre && tool.value === "object") this.viewport.approach(found);
   }
 
   // Light what a click would take, and name it

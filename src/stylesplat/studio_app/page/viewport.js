@@ -5,7 +5,7 @@ import { Orbit } from "/viewer/camera.js";
 import { drawer } from "/viewer/draw.js";
 import { listen, slide } from "/viewer/hands.js";
 import { inflated, unpack } from "/viewer/unpack.js";
-import { background, mode, settings, showPhotos } from "./choices.js";
+import { background, cut, kept, mode, settings, showPhotos } from "./choices.js";
 import { act, hello, on, state } from "./connection.js";
 import { Overlay } from "./overlay.js";
 import { Tools } from "./tools.js";
@@ -28,10 +28,11 @@ export class Viewport {
     [this.drawn, this.after, this.before] = root.querySelectorAll("canvas");
     this.canvas = find(".overlay");
     this.camera = new Orbit(hello.value.start);
+    this.place = kept(`place in ${hello.value.title} ${state.value.folder}`, null);
+    Object.assign(this.camera, this.place.value ?? {});
     this.number = 0; // of the camera's place
     this.shown = { after: -1, before: -1 };
     this.moving = this.waiting = this.holding = false;
-    this.cut = 0.5;
     this.draws = hasGraphicsCard();
     this.overlay = new Overlay(this);
     this.tools = new Tools(this, find(".pointed"));
@@ -40,8 +41,8 @@ export class Viewport {
     on("picked", (header, bytes) => this.overlay.setPicked(header, bytes));
     on("splats", (header, bytes) => this.splats(header, bytes));
     listen(this.canvas, this.camera, () => this.moved(), (event) => this.tools.press(event));
-    slide(find(".cut"), find(".knob"), this.canvas, this.cut, (share) => {
-      this.cut = share;
+    slide(find(".cut"), find(".knob"), this.canvas, cut.peek(), (share) => {
+      cut.value = share;
       this.arrange();
     });
     new ResizeObserver(() => this.moved()).observe(root);
@@ -53,9 +54,9 @@ export class Viewport {
     effect(() => state.value?.painting || this.overlay.setPattern(null));
     effect(() => state.value && this.overlay.tintAgain());
     effect(() => settings.value && this.overlay.draw());
-    effect(() => showPhotos.value || this.overlay.draw());
-    window.addEventListener("keydown", (event) => event.key === "b" && !isTyping(event) && this.hold(true));
-    window.addEventListener("keyup", (event) => event.key === "b" && this.hold(false));
+    effect(() => [showPhotos.value] && this.overlay.draw());
+    window.addEventListener("keydown", (event) => event.key.toLowerCase() === "b" && !isTyping(event) && this.hold(true));
+    window.addEventListener("keyup", (event) => event.key.toLowerCase() === "b" && this.hold(false));
   }
 
   get size() {
@@ -64,6 +65,11 @@ export class Viewport {
 
   get view() {
     return this.camera.view(this.size);
+  }
+
+  // Whether the browser draws while the camera moves: it has the Gaussians, as they are now
+  get drawsItself() {
+    return Boolean(this.draws && this.draw && this.current);
   }
 
   // Where a place of the world is in the picture, in pixels of the page, and how deep
@@ -82,7 +88,7 @@ export class Viewport {
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.rest(), REST);
     this.overlay.draw();
-    if (this.draws && this.draw) {
+    if (this.drawsItself) {
       this.root.classList.add("moving");
       if (!this.frame) this.frame = requestAnimationFrame(() => this.redraw());
     } else this.ask(true);
@@ -90,6 +96,8 @@ export class Viewport {
 
   rest() {
     this.moving = false;
+    const { target, distance, turned, raised } = this.camera;
+    this.place.value = { target, distance, turned, raised };
     this.ask(false);
     this.overlay.draw();
   }
@@ -111,10 +119,12 @@ export class Viewport {
 
   went() {
     this.waiting = false;
-    if (this.moving && !(this.draws && this.draw)) this.ask(true);
+    if (this.moving && !this.drawsItself) this.ask(true);
   }
 
-  async picture({ which, look, moving }, bytes) {
+  async picture({ which, look, moving, drawn }, bytes) {
+    this.current = drawn;
+    if (!drawn) this.root.classList.remove("moving");
     const image = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
     if (moving && which === "after") this.went();
     if (look < this.shown[which] || (moving && !this.moving)) return;
@@ -137,6 +147,7 @@ export class Viewport {
       this.draw?.remove();
       const sources = { vertex: shaders[0].trim(), fragment: shaders[1].trim() };
       this.draw = drawer(this.drawn, unpacked, about, sources, background.value);
+      this.current = true;
     } catch (error) {
       console.warn(error.message); // the server's pictures do
       this.draws = false;
@@ -150,7 +161,7 @@ export class Viewport {
     const scale = Math.min(2, window.devicePixelRatio || 1);
     [this.drawn.width, this.drawn.height] = this.size.map((side) => Math.max(1, Math.round(scale * side)));
     const view = this.camera.view([this.drawn.width, this.drawn.height]);
-    const share = { after: 0, before: 1, split: this.cut }[this.holding ? "before" : mode.value];
+    const share = { after: 0, before: 1, split: cut.value }[this.holding ? "before" : mode.value];
     this.draw(view, share);
   }
 
@@ -171,7 +182,7 @@ export class Viewport {
 
   // Which part of the picture before painting lies above the one after
   arrange() {
-    const share = this.holding || this.compared === "before" ? 1 : this.compared === "split" ? this.cut : 0;
+    const share = this.holding || this.compared === "before" ? 1 : this.compared === "split" ? cut.value : 0;
     const stale = this.shown.before !== this.shown.after;
     this.before.style.clipPath = `inset(0 ${100 - 100 * share}% 0 0)`;
     this.before.style.visibility = share && !(stale && this.holding && this.shown.before < 0) ? "visible" : "hidden";
@@ -184,15 +195,16 @@ export class Viewport {
     this.animate(goal);
   }
 
-  approach(centre, radius) {
+  // Look at an object from where the camera is, as near as all of it is seen
+  approach({ centre, sides }) {
     const goal = Object.assign(new Orbit(hello.value.start), this.camera);
-    goal.approach(centre, radius);
+    goal.approach(centre, sides, this.size);
     this.animate(goal);
   }
 
   home() {
     const picked = state.value.objects.filter((each) => each.picked);
-    if (picked.length === 1 && picked[0].centre) this.approach(picked[0].centre, picked[0].radius);
+    if (picked.length === 1 && picked[0].centre) this.approach(picked[0]);
     else this.animate(new Orbit(hello.value.start));
   }
 
