@@ -48,8 +48,8 @@ def test_the_line_says_what_is_trained_and_how_long_it_takes(
     assert "`--max-seconds 60 --max-gaussians 50000` gives a first look" in line
     line = lines_at_start(capture, replace(config, steps=5200, photos_at_once=2))
     assert "5,200 steps take about 43 min" in line and "softer" not in line
-    line = lines_at_start(capture, replace(config, steps=40_000))
-    assert "about 5.6 h" in line
+    line = lines_at_start(replace(capture, downscale=2.0), replace(config, steps=40_000))
+    assert "about 5.6 h" in line and "All pixels of the photos would take up to 22.2 h" in line
 
 
 def test_the_line_is_left_out_where_the_time_is_known_or_short(

@@ -369,8 +369,8 @@ def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
     if config.steps < TrainConfig.steps:
         quality = f" Fewer than {TrainConfig.steps:,} steps leave pictures softer."
     if capture.downscale > 1:
-        most = _duration(seconds * capture.downscale**2)
-        advice = f" `--downscale 1` trains on all pixels, in up to {most}."
+        most = format_duration(seconds * capture.downscale**2)
+        advice = f" All pixels of the photos would take up to {most}."
     if seconds > LONG_SECONDS:
         advice += f" `{FIRST_LOOK}` gives a first look."
     photos = f"{count_noun(len(run.rows), 'photo')} of {width}x{height}"
