@@ -142,7 +142,8 @@ def picture(page: Page, view: Cameras, cut: float) -> torch.Tensor:
 
 
 def drawn(splats: Splats, view: Cameras) -> torch.Tensor:
-    return rasterize(splats, view, backend="cpu")[0][0].clamp(0, 1)
+    image, alphas, _ = rasterize(splats, view, backend="cpu")
+    return (image[0] + (1 - alphas[0]) * torch.tensor([22, 22, 24]) / 255).clamp(0, 1)
 
 
 def far(view: Cameras) -> Cameras:

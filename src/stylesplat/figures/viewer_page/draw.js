@@ -7,7 +7,7 @@ const WIDE = 1024; // Gaussians in a line of a texture, and those that are drawn
 
 const REMEDY = "Turn on hardware acceleration in the browser's settings, or open this page in another.";
 
-export function drawer(canvas, splats, about, sources, background = [0.086, 0.086, 0.094]) {
+export function drawer(canvas, splats, about, sources, background = [22 / 255, 22 / 255, 24 / 255]) {
   const gl = canvas.getContext("webgl2", { alpha: false, antialias: false });
   if (!gl) throw new Error(`WebGL 2 is missing or turned off. ${REMEDY}`);
   const program = linked(gl, sources.vertex, sources.fragment);
