@@ -284,6 +284,7 @@ T = TypeVar("T")
 
 PATIENCE = 120.0  # seconds: of a machine that does much else
 KEYS = {
+    "c": 67,
     "Home": 36,
     "End": 35,
     "ArrowLeft": 37,

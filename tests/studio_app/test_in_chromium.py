@@ -14,6 +14,7 @@ from browser import QUICK, Tab, needs_chromium, studio_tab, until
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.weights import coverage
+from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.edits import recolor_objects
 from stylesplat.studio_app.gallery import MOST_BYTES
@@ -173,6 +174,36 @@ def test_an_object_and_a_part_of_a_picture_are_chosen_by_keyboard(opened: Studio
     left, wide = (tab.page.evaluate(f"parseFloat({style}.{name})") for name in ("left", "width"))
     assert 0 < left < 10 and 85 < wide < 95 and left + wide < 100
     tab.assert_accessible()
+
+
+def test_another_click_on_the_surface_takes_another_size(opened: StudioServer, tab: Tab):
+    session, at = opened.session, tab.middle_of("7")
+    pressed = "document.querySelector('.options [aria-pressed=true]').innerText"
+    found = list[SceneObject]()
+
+    def pick(size: str) -> None:
+        def is_new() -> bool:
+            objects = session.state.scene.objects
+            return [*objects] == ["object 1"] and all(
+                objects["object 1"] is not each for each in found
+            )
+
+        until(is_new, f"a pick of the size {size}")
+        found.append(session.state.scene.objects["object 1"])
+        until(lambda: tab.page.evaluate("studio.tools.isSpotPicked()"), "the page to know")
+        assert tab.page.evaluate(pressed) == size
+
+    tab.press_button("Pick what ends around a click")
+    tab.click(*at)
+    pick("object")
+    tab.press_button("part")
+    pick("part")
+    for key_down in (True, False):
+        tab.key("c", key_down)
+    pick("object")
+    tab.assert_accessible()
+    tab.press_button("Undo: Selected object 1")
+    until(lambda: not session.state.scene.objects, "all three sizes gone by one undo")
 
 
 def test_a_reload_keeps_the_view_and_a_double_click_frames_what_it_hits(

@@ -1,12 +1,15 @@
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 import torch
 
 from balls import CAMERAS, SPLATS, enlarged
 from stylesplat.errors import StyleSplatError
+from stylesplat.options import PickSize
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
+from stylesplat.selection.resolve import find_object
 from stylesplat.studio_app import edits
 from stylesplat.studio_app.edits import (
     forget_picked,
@@ -15,6 +18,7 @@ from stylesplat.studio_app.edits import (
     pick_box,
     pick_drawn,
     pick_names,
+    pick_surface,
     pick_words,
     region_of,
     rename_picked,
@@ -50,6 +54,17 @@ def test_a_ball_picks_without_labels_and_strokes_correct_it():
     assert object_names(less.scene) == ["object 1"], "what was taken away has no name any more"
     with pytest.raises(StyleSplatError, match="enlarge the radius"):
         pick_ball(PLAIN, CAMERA, place("3"), 1e-6)
+
+
+def test_a_click_picks_on_the_surface_without_labels():
+    large = StudioState(replace(PLAIN.scene, cameras=enlarged(CAMERAS, 4)))
+    near = (SPLATS.means - torch.tensor(BALLS["3"])).norm(dim=1) < 0.35
+    for size in get_args(PickSize):
+        state = pick_surface(large, CAMERA, place("3"), size)
+        mask = find_object(state.scene, state.picked[0])
+        assert mask[near].sum() > 0.8 * mask.sum() > 0, size
+    with pytest.raises(StyleSplatError, match="background, or nothing solid"):
+        pick_surface(large, CAMERA, (0.0, 0.0), "object")
 
 
 def test_what_is_drawn_picks_what_shows_inside_and_corrects_a_pick():

@@ -23,6 +23,7 @@ from stylesplat.figures.web_page import start_of
 from stylesplat.io.layers import RECIPE
 from stylesplat.io.renders import write_video
 from stylesplat.io.style_pictures import MATERIALS, PREFIX
+from stylesplat.options import PickSize
 from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
 from stylesplat.scene.layers import Layer
@@ -83,6 +84,8 @@ class Actions:
         self.compared: int | None = None
         self.client = 0
         self._reference: tuple[object, object, Display] | None = None
+        self._spot: tuple[object, StudioState, StudioState] | None = None
+        """Where was picked last, what became of it, and what was before."""
         scene = session.state.scene
         self._content = content_of(scene.splats).extent
         self._start = start_of(scene.splats, None if has_rendered_views(scene) else scene.cameras)
@@ -125,6 +128,8 @@ class Actions:
                 done()
 
         key = None
+        if name == "pick_at":
+            key = name, values["place"], values["how"], self._look_number(client)
         if name in DRAGGED:
             whats = [k for k, v in values.items() if v is not None and k in ("strength", "form")]
             key = name, values.get("name"), str(values.get("names")), values.get("setting"), *whats
@@ -144,11 +149,29 @@ class Actions:
         how: m.How = "new",
         radius: m.Positive | None = None,
         reach: m.Positive | None = None,
+        size: PickSize = "object",
     ) -> StudioState:
-        """Pick the ball around a place, or what looks alike there."""
+        """Pick the ball around a place, what looks alike there, or what ends around it.
+
+        The same place once more, of another size or reach, is picked in place of the last pick.
+        """
+        state, camera = self.session.state, self._camera()
+        spot = place, how, self._look_number(self.client)
+        known, picked, before = self._spot or (None, None, state)
+        if known == spot and picked is state:
+            state = before
         if radius is not None:
-            return picking.pick_ball(self.session.state, self._camera(), place, radius, how)
-        return picking.pick_alike(self.session.state, self._camera(), place, reach or 1.0, how)
+            found = picking.pick_ball(state, camera, place, radius, how)
+        elif reach is not None:
+            found = picking.pick_alike(state, camera, place, reach, how)
+        else:
+            found = picking.pick_surface(state, camera, place, size, how)
+        self._spot = spot, found, state
+        return found
+
+    def _look_number(self, client: int) -> int | None:
+        look = self.pictures.looks.get(client)
+        return None if look is None else look.number
 
     def pick_drawn(
         self, shape: m.Shape, points: m.DrawnLine, how: m.How = "new", radius: m.Share = 0.02

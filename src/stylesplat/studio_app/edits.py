@@ -14,6 +14,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.hub import is_at_hand
+from stylesplat.options import PickSize
 from stylesplat.rendering.weights import pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import RECOLOR, Layer
@@ -23,6 +24,8 @@ from stylesplat.scene.selection import IN_MEMORY, Selection
 from stylesplat.scene.world_offset import to_world
 from stylesplat.selection.resolve import find_object, resolve_selection
 from stylesplat.selection.shapes import grow, grow_by_similarity, surface_point, within_distance
+from stylesplat.selection.surface_cut import pick_clicked
+from stylesplat.selection.surface_graph import NothingToPick
 from stylesplat.selection.text import CHECKPOINT
 from stylesplat.studio_app.history import StudioState, replace_scene, require_picked
 from stylesplat.studio_app.messages import How, PicturePoint, Shape, ViewVector
@@ -158,6 +161,21 @@ def pick_ball(
     middle = to_world(_rounded(centre), base.world_offset).tolist()
     ball = (*middle, round(radius, DECIMALS))
     return _shaped(state, how, Selection(sphere=(("", ball),)))
+
+
+def pick_surface(
+    state: StudioState, camera: Cameras, place: PicturePoint, size: PickSize, how: How = "new"
+) -> StudioState:
+    """Pick what shows at a place of the picture, without labels, as large as `size` says."""
+    scene, click = state.scene, (camera, _pixel_of(camera, place))
+    try:
+        mask = pick_clicked(scene.base, scene.cameras, [click], size=size)
+    except NothingToPick as error:
+        raise StyleSplatError(
+            f"No {size} ends around this place: it is background, or nothing solid. Click another "
+            "place, choose another size, or use the brush."
+        ) from error
+    return _shaped(state, how, Selection(rows=IN_MEMORY), mask)
 
 
 def pick_alike(

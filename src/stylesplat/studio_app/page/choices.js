@@ -9,9 +9,11 @@ export function kept(name, value) {
   return choice;
 }
 
-export const tool = signal("object"); // or wand, ball, brush, lasso, rectangle, box, strokes
+export const tool = signal("object"); // or surface, wand, ball, brush, lasso, rectangle, box, strokes
 export const how = signal("new"); // what a pick does to the one before: new, add or away
 export const radius = signal(0); // of the ball, in world units
+export const SIZES = ["part", "object", "group"];
+export const size = signal("object"); // of what a click on the surface picks: or part, group
 export const reach = signal(0); // of the wand, likewise
 export const brush = signal(0.03); // its radius, as a share of the picture's height
 export const mode = kept("mode", "after"); // or split, before

@@ -123,7 +123,7 @@ async function copy(text) {
 const KEYS = [
   ["Drag", "turn"], ["Right drag", "move"], ["Wheel", "come closer"], ["Double click", "go to an object"],
   ["W A S D Q E", "fly"], ["Arrows", "turn"], ["H", "home"], ["B", "hold: before painting"],
-  ["Ctrl+Z, Ctrl+Y", "undo, redo"], ["Ctrl+S", "save"], ["Enter", "pick what is in the middle"], ["Esc", "pick nothing"],
+  ["Ctrl+Z, Ctrl+Y", "undo, redo"], ["Ctrl+S", "save"], ["C", "another size of a click on the surface"], ["Enter", "pick what is in the middle"], ["Esc", "pick nothing"],
 ];
 
 function View({ viewport, onClose }) {
@@ -142,7 +142,7 @@ function View({ viewport, onClose }) {
     ${photos.length > 1 && html`<${Slider} label="Fly to photo" value=${row.value} high=${photos.length - 1} step="1" show=${(value) => photos[value].name} onInput=${fly} />
       <label class="check"><input type="checkbox" checked=${showPhotos.value} onChange=${(event) => (showPhotos.value = event.target.checked)} /><span>Show the cameras of photos; click one to fly there</span></label>`}
     ${!readonly && html`<label class="check"><input type="color" value=${code} onInput=${color} /><span>Background</span></label>`}
-    <dl>${KEYS.filter(([key]) => !readonly || !/Ctrl|Esc|Enter/.test(key)).map(([key, words]) => html`<dt>${key}</dt><dd>${words}</dd>`)}</dl>
+    <dl>${KEYS.filter(([key]) => !readonly || !/Ctrl|Esc|Enter|^C$/.test(key)).map(([key, words]) => html`<dt>${key}</dt><dd>${words}</dd>`)}</dl>
     <p class="hint">${gaussians.toLocaleString()} Gaussians</p>
   </${Dialog}>`;
 }

@@ -3,7 +3,7 @@
 import { render } from "./libraries/preact.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
 import "./libraries/signals.js";
-import { mode, tab } from "./choices.js";
+import { mode, tab, tool } from "./choices.js";
 import { act, busy, connect, dismiss, hello, note, notes, online, progress, renewed, state, upload } from "./connection.js";
 import { Dialogs } from "./dialogs.js";
 import { Layers, Objects, paint, Styles, Toolbar } from "./panels.js";
@@ -110,7 +110,7 @@ window.addEventListener("keydown", (event) => {
   const key = event.key.toLowerCase();
   const does = event.ctrlKey || event.metaKey
     ? { z: () => act("step", { rows: event.shiftKey ? 1 : -1 }), y: () => act("step", { rows: 1 }), s: () => act("save") }[key]
-    : { h: () => viewport.home(), escape: () => act("pick_names", { names: [] }) }[key];
+    : { h: () => viewport.home(), c: () => tool.value === "surface" && viewport.tools.sizeAgain(), escape: () => act("pick_names", { names: [] }) }[key];
   if (!does || (hello.value.readonly && key !== "h")) return;
   event.preventDefault();
   does();

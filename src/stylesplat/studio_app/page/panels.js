@@ -1,12 +1,13 @@
 // The panels: tools, objects, layers with their variants, and style pictures
 
-import { brush, dialog, how, mode, part, radius, reach, regions, settings, tool } from "./choices.js";
+import { brush, dialog, how, mode, part, radius, reach, regions, settings, size, SIZES, tool } from "./choices.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
 import { act, hello, newest, note, state, upload } from "./connection.js";
 import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
 
 const TOOLS = [
   ["object", "Pick objects: click. Shift adds, Ctrl removes; both with a drag, too"],
+  ["surface", "Pick what ends around a click: a part, an object or a group; C or another click there changes which. Shift adds, Ctrl removes"],
   ["wand", "Pick what looks alike around a click. Shift adds, Ctrl removes"],
   ["ball", "Pick a ball around a place"],
   ["brush", "Brush over what is meant. Ctrl removes; hold Alt to turn"],
@@ -52,6 +53,8 @@ export function Toolbar() {
     ${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}
     <div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"]].map(([key, words]) =>
       html`<button type="button" aria-pressed=${how.value === key} onClick=${() => (how.value = key)}>${words}</button>`)}</div>
+    ${chosen === "surface" && html`<div class="options segments" role="group" aria-label="Size">
+      ${SIZES.map((each) => html`<button type="button" aria-pressed=${size.value === each} onClick=${() => window.studio.tools.sizeAgain(each)}>${each}</button>`)}</div>`}
     ${chosen === "wand" && html`<div class="options"><${Slider} label="Reach" value=${reach.value} low=${extent / 100} high=${extent} step=${extent / 200}
       show=${(value) => value.toPrecision(2)} onInput=${(value) => { reach.value = value; window.studio.tools.reachAgain(); }} />
       </div>`}
@@ -86,7 +89,7 @@ export function Objects({ viewport }) {
   };
   return html`<aside class="panel objects" aria-label="Objects">
     <h2>Objects</h2>
-    ${!now.objects.length && html`<p class="hint">This scene has no labels. Click a thing in the picture: the wand picks what looks alike around it, as far as <i>Reach</i>. Shift adds, Ctrl removes. Then give it a name.</p>`}
+    ${!now.objects.length && html`<p class="hint">This scene has no labels. Click a thing in the picture. Another click there, or C, takes a group, a part, and the object again. Shift adds, Ctrl removes. Then give it a name.</p>`}
     <ul class="cards">${now.objects.map((each) => html`<li key=${each.name} class=${each.hidden ? "off" : ""}>
       <button type="button" class="card" aria-pressed=${each.picked} title=${`${each.name}: ${each.count?.toLocaleString() ?? "counting"} Gaussians`}
         onClick=${(event) => choose(event, each)} onDblClick=${() => each.centre && viewport().approach(each)}

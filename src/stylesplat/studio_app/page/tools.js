@@ -1,7 +1,7 @@
 // What the pointer does to objects: clicks, rectangles, lassos, brushes, balls and a box
 
 import { effect } from "./libraries/signals.js";
-import { brush, how, radius, reach, tool } from "./choices.js";
+import { brush, how, radius, reach, size, SIZES, tool } from "./choices.js";
 import { act, hello, state } from "./connection.js";
 import { KNOB_NEAR, KNOB_STEP } from "./overlay.js";
 import { setStrokes } from "./panels.js";
@@ -22,7 +22,7 @@ export class Tools {
     const { canvas } = viewport;
     radius.value ||= hello.value.extent / 12;
     reach.value ||= hello.value.extent / 4;
-    if (!state.value.objects.length) tool.value = "wand"; // there is nothing else to click
+    if (!state.value.objects.length) tool.value = "surface"; // there is nothing else to click
     canvas.addEventListener("pointermove", (event) => this.move(event));
     canvas.addEventListener("pointerup", (event) => this.release(event));
     canvas.addEventListener("pointercancel", () => this.reset());
@@ -120,9 +120,13 @@ export class Tools {
       this.viewport.fly(photo.position, photo.target);
       return;
     }
-    if (tool.value === "wand") {
-      this.spot = { place: this.share(at), look: this.viewport.number, how };
-      act("pick_at", { place: this.share(at), how, reach: reach.value });
+    if (tool.value === "surface" && how === "new" && this.isAgain(at)) {
+      this.sizeAgain();
+      return;
+    }
+    if (tool.value === "surface" || tool.value === "wand") {
+      this.spot = { at, place: this.share(at), look: this.viewport.number, how };
+      this.pickSpot();
     }
     if (tool.value === "ball") act("pick_at", { place: this.share(at), how, radius: radius.value });
     if (tool.value === "object") this.pickIn(at, at, how);
@@ -140,15 +144,29 @@ export class Tools {
     if (name || (name === null && how === "new")) this.pick(name === null ? [] : [name], how);
   }
 
-  // The last click of the wand with another reach, in its place
+  pickSpot() {
+    const { place, how } = this.spot;
+    act("pick_at", { place, how, ...(tool.value === "wand" ? { reach: reach.value } : { size: size.value }) });
+  }
+
+  isAgain([x, y]) {
+    return this.isSpotPicked() && Math.hypot(this.spot.at[0] - x, this.spot.at[1] - y) < STILL;
+  }
+
+  isSpotPicked() {
+    const { undo, painting } = state.value;
+    return !painting && this.spot?.look === this.viewport.number && undo.startsWith("Selected");
+  }
+
+  // The last click with another reach or size: the server puts it in the place of the one before
   reachAgain() {
     clearTimeout(this.later);
-    this.later = setTimeout(() => {
-      const { undo, painting } = state.value, { place, look, how } = this.spot ?? {};
-      if (painting || look !== this.viewport.number || !undo.startsWith("Selected")) return;
-      act("step", { rows: -1 });
-      act("pick_at", { place, how, reach: reach.value });
-    }, REST);
+    this.later = setTimeout(() => this.isSpotPicked() && this.pickSpot(), REST);
+  }
+
+  sizeAgain(wanted = SIZES[(SIZES.indexOf(size.value) + 1) % SIZES.length]) {
+    size.value = wanted;
+    if (this.isSpotPicked()) this.pickSpot();
   }
 
   pick(names, how) {
