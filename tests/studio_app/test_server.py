@@ -141,15 +141,19 @@ def test_a_page_learns_what_it_waits_for_and_that_the_server_answers(edited: Stu
     [
         ({"do": "picture", "width": 9000}, "The width must be at most 8192."),
         ({"do": "turntable", "seconds": -1}, "The seconds must be more than 0"),
+        ({"do": "resize_picked", "share": "much"}, "Reload the page."),
+        ({"do": "pick_box", "low": [1e300, 0, 0], "high": [1, 1, 1]}, "at most 1000000000"),
         ({"do": "fly"}, "Reload the page."),
+        (b"\0", "Reload the page."),
     ],
 )
 def test_what_is_wrong_is_told_to_the_page_alone_in_a_sentence(
-    edited: StudioServer, message: dict[str, Any], words: str
+    edited: StudioServer, message: dict[str, Any] | bytes, words: str
 ):
     url = f"ws://127.0.0.1:{edited.server.port}/socket?token={edited.server.token}"
     with connect(url) as client, connect(url) as other:
-        client.send(msgspec.json.encode(message).decode())
+        text = message if isinstance(message, bytes) else msgspec.json.encode(message).decode()
+        client.send(text)
         notes = (header_of(each) for each in client)
         text = next(each for each in notes if each["kind"] == "note")["text"]
         assert words in text and "$" not in text and "`" not in text

@@ -55,7 +55,7 @@ STUDIO_MOST_PIXELS = 8192  # along a side of a still picture
 STUDIO_NEAREST = 0.1  # world units from a photo's camera to its target, at least
 DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
 SLOW = {
-    "pick_at": "Looking for what is alike",
+    "pick_at": "Looking for what belongs to the click",
     "pick_drawn": "Looking for what was drawn around",
     "pick_box": "Looking for what is in the box",
     "pick_words": "Looking for what the words mean",

@@ -17,10 +17,11 @@ Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 PicturePoint = tuple[Share, Share]  # in a picture, from its top left corner
 ShortText = Annotated[str, msgspec.Meta(max_length=200)]
 PictureSide = Annotated[int, msgspec.Meta(ge=1, le=16384)]
-ViewVector = tuple[float, float, float]
+Bounded = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]  # float32 squares it
+ViewVector = tuple[Bounded, Bounded, Bounded]
 How = Literal["new", "add", "away"]
 Shape = Literal["rectangle", "lasso", "brush"]
-Positive = Annotated[float, msgspec.Meta(gt=0)]
+Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 DrawnLine = Annotated[list[PicturePoint], msgspec.Meta(min_length=1, max_length=4000)]
 
 
@@ -28,7 +29,7 @@ class ViewRequest(
     msgspec.Struct, frozen=True, tag="look", tag_field="do", forbid_unknown_fields=True
 ):
     number: int
-    viewmat: Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
+    viewmat: Annotated[list[Bounded], msgspec.Meta(min_length=16, max_length=16)]
     focal: Positive
     size: tuple[PictureSide, PictureSide]
     moving: bool = False

@@ -285,8 +285,8 @@ class PageServer:
             warm_up = partial(self.session.ask, self.actions.warm_up, patient=True)
             asyncio.get_running_loop().call_later(WARM_UP_AFTER, warm_up)
         try:
-            while True:
-                self._receive(number, await socket.receive_text())
+            while (message := await socket.receive())["type"] == "websocket.receive":
+                self._receive(number, message.get("text") or "")
         except (WebSocketDisconnect, RuntimeError):
             pass
         finally:
