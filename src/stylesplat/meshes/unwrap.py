@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 import stylesplat
 from stylesplat.errors import StyleSplatError, count_noun
@@ -23,8 +23,8 @@ NAMES = "origins", "faces", "uvs"
 
 
 def unwrap_faces(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], size: int
-) -> tuple[Int[np.ndarray, " U"], Int[np.ndarray, "F 3"], Float[np.ndarray, "U 2"]]:
+    vertices: Float[np.ndarray, "V 3"], faces: Integer[np.ndarray, "F 3"], size: int
+) -> tuple[Integer[np.ndarray, " U"], Integer[np.ndarray, "F 3"], Float[np.ndarray, "U 2"]]:
     """Lay faces into a texture of about so many texels a side.
 
     Vertices lie twice where the texture has a seam. Returns the row of each among those given, the
