@@ -126,10 +126,10 @@ def test_photos_are_made_smaller_unless_all_pixels_are_wanted(
     assert "2 times smaller than they are; `--downscale 1`" in capsys.readouterr().err
     assert run(*command) == 0
     assert "Continuing" in capsys.readouterr().err
-    assert ss.open(tmp_path / "scene").downscale == 2
-    assert run(*command, "--overwrite", "--downscale", 1) == 0
+    assert ss.open(tmp_path / "scene").downscale == 1, "painted with all pixels of small photos"
+    assert run(*command, "--overwrite", "--downscale", 2) == 0
     assert "times smaller" not in capsys.readouterr().err
-    assert ss.open(tmp_path / "scene").downscale == 1
+    assert ss.open(tmp_path / "scene").downscale == 2
 
 
 def test_restart_begins_anew_and_deletes_what_is_ours_only(

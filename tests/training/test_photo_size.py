@@ -8,7 +8,11 @@ import torch
 
 from stylesplat.scene.capture import Capture
 from stylesplat.training import photo_size
-from stylesplat.training.photo_size import affordable_downscale, usual_downscale
+from stylesplat.training.photo_size import (
+    affordable_downscale,
+    painting_downscale,
+    usual_downscale,
+)
 
 CPU = torch.device("cpu")
 
@@ -23,9 +27,9 @@ def large(capture: Capture) -> Callable[[float], Capture]:
 @pytest.mark.parametrize(
     ("a_step", "a_pixel", "max_seconds", "side"),
     [
-        (0.0, 420 / 1200**2, None, 1200),  # all of the time is for pixels
-        (210.0, 210 / 900**2, None, 900),  # half of it
-        (0.0, 420 / 1200**2, 105.0, 600),  # a quarter of the time
+        (0.0, 300 / 1200**2, None, 1200),  # all of the time is for pixels
+        (150.0, 150 / 900**2, None, 900),  # half of it
+        (0.0, 300 / 1200**2, 75.0, 600),  # a quarter of the time
         (0.0, 1e-9, None, 1600),  # a GPU
         (500.0, 1e-3, None, 480),  # nothing fits
         (9.0, 0.0, None, 1600),  # all is lost in noise
@@ -50,6 +54,12 @@ def test_photos_are_as_large_as_the_time_allows(
 def test_small_photos_are_trained_on_as_they_are(capture: Capture, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(photo_size, "_seconds_at", None)  # nothing is measured
     assert affordable_downscale(lambda _: capture, device=CPU) == 1
+
+
+def test_scenes_are_painted_larger_than_they_were_trained(large: Callable[[float], Capture]):
+    views = large(1).cameras
+    assert [painting_downscale(views, trained) for trained in (7.5, 3.75, 2.0)] == [3.75, 3.75, 2.0]
+    assert painting_downscale(large(3.75).cameras, 1.0) == 1.0
 
 
 def test_processes_take_what_no_machine_decides(large: Callable[[float], Capture]):

@@ -58,7 +58,7 @@ class Train(MakingCommand):
     """Folder of the scene to make. An interrupted run is kept beside it, and continues."""
     downscale: float | None = None
     """How many times smaller the photos are made; 1 trains on all pixels. By default so that the
-    default steps take about seven minutes on this machine, or `--max-seconds`."""
+    default steps take about five minutes on this machine, or `--max-seconds`."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
     settings: Annotated[dict[str, Any], from_config(TrainConfig)] = field(default_factory=dict)
@@ -94,6 +94,7 @@ class Train(MakingCommand):
 
         from stylesplat.training.checkpoint import require_checkpoint
         from stylesplat.training.loop import torchrun
+        from stylesplat.training.photo_size import painting_downscale
 
         refuse_two_lengths(self.settings)
         config = replace(PRESETS[self.preset], **self.settings)
@@ -121,6 +122,9 @@ class Train(MakingCommand):
                 if processes > 1:
                     dist.barrier()
                 scene = train(capture)
+                if self.downscale is None:
+                    paints = painting_downscale(scene.cameras, scene.downscale)
+                    scene = replace(scene, downscale=paints)
                 if "max_seconds" in self.settings:
                     _mention_load()
                 save(scene)
