@@ -3,18 +3,22 @@
 import os
 import random
 import signal
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import type_checks  # noqa: F401  # isort: skip  (before what it checks)
-import stylesplat  # noqa: F401  (first: it sets up threading before torch loads)
+
+# Sets up threading before torch loads, and registers what says that kernels are compiled
+import stylesplat.rendering.kernels.jit  # noqa: F401  # isort: skip
 
 import pytest  # isort: skip
 import torch  # isort: skip
 
 from filelock import FileLock
 from numba import get_num_threads, set_num_threads
+from numba.core import event
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
@@ -52,7 +56,10 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def each_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Workers of pytest-xdist wait for one that compiles a kernel, and find it in numba's cache."""
+    """Workers of pytest-xdist wait for one that compiles a kernel, and find it in numba's cache.
+
+    Nothing is said of it: it may be in any test.
+    """
     compile, shared = Dispatcher.compile, tmp_path_factory.getbasetemp().parent
 
     def compile_alone(self: Dispatcher, signature: Any) -> Any:
@@ -63,6 +70,7 @@ def each_kernel_is_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> It
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Dispatcher, "compile", compile_alone)
+        patch.setattr(event, "_registered", defaultdict(list))
         yield
 
 
