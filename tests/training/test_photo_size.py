@@ -60,6 +60,7 @@ def test_scenes_are_painted_larger_than_they_were_trained(large: Callable[[float
     views = large(1).cameras
     assert [painting_downscale(views, trained) for trained in (7.5, 3.75, 2.0)] == [3.75, 3.75, 2.0]
     assert painting_downscale(large(3.75).cameras, 1.0) == 1.0
+    assert painting_downscale(large(3.6).cameras, 2.0) == 1.0, "all of 1,000 pixels, not 800"
 
 
 def test_processes_take_what_no_machine_decides(large: Callable[[float], Capture]):

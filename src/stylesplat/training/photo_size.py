@@ -17,7 +17,7 @@ from stylesplat.training.loop import begin_run, estimate_seconds, warm_up_traini
 # steps on smaller photos came closer to a toy's photos at full size than the same time on larger
 # ones: 5,000 at 492 pixels 27.5 dB, 3,000 at 656 pixels 26.7 dB
 ACCEPTED_SECONDS = 300.0
-PAINTED = 960.0  # pixels of the longer side of views to paint, where training had smaller photos
+PAINTED = 960.0  # pixels at least of the longer side of views to paint, if the photos have them
 SMALLEST, LARGEST = (
     480.0,
     1600.0,
@@ -74,7 +74,8 @@ def painting_downscale(views: Cameras, trained: float) -> float:
 
     Strokes of the size of large pixels would be soft, so photos may have been smaller in training.
     """
-    return min(trained, _factor(int(views.sizes.max()), PAINTED))
+    quarters = math.floor(int(views.sizes.max()) / PAINTED * FACTOR_STEP)
+    return min(trained, max(quarters / FACTOR_STEP, 1.0))
 
 
 def _factor(longest: int, side: float) -> float:
