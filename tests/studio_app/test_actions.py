@@ -63,7 +63,11 @@ class Page:
     def act(self, what: str, **fields: Any) -> m.StateMessage:
         """Ask as the page does, and wait until it is done."""
         text = msgspec.json.encode({"do": what, **fields})
-        self.actions.act(1, self.actions.decoder.decode(text), lambda: None)
+        message = self.actions.decoder.decode(text)
+        if isinstance(message, m.ViewRequest):
+            self.actions.pictures.look(1, message)
+        else:
+            self.actions.act(1, message, lambda: None)
         assert self.session.worker.wait_until_idle()
         return self.actions.state_message()
 

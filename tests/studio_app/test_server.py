@@ -4,9 +4,10 @@ import http.client
 import socket
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from email.message import Message
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from stylesplat.interrupts import Terminated
 from stylesplat.io.scene_folder import save
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.gallery import MOST_BYTES
+from stylesplat.studio_app.server import BUSY_AFTER
 from stylesplat.studio_app.studio import StudioServer, studio, view
 
 WEBSOCKET = {
@@ -134,6 +136,26 @@ def test_a_page_learns_what_it_waits_for_and_that_the_server_answers(edited: Stu
         assert {"kind": "pong"} in kinds
         assert {"kind": "busy", "what": "Growing or shrinking what is picked"} in kinds
         assert next(each for each in heard if each["kind"] == "busy")["what"] == ""
+
+
+def test_a_page_does_not_wait_for_what_a_newer_action_has_replaced(edited: StudioServer):
+    """Of several changes by one slider that wait, the last is made."""
+    url = f"ws://127.0.0.1:{edited.server.port}/socket?token={edited.server.token}"
+    with connect(url) as client:
+        waiting = threading.Event()
+        edited.session.ask(waiting.wait)
+        for value in (20.0, 40.0):
+            change = {"do": "recolor", "names": ["3"], "setting": "hue", "value": value}
+            client.send(msgspec.json.encode(change).decode())
+        client.send('{"do": "ping"}')
+        heard = (header_of(each) for each in client)
+        assert any(each["kind"] == "pong" for each in heard), "both have arrived"
+        waiting.set()
+        assert edited.session.worker.wait_until_idle()
+        time.sleep(2 * BUSY_AFTER)
+        client.send('{"do": "ping"}')
+        said = takewhile(lambda each: each["kind"] != "pong", heard)
+        assert [each["what"] for each in said if each["kind"] == "busy"][-1] == ""
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ worker's thread; methods of `Actions` for the browser `client`. What returns a s
 
 import inspect
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 
 import msgspec
 import torch
@@ -50,6 +50,8 @@ from stylesplat.stylization.config import RecolorConfig, StyleConfig
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.export import export
 from stylesplat.verbs.render import orbit, render
+
+T = TypeVar("T")
 
 STUDIO_MOST_PIXELS = 8192  # along a side of a still picture
 STUDIO_NEAREST = 0.1  # world units from a photo's camera to its target, at least
@@ -105,16 +107,11 @@ class Actions:
         structs = [_struct_of(name, each) for name, each in known.items()]
         self.decoder = msgspec.json.Decoder(reduce(or_, structs, m.ViewRequest | m.Ping))
 
-    def act(
-        self, client: int, message: m.ViewRequest | msgspec.Struct, done: Callable[[], None]
-    ) -> str:
-        """Ask for what a page wants; called in the server's thread.
+    def act(self, client: int, message: msgspec.Struct, done: Callable[[], None]) -> str:
+        """Ask for an action that a page wants; called in the server's thread.
 
         `done` is called when it is done, or has failed. Returns what it is, in a few words.
         """
-        if isinstance(message, m.ViewRequest):
-            self.pictures.look(client, message)
-            return ""
         name = str(type(message).__struct_config__.tag)
         values = msgspec.structs.asdict(message)
 
@@ -222,9 +219,7 @@ class Actions:
         self.session.on_change.call()
 
     def restore(self, number: int) -> StudioState:
-        if not 0 <= number < len(self.snapshots):
-            raise StyleSplatError("This snapshot is not there any more. Reload the page.")
-        name, kept = self.snapshots[number]
+        name, kept = _item(self.snapshots, number, "snapshot")
         return replace(kept.state(), note=f"Restored {name}")
 
     def export(self, ending: m.ShortText) -> None:
@@ -281,10 +276,7 @@ class Actions:
         return camera_of(look, pixels)
 
     def _style(self, number: int) -> StylePicture:
-        pictures = [*self.gallery.pictures.values()]
-        if not 0 <= number < len(pictures):
-            raise StyleSplatError("This picture is not there any more. Reload the page.")
-        return pictures[number]
+        return _item([*self.gallery.pictures.values()], number, "picture")
 
     def _deliver(self, ending: str) -> Callable[[bytes], None]:
         """The function that lets the present page download a file."""
@@ -314,9 +306,7 @@ class Actions:
         return known[2]
 
     def _with_variant(self, state: StudioState, number: int) -> StudioState:
-        if not 0 <= number < len(self.variants):
-            raise StyleSplatError("This variant is not there any more. Reload the page.")
-        variant, layer = self.variants[number]
+        variant, layer = _item(self.variants, number, "variant")
         layers.refuse_locked(state, layer.name)
         return layers.replace_layer(state, layer, f"Switched {layer.object} to {variant.title}")
 
@@ -391,6 +381,13 @@ class Actions:
             return ""
         output = folder.resolve().with_name(f"{folder.resolve().name}-painted")
         return shell_command("stylize", folder, "--recipe", folder / RECIPE, "-o", output)
+
+
+def _item(items: Sequence[T], number: int, what: str) -> T:
+    """What a page means by a number, which it may have from before a restart."""
+    if not 0 <= number < len(items):
+        raise StyleSplatError(f"This {what} is not there any more. Reload the page.")
+    return items[number]
 
 
 def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:

@@ -128,6 +128,8 @@ class PageServer:
         self.port = 0
         self._clients = dict[int, _Client]()
         self._numbers = count(1)
+        self._asked = dict[int, int]()
+        """The number of what each page asked for last, until it is done."""
         self._uploading = 0  # bytes
         self._loop: asyncio.AbstractEventLoop | None = None
         self._server: Any = None
@@ -292,6 +294,7 @@ class PageServer:
         finally:
             sending.cancel()
             del self._clients[number]
+            self._asked.pop(number, None)
             self.session.ask(lambda: self.actions.pictures.leave(number))
 
     def _receive(self, client: int, text: str) -> None:
@@ -303,20 +306,26 @@ class PageServer:
         if isinstance(message, m.Ping):
             self.send(client, "pong", m.Pong())
             return
-        done = threading.Event()
+        if isinstance(message, m.ViewRequest):
+            self.actions.pictures.look(client, message)
+            return
+        number = self._asked[client] = next(self._numbers)
+
+        def is_newest() -> bool:
+            return self._asked.get(client) == number
 
         def end() -> None:
-            done.set()
+            if is_newest():
+                self._asked.pop(client, None)
             self.send(client, "busy", m.Busy())
 
         what = self.actions.act(client, message, end)
 
-        def tell() -> None:
-            if not done.is_set():
+        def tell() -> None:  # not of what a newer action has taken the place of, and never ends
+            if is_newest():
                 self.send(client, "busy", m.Busy(what))
 
-        if what:
-            asyncio.get_running_loop().call_later(BUSY_AFTER, tell)
+        asyncio.get_running_loop().call_later(BUSY_AFTER, tell)
 
 
 def _refusal(error: str) -> str:
