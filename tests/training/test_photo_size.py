@@ -64,5 +64,5 @@ def test_scenes_are_painted_larger_than_they_were_trained(large: Callable[[float
 
 
 def test_processes_take_what_no_machine_decides(large: Callable[[float], Capture]):
-    assert usual_downscale(large(1)) == 2.25
-    assert usual_downscale(large(3)) == 1
+    assert usual_downscale(large(1).cameras) == 2.25
+    assert usual_downscale(large(3).cameras) == 1

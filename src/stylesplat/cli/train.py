@@ -159,7 +159,7 @@ class Train(MakingCommand):
         earlier = None if self.restart else checkpoint_downscale(self._checkpoint)
         factor = self.downscale if self.downscale is not None else earlier
         if factor is None and processes > 1:  # the others would measure other times
-            factor = usual_downscale(files.whole)
+            factor = usual_downscale(files.whole.cameras)
         elif factor is None:
             limit, device = self.settings.get("max_seconds"), pick_device(self.device)
             factor = affordable_downscale(files.at, device=device, max_seconds=limit)

@@ -33,7 +33,7 @@ def unwrap_faces(
     given = io.BytesIO()
     np.savez(given, vertices=vertices, faces=faces.astype(np.uint32), size=size)
     place = str(Path(stylesplat.__file__).parents[1])
-    code = f"import sys; sys.path.insert(0, {place!r}); import {__name__} as it; it.run_child()"
+    code = f"import sys; sys.path.insert(0, {place!r}); import {__name__} as it; it.unwrap_stdin()"
     with uncounted("unwrapping the surface"), ThreadPoolExecutor(1) as pool:
         running = pool.submit(
             subprocess.run,
@@ -56,7 +56,7 @@ def unwrap_faces(
     return origins, faces, uvs
 
 
-def run_child() -> None:
+def unwrap_stdin() -> None:
     """The child process: unwrap what stdin has, and write the result to stdout."""
     import xatlas
 

@@ -17,12 +17,10 @@ from stylesplat.training.loop import begin_run, estimate_seconds, warm_up_traini
 # steps on smaller photos came closer to a toy's photos at full size than the same time on larger
 # ones: 5,000 at 492 pixels 27.5 dB, 3,000 at 656 pixels 26.7 dB
 ACCEPTED_SECONDS = 300.0
-PAINTED = 960.0  # pixels at least of the longer side of views to paint, if the photos have them
-SMALLEST, LARGEST = (
-    480.0,
-    1600.0,
-)  # pixels of the longer side; INRIA's code trains on at most the latter
-TRIED = (480.0, 960.0)  # such sizes that are measured
+# Pixels of the longer side
+SMALLEST, LARGEST = 480, 1600  # of photos trained on; INRIA's code takes at most the latter
+TRIED = (480, 960)  # of those that are measured
+PAINTED = 960  # at least, of views to paint, if the photos have them
 TRIED_PHOTOS = 8
 FACTOR_STEP = 4  # factors are quarters
 
@@ -47,39 +45,38 @@ def affordable_downscale(
     Returns:
         The factor, 1 for all pixels, in quarters.
     """
-    whole = capture_at(1.0)
-    longest = int(whole.cameras.sizes.max())
-    if longest <= SMALLEST:
+    whole = capture_at(1.0).cameras
+    if whole.shrink_to(SMALLEST) == 1:
         return 1.0
-    sides, seconds = [min(side, float(longest)) for side in TRIED], list[float]()
-    with task("choosing the size of photos", len(sides), unit="size") as counted:
-        for side in sides:
+    factors, seconds = [whole.shrink_to(side) for side in TRIED], list[float]()
+    with task("choosing the size of photos", len(factors), unit="size") as counted:
+        for factor in factors:
             with observed(SILENCE):
-                seconds.append(_seconds_at(capture_at(longest / side), device))
+                seconds.append(_seconds_at(capture_at(factor), device))
             counted.advance()
-    areas = [side**2 for side in sides]
+    areas = [(float(whole.sizes.max()) / factor) ** 2 for factor in factors]
     rate = (seconds[1] - seconds[0]) / (areas[1] - areas[0])  # per pixel
     left = (ACCEPTED_SECONDS if max_seconds is None else max_seconds) - seconds[0]
     side = LARGEST if rate <= 0 else math.sqrt(max(areas[0] + left / rate, 0.0))
-    return _factor(longest, min(max(side, SMALLEST), LARGEST))
+    return _quarters(whole.shrink_to(round(min(max(side, SMALLEST), LARGEST))))
 
 
-def usual_downscale(capture: Capture) -> float:
+def usual_downscale(photos: Cameras) -> float:
     """How many times smaller photos must be to be no longer than `LARGEST`, in quarters."""
-    return _factor(int(capture.cameras.sizes.max()), LARGEST)
+    return _quarters(photos.shrink_to(LARGEST))
 
 
-def painting_downscale(views: Cameras, trained: float) -> float:
+def painting_downscale(photos: Cameras, trained: float) -> float:
     """How many times smaller than the photos the views are that a scene is painted in.
 
     Strokes of the size of large pixels would be soft, so photos may have been smaller in training.
     """
-    quarters = math.floor(int(views.sizes.max()) / PAINTED * FACTOR_STEP)
-    return min(trained, max(quarters / FACTOR_STEP, 1.0))
+    return min(trained, math.floor(FACTOR_STEP * photos.shrink_to(PAINTED)) / FACTOR_STEP)
 
 
-def _factor(longest: int, side: float) -> float:
-    return max(math.ceil(longest / side * FACTOR_STEP) / FACTOR_STEP, 1.0)
+def _quarters(factor: float) -> float:
+    """The factor, rounded up: photos become no larger than by it."""
+    return math.ceil(FACTOR_STEP * factor) / FACTOR_STEP
 
 
 def _seconds_at(capture: Capture, device: torch.device) -> float:
