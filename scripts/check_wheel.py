@@ -21,8 +21,11 @@ NEEDED = (
     "stylesplat/__init__.pyi",
     "stylesplat/demo/still_life.zip",
     "stylesplat/figures/viewer_page/page.html",
+    "stylesplat/rendering/kernels/blend.cu",
+    "stylesplat/rendering/kernels/common.cuh",
     "stylesplat/studio_app/page/libraries/LICENSES.txt",
     "stylesplat/stylization/compact.safetensors",
+    "stylesplat/training/adam.cu",
 )
 RESULTS = ("report.html", "styled.ply", "styled.html")
 

@@ -2,8 +2,8 @@
 
 It finds what a GPU would refuse: an operation on tensors of both devices, random numbers by the
 generator of another device, numpy's view of a GPU's tensor. `HostTrips` finds what the host would
-wait for. gsplat is the stand-in of `rendering/native_gsplat.py`. What torch does backwards is not
-looked at.
+wait for. In the place of our GPU kernels run those of the CPU; `rendering/emulated_cuda.py` runs
+the real ones, which takes longer. What torch does backwards is not looked at.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,21 +15,17 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from fake_gsplat import install_training_kernels
-from rendering.native_gsplat import install
 from stylesplat.imaging.color import luma_weights
 from stylesplat.imaging.similarity import blur_matrix, ssim_window
+from stylesplat.rendering import cpu
+from stylesplat.rendering import cuda as kernels
+from stylesplat.training import adam, densification
 
 MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__set__}  # pyright: ignore
 MOVES |= {torch._has_compatible_shallow_copy_type}  # pyright: ignore  (asked as modules move)
 INDEXES = {Tensor.__getitem__, Tensor.index_put, Tensor.index_put_}
-KERNELS = (
-    "rasterize_to_indices_in_range",
-    "rasterization",
-    "rasterize_to_pixels",
-    "spherical_harmonics",
-)
-KERNELS += ("fully_fused_projection", "isect_tiles", "isect_offset_encode")
+RENDERING = ("spherical_harmonics", "project_gaussians", "rasterize", "front_depth")
+RENDERING += ("tile", "composite", "backproject")
 DEVICE, IS_CUDA = Tensor.device.__get__, Tensor.is_cuda.__get__  # pyright: ignore
 # What has neither a device nor tensors in its answer: most calls, as types are checked
 PLAIN = {getattr(Tensor, name).__get__ for name in ("shape", "ndim", "dtype", "requires_grad")}
@@ -53,11 +49,10 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     if request.param == "real":
         yield "cuda"
         return
-    gsplat = pytest.importorskip("gsplat")
-    install(monkeypatch, quickly=True)
-    for name in KERNELS:
-        monkeypatch.setattr(gsplat, name, _kernel(getattr(gsplat, name)))
-    install_training_kernels(monkeypatch, _kernel)
+    for name in RENDERING:
+        monkeypatch.setattr(kernels, name, _kernel(getattr(cpu, name)))
+    monkeypatch.setattr(adam, "adam_cuda", _kernel(adam.adam_cpu))
+    monkeypatch.setattr(densification, "add_noise_cuda", _kernel(densification.add_noise_cpu))
     monkeypatch.setattr(torch, "Generator", FakeGenerator)
     monkeypatch.setattr(Tensor, "pin_memory", _pinned)  # in threads, too
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
@@ -79,7 +74,7 @@ def _kernel(function: Callable) -> Callable:
 
     def call(*args: Any, **kwargs: Any) -> Any:
         for each in _tensors((args, kwargs)):
-            assert on_gpu(each), f"gsplat got a tensor of the CPU, {tuple(each.shape)}"
+            assert on_gpu(each), f"a kernel got a tensor of the CPU, {tuple(each.shape)}"
         with torch._C.DisableTorchFunction():
             found = function(*args, **kwargs)
             for each in _tensors(found):

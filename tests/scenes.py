@@ -71,8 +71,18 @@ def leaf(splats: Splats, dtype: torch.dtype) -> Splats:
     return replace(splats, **tensors)
 
 
-BACKENDS = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
+BACKENDS = [
+    "cpu",
+    pytest.param("cuda", marks=pytest.mark.emulated),
+    pytest.param("gsplat", marks=pytest.mark.cuda),
+]
 """The backends that are compared with the reference."""
+
+
+def device_of(backend: str) -> str:
+    """Where a backend's tensors are; without a GPU our kernels are emulated on the CPU."""
+    on_gpu = backend in ("cuda", "gsplat") and torch.cuda.is_available()
+    return "cuda" if on_gpu else "cpu"
 
 
 # Splats of other programs, as they come without photos: things of several shapes.

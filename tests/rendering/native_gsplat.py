@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from stylesplat.rendering import cpu, reference
-from stylesplat.rendering.reference import EPS2D, FAR_PLANE, NEAR_PLANE, Gaussians, Projected, View
+from stylesplat.rendering import reference
+from stylesplat.rendering.reference import EPS2D, FAR_PLANE, NEAR_PLANE, Gaussians, View
 from stylesplat.scene.splats import sh_basis
 
 SUPPORTED = {1, 2, 3, 4, 5, 8, 9, 16, 17, 32, 33, 64, 65, 128, 129, 256, 257, 512, 513}
@@ -24,15 +24,12 @@ class Calls:
     projections: int = 0
     sorts: int = 0
     blended_channels: list[int] = field(default_factory=list)
-    sorted: tuple[Tensor, ...] = ()
-    """Depths and radii that were sorted into tiles last."""
 
 
-def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
-    """Put the stand-ins into gsplat for one test; quick ones call our CPU kernels."""
+def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
+    """Put the stand-ins into gsplat for one test."""
     native = pytest.importorskip("gsplat.cuda._wrapper")
-    project = cpu.project_gaussians if quickly else reference.project_gaussians
-    calls = Calls()
+    project, calls = reference.project_gaussians, Calls()
 
     class Projection:
         @staticmethod
@@ -64,10 +61,6 @@ def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
             assert backgrounds is None and masks is None
             assert colors.shape[-1] in SUPPORTED
             calls.blended_channels.append(colors.shape[-1])
-            if quickly:
-                return blend_images(
-                    Projected(means2d, conics, opacities, *calls.sorted), colors, rest
-                )
             return blend_tiles(means2d, conics, opacities, colors, rest)
 
     class Harmonics:
@@ -81,7 +74,7 @@ def install(monkeypatch: pytest.MonkeyPatch, *, quickly: bool = False) -> Calls:
     def compiled(name: str):
         def counted(*args):
             if name == "intersect_tile":
-                calls.sorts, calls.sorted = calls.sorts + 1, (args[2], args[1])
+                calls.sorts += 1
             stand_ins = {
                 "intersect_tile": intersect_tile,
                 "intersect_offset": intersect_offset,
@@ -120,18 +113,6 @@ def intersect_offset(tiles: Tensor, images: int, columns: int, rows: int) -> Ten
     """Where each tile's list begins."""
     every = torch.arange(images * rows * columns)
     return torch.searchsorted(tiles, every).reshape(images, rows, columns)
-
-
-def blend_images(projected: Projected, colors: Tensor, rest):
-    """Image and coverage, by our CPU kernels."""
-    padded = cpu.padded(colors)
-    size, channels = rest[:2], padded.shape[-1]
-    images = [
-        cpu.blend_projected(Projected(*each), padded[index], size, channels)
-        for index, each in enumerate(zip(*projected, strict=True))
-    ]
-    image, alphas = (torch.stack(each) for each in zip(*images, strict=True))
-    return image[..., : colors.shape[-1]], alphas
 
 
 def list_contributors(first: int, last: int, light, means2d, conics, opacities, *rest):

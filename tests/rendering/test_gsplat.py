@@ -1,4 +1,4 @@
-"""The GPU backend's way through gsplat, on any machine: see `native_gsplat.py`."""
+"""The backend gsplat, on any machine: see `native_gsplat.py`."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
 
 @pytest.mark.usefixtures("calls")
-@pytest.mark.parametrize("backend", ["reference", "cpu", "cuda"])
+@pytest.mark.parametrize("backend", ["reference", "cpu", "gsplat"])
 def test_of_no_gaussians_nothing_is_drawn(backend: Backend):
     none = SPLATS[torch.zeros(len(SPLATS), dtype=torch.bool)]
     features = torch.zeros(0, 16, requires_grad=True)
@@ -58,7 +58,7 @@ def test_images_and_gradients_are_the_references_and_each_channel_is_blended_onc
     calls: Calls, count: int, moves: bool, passes: list[int], antialiased: bool
 ):
     *expected, projected, gradients = drawn("reference", count, moves, antialiased)
-    *found, given_info, others = drawn("cuda", count, moves, antialiased)
+    *found, given_info, others = drawn("gsplat", count, moves, antialiased)
     for wanted, given in zip(expected, found, strict=True):
         assert wanted.shape == given.shape
         assert (wanted - given).abs().max() < ROUNDING
@@ -84,7 +84,7 @@ def test_weights_are_the_references(calls: Calls, count: int):
             composite(splats, camera, values, backend=backend),
             backproject(splats, camera, image, backend=backend),
         ]
-        for backend in ("reference", "cuda")
+        for backend in ("reference", "gsplat")
     )
     for wanted, given in zip(expected, found, strict=True):
         assert wanted.shape == given.shape
@@ -98,7 +98,7 @@ def test_depths_are_the_references(count: int):
     splats, camera = leaf(SPLATS[torch.arange(count)], torch.float64), two_cameras()[0]
     mask = torch.arange(count) % 3 > 0
     expected, found = (
-        front_depth(splats, camera, mask, backend=backend) for backend in ("reference", "cuda")
+        front_depth(splats, camera, mask, backend=backend) for backend in ("reference", "gsplat")
     )
     for wanted, given in zip(expected, found, strict=True):
         assert wanted.shape == given.shape == (52, 70) and wanted.any() == bool(count)

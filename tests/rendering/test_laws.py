@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from scenes import BACKENDS, randn, random_splats, two_cameras
+from scenes import BACKENDS, device_of, randn, random_splats, two_cameras
 from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.reference import rotation_matrices, spherical_harmonics
 from stylesplat.rendering.render import Backend, rasterize
@@ -26,7 +26,7 @@ def both(
     splats: Splats, backend: Backend, cameras: Cameras | None = None, **options
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Image and coverage."""
-    device = "cuda" if backend == "cuda" else "cpu"
+    device = device_of(backend)
     cameras = two_cameras() if cameras is None else cameras
     image, alphas, _ = rasterize(splats.to(device), cameras, backend=backend, **options)
     return image.cpu(), alphas.cpu()
@@ -174,7 +174,7 @@ def test_an_antialiased_gaussian_fades_with_its_area(backend: Backend, opacity: 
 @pytest.mark.parametrize("backend", ANY)
 def test_the_image_is_linear_in_the_features(backend: Backend):
     splats = random_splats()
-    one, other = randn(2, len(splats), 16, seed=2).to("cuda" if backend == "cuda" else "cpu")
+    one, other = randn(2, len(splats), 16, seed=2).to(device_of(backend))
     images = [render(splats, backend, features=f)[..., 3:] for f in (one, other, one - 3 * other)]
     # float32 sums of up to 200 terms of size 4
     torch.testing.assert_close(images[2], images[0] - 3 * images[1], atol=2e-5, rtol=0)

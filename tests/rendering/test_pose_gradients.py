@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from rendering.native_gsplat import install
-from scenes import BACKENDS, random_splats, two_cameras, weigh_and_backward
+from scenes import BACKENDS, device_of, random_splats, two_cameras, weigh_and_backward
 from stylesplat.rendering import cpu
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.render import Backend, rasterize
@@ -29,7 +29,7 @@ def turned_cameras() -> Cameras:
 
 def cast(splats: Splats, cameras: Cameras, backend: Backend, dtype: torch.dtype):
     """Both for a backend; of these only the poses collect gradients."""
-    device = "cuda" if backend == "cuda" and torch.cuda.is_available() else "cpu"
+    device = device_of(backend)
     tensors = {name: t.to(device, dtype) for name, t in splats.tensors().items()}
     viewmats = cameras.viewmats.to(device, dtype, copy=True).requires_grad_()
     return replace(splats, **tensors), replace(cameras, viewmats=viewmats)
@@ -96,7 +96,7 @@ def test_they_are_the_references(backend: Backend, name: str):
 def test_gsplat_is_asked_for_them(monkeypatch: pytest.MonkeyPatch, name: str):
     install(monkeypatch)
     expected = pose_gradients("reference", torch.float64, **CASES[name])
-    assert_same(pose_gradients("cuda", torch.float64, **CASES[name]), expected, 1e-10)  # rounding
+    assert_same(pose_gradients("gsplat", torch.float64, **CASES[name]), expected, 1e-10)  # rounding
 
 
 def test_they_are_the_same_every_time_and_almost_so_by_any_number_of_threads(

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from scenes import BACKENDS, cloud, leaf, random_splats, shell, two_cameras
+from scenes import BACKENDS, cloud, device_of, leaf, random_splats, shell, two_cameras
 from stylesplat.rendering.reference import mean_depths
 from stylesplat.rendering.render import Backend
 from stylesplat.rendering.surface import (
@@ -59,7 +59,7 @@ def middle(image: Tensor) -> Tensor:
 def test_depths_are_the_references(
     backend: Backend, picked: Tensor | None, shares: tuple[float, float]
 ):
-    device = "cuda" if backend == "cuda" else "cpu"
+    device = device_of(backend)
     splats, mask = CLOUD.to(device), None if picked is None else picked.to(device)
     found, covered = front_depth(splats, CAMERA, mask, shares=shares, backend=backend)
     exact = leaf(CLOUD, torch.float64)
@@ -72,7 +72,7 @@ def test_depths_are_the_references(
 @pytest.mark.parametrize("backend", ANY)
 @pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [-0.3, 0.6, 1.0]])
 def test_of_a_tilted_disc_each_pixel_has_a_depth_of_its_own(backend: Backend, normal: list[float]):
-    splats = wall(3.0, normal).to("cuda" if backend == "cuda" else "cpu")
+    splats = wall(3.0, normal).to(device_of(backend))
     depths, covered = (each.cpu() for each in front_depth(splats, CAMERA, backend=backend))
     y, x = torch.meshgrid(torch.arange(52) + 0.5, torch.arange(70) + 0.5, indexing="ij")
     rays = torch.stack([(x - 33) / 60, (y - 25) / 70, torch.ones_like(x)], dim=2)
@@ -90,7 +90,7 @@ def test_haze_does_not_move_the_surface_behind_it(backend: Backend):
     for haze, expected in ((0.05, 3.0), (0.3, 1.0 * 2 / 3 + 3.0 / 3), (0.45, 1.0)):
         logit = math.log(haze / (1 - haze))
         splats = Splats.cat([wall(1.0, flat, logit), wall(3.0, flat), wall(5.0, flat)])
-        splats = splats.to("cuda" if backend == "cuda" else "cpu")
+        splats = splats.to(device_of(backend))
         depths, _ = front_depth(splats, CAMERA, backend=backend)
         centre = depths[24:26, 32:34].cpu()  # where the haze has its full opacity
         assert (centre - expected).abs().max() < 0.05

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from balls import BALLS, CAMERAS, PLAIN, SPLATS
-from scenes import BACKENDS, cloud, leaf, rand, randn, random_splats, two_cameras
+from scenes import BACKENDS, cloud, device_of, leaf, rand, randn, random_splats, two_cameras
 from stylesplat.rendering import weights
 from stylesplat.rendering.render import Backend, colors_of, rasterize
 from stylesplat.rendering.weights import (
@@ -40,7 +40,7 @@ ROUNDING = 1e-4  # float32 sums of the same weights in another order
 
 def on(backend: Backend, *tensors: Splats | Tensor) -> list[Any]:
     """On the backend's device."""
-    device = "cuda" if backend == "cuda" else "cpu"
+    device = device_of(backend)
     return [each.to(device) for each in tensors]
 
 
@@ -61,7 +61,7 @@ def test_pixels_in_is_the_adjoint_of_composite(backend: Backend, count: int):
     scale = float(shown.norm() * image.norm())
     assert float(by_gaussians) == pytest.approx(float(by_pixels), abs=1e-5 * scale)
     # CUDA adds in any order
-    near = ROUNDING if backend == "cuda" else 0
+    near = ROUNDING if backend in ("cuda", "gsplat") else 0
     assert_near(backproject(splats, CAMERA, image, backend=backend), sums, near)
 
 

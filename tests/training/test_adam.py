@@ -3,7 +3,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-import fake_gsplat
+from rendering import emulated_cuda
 from scenes import randn
 from stylesplat.training import adam
 from stylesplat.training.adam import (
@@ -20,11 +20,11 @@ from stylesplat.training.adam import (
 VISIBLE = torch.tensor([True, False, True, False, False, True])
 
 
-@pytest.fixture(autouse=True, params=["numba", "gsplat"])
+@pytest.fixture(autouse=True, params=["numba", "cuda"])
 def kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Every test runs with the kernel of the CPU, and with the call of gsplat's."""
-    if request.param == "gsplat":
-        fake_gsplat.install_training_kernels(monkeypatch)
+    """Every test runs with the kernel of the CPU, and with that of GPUs, emulated."""
+    if request.param == "cuda":
+        emulated_cuda.install(monkeypatch)
         monkeypatch.setattr(adam, "adam_cpu", adam_cuda)
     yield request.param
 
@@ -94,7 +94,7 @@ def test_a_step_for_several_photos_is_longer_and_remembers_less():
 
 
 def test_the_layout_in_memory_is_irrelevant(kernel: str):
-    if kernel == "gsplat":
+    if kernel == "cuda":
         pytest.skip("training keeps its tensors contiguous")
     plain = torch.ones(10, 3, requires_grad=True)
     transposed = torch.ones(3, 10).T.requires_grad_()

@@ -23,7 +23,18 @@ from stylesplat.rendering.kernels.linear_blocks import BlockWeights
 from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
 from stylesplat.rendering.kernels.vec import LANES, FlatRows
-from stylesplat.rendering.reference import Gaussians, Info, Projected, View, views_of
+from stylesplat.rendering.reference import (
+    Gaussians,
+    Info,
+    Projected,
+    ProjectedView,
+    View,
+    adjoint,
+    stacked,
+    unstacked,
+    views_of,
+)
+from stylesplat.rendering.reference import tile as tile  # the same in every backend without lists
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import sh_bases
 
@@ -263,14 +274,14 @@ def rasterize(
     if geometry_channels == wanted:
         geometry_channels = colors.shape[-1]
     projections = [project_gaussians(gaussians, view) for view in views_of(cameras)]
-    info = Projected(*(_stacked(each) for each in zip(*projections, strict=True)))
+    info = Projected(*(stacked(each) for each in zip(*projections, strict=True)))
     # The blended tensors are views of those in `info`, so gradients reach these, too
-    unstacked = zip(*(_unstacked(each) for each in info), strict=True)
+    views = zip(*(unstacked(each) for each in info), strict=True)
     images = [
         blend_projected(Projected(*each), view_colors, cameras.size, geometry_channels)
-        for each, view_colors in zip(unstacked, colors, strict=True)
+        for each, view_colors in zip(views, colors, strict=True)
     ]
-    render_colors, render_alphas = (_stacked(each) for each in zip(*images, strict=True))
+    render_colors, render_alphas = (stacked(each) for each in zip(*images, strict=True))
     return render_colors[..., :wanted], render_alphas, info._asdict()
 
 
@@ -288,12 +299,15 @@ def blend_projected(
     return _Blend.apply(raster, geometry_channels, colors, *projected)
 
 
-def composite(
-    projected: Projected, values: Float[Tensor, "N D"], size: tuple[int, int]
-) -> Float[Tensor, "H W D"]:
+def composite(tiled: ProjectedView, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W D"]:
     """Composite values of projected Gaussians; see `reference.composite`."""
-    image, _ = blend_projected(projected, padded(values), size, geometry_channels=3)
+    image, _ = blend_projected(tiled.projected, padded(values), tiled.size, geometry_channels=3)
     return image[..., : values.shape[1]]
+
+
+def backproject(tiled: ProjectedView, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
+    """The adjoint of `composite`; see `reference.backproject`."""
+    return adjoint(composite, tiled, len(tiled.projected.depths), image)
 
 
 def front_depth(
@@ -361,11 +375,3 @@ def backproject_blocks(
     partial, flat = partial_sums(count, LANES), image.contiguous().view(-1).numpy()
     linear_blocks.compose_backward(blocks, flat, (width, height), partial.flatten(1).numpy())
     return partial.sum(dim=0)[:, :3]
-
-
-def _stacked(tensors: tuple[Tensor, ...]) -> Tensor:
-    return tensors[0][None] if len(tensors) == 1 else torch.stack(tensors)
-
-
-def _unstacked(tensor: Tensor) -> tuple[Tensor, ...]:
-    return (tensor.squeeze(0),) if len(tensor) == 1 else tensor.unbind()

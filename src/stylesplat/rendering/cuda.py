@@ -1,33 +1,221 @@
-"""Rendering on NVIDIA GPUs, through gsplat 1.5.3.
+"""Rendering on NVIDIA GPUs by our own kernels (`kernels/*.cu`), behind differentiable functions.
 
-Of no Gaussians gsplat divides whole numbers by 0, which ends the process: it is not asked then.
+Float32 by construction. Gradients reach means, quats, scales, opacities and colours, and the
+cameras' poses where these ask for them; intrinsics are taken as fixed.
 """
+# pyright: reportIncompatibleMethodOverride=false
+# (torch's own signature of `backward` is (*args))
 
-from typing import Any
+import math
+from typing import NamedTuple
 
-import gsplat
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd import Function
+from torch.autograd.function import once_differentiable
 
-from stylesplat.rendering import reference
+from stylesplat.rendering import nvrtc
+from stylesplat.rendering.nvrtc import FOLDER, THREADS, Argument
 from stylesplat.rendering.reference import (
-    EPS2D,
-    FAR_PLANE,
-    NEAR_PLANE,
     Gaussians,
     Info,
     Projected,
     View,
+    stacked,
+    unstacked,
+    views_of,
 )
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import pixel_centres
+from stylesplat.scene.splats import SH_C0, SH_C1, SH_C2, SH_C3, SH_C3_ZONAL, sh_bases
 
-# 19 channels take 4.9 ms as 16 and 3, and 5.9 by gsplat's kernel for 32 (fox, 100,000 Gaussians,
-# forward and backward, H200)
-CHANNELS_AT_ONCE = 16
-TILE = 16  # pixels of a tile's side, gsplat's default
-EVERY_BATCH = 1 << 30  # as many batches of Gaussians as there are
+PROJECT, HARMONICS = FOLDER / "project.cu", FOLDER / "harmonics.cu"
+TILES, BLEND = FOLDER / "tiles.cu", FOLDER / "blend.cu"
+LARGE_TILE, SMALL_TILE = 16, 8  # pixels of a side
+SMALL_IMAGE = 512 * 512  # pixels, up to which there are too few large tiles to fill a GPU
+CHANNELS = 1, 4, 16, 20  # of a pass: coverage; colours; identities; both. Compiled for these alone
+PLANES = 4  # channels of `front_depth`
+ELLIPSE = 6  # gradient numbers of an ellipse
+SH_CONSTANTS = {
+    **{"SH_C0": SH_C0, "SH_C1": SH_C1},
+    **dict(zip(("SH_A2", "SH_B2", "SH_C2"), SH_C2, strict=True)),
+    **dict(zip(("SH_A3", "SH_B3", "SH_C3"), SH_C3, strict=True)),
+    **dict(zip(("SH_ZONAL", "SH_TESSERAL"), SH_C3_ZONAL, strict=True)),
+}
+
+
+class Tiled(NamedTuple):
+    """Projected Gaussians, sorted into the tiles of one image."""
+
+    means2d: Float[Tensor, "N 2"]
+    conics: Float[Tensor, "N 3"]
+    opacities: Float[Tensor, " N"]
+    starts: Int[Tensor, " T"]
+    """Cuts `order` into tiles."""
+    order: Int[Tensor, " P"]
+    """The Gaussians of each tile, front to back."""
+    width: int
+    height: int
+    side: int
+    """Of a tile, in pixels."""
+
+
+def tile(projected: Projected, size: tuple[int, int]) -> Tiled:
+    """Sort projected Gaussians into the tiles of an image; the host waits once, for a number."""
+    (width, height), count = size, len(projected.depths)
+    side = SMALL_TILE if width * height <= SMALL_IMAGE else LARGE_TILE
+    columns, rows = -(-width // side), -(-height // side)
+    means2d, conics, opacities, depths, radii = (t.detach().contiguous() for t in projected)
+    given = means2d, conics, opacities, depths, radii, columns, rows, count
+    kernels = nvrtc.load(TILES, means2d.device, TILE=side)
+    grid = -(-count // THREADS), 1
+    counts = torch.empty(count, dtype=torch.int32, device=means2d.device)
+    kernels.launch("list_tiles", grid, THREADS, *given, counts, None, None, None)
+    ends = counts.cumsum(dim=0, dtype=torch.int64)
+    pairs = int(ends[-1]) if count else 0
+    keys, ids = ends.new_empty(pairs), counts.new_empty(pairs)
+    kernels.launch("list_tiles", grid, THREADS, *given, counts, ends, keys, ids)
+    keys, sources = torch.sort(keys, stable=True)
+    starts, order = ends.new_zeros(columns * rows + 1), torch.empty_like(ids)
+    grid = -(-pairs // THREADS), 1
+    cut = keys, sources, ids, ends, count, columns * rows, starts, order
+    kernels.launch("cut_tiles", grid, THREADS, *cut)
+    return Tiled(means2d, conics, opacities, starts, order, width, height, side)
+
+
+def _blend(name: str, tiled: Tiled, part: slice, stride: int, *arguments: Argument) -> None:
+    """Run a kernel of `blend.cu` on some channels of rows that have `stride` of them."""
+    *tensors, width, height, side = tiled
+    count = part.stop - part.start
+    compiled = next(channels for channels in CHANNELS if channels >= count)
+    kernels = nvrtc.load(BLEND, tiled.means2d.device, TILE=side, CHANNELS=compiled)
+    grid = -(-width // side), -(-height // side)
+    given = *tensors, width, height, stride, part.start, count, *arguments
+    kernels.launch(name, grid, side * side, *given)
+
+
+def _parts(channels: int) -> list[slice]:
+    """As many channels at a time as there are kernels for; of none one part, which is empty."""
+    most = CHANNELS[-1]
+    return [slice(k, min(k + most, channels)) for k in range(0, max(channels, 1), most)]
+
+
+class _Project(Function):
+    @staticmethod
+    def forward(ctx, view, viewmat, *fields):
+        gaussians = Gaussians(*fields)
+        *tensors, antialiased = gaussians
+        tensors = [t.contiguous() for t in (*tensors, viewmat, view.K)]
+        count, new = len(gaussians.means), gaussians.means.new_empty
+        radii = torch.empty(count, 2, dtype=torch.int32, device=gaussians.means.device)
+        opacities = new(count if antialiased else 0)
+        out = Projected(new(count, 2), new(count, 3), opacities, new(count), radii)
+        ctx.given = view.width, view.height, int(antialiased), count
+        nvrtc.for_each_row(PROJECT, radii.device, count, *tensors, *ctx.given, *out)
+        ctx.save_for_backward(*tensors, radii)
+        ctx.mark_non_differentiable(out.depths, radii)
+        return tuple(out)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_means2d, v_conics, v_opacities, *_):
+        *tensors, radii = ctx.saved_tensors
+        means, quats, scales, opacities, viewmat, _ = tensors
+        *_, antialiased, count = ctx.given
+        found = [each.new_empty(each.shape) for each in (means, quats, scales, opacities)]
+        v_view = None
+        if ctx.needs_input_grad[1]:
+            v_view = torch.zeros(3, 4, dtype=torch.float64, device=means.device)
+        incoming = [_with_rows(each) for each in (v_means2d, v_conics, v_opacities)]
+        given = *tensors, *ctx.given, radii, *incoming, *(each.stride(0) for each in incoming)
+        given = *given, *found, v_view
+        nvrtc.for_each_row(PROJECT, means.device, count, *given, kernel="project_backward")
+        v_viewmat = None
+        if v_view is not None:
+            v_viewmat = torch.nn.functional.pad(v_view.to(viewmat), (0, 0, 0, 1))  # one is fixed
+        *v_gaussians, v_opacities = found
+        return None, v_viewmat, *v_gaussians, v_opacities if antialiased else None, None
+
+
+def _with_rows(gradients: Tensor) -> Tensor:
+    """Gradients whose rows may lie apart, but are rows."""
+    return gradients if gradients.ndim == 1 or gradients.stride(1) == 1 else gradients.contiguous()
+
+
+class _Blend(Function):
+    @staticmethod
+    def forward(ctx, tiled, moving, colors, *ellipses):
+        colors, channels = colors.contiguous(), colors.shape[1]
+        image = colors.new_empty(tiled.height, tiled.width, channels)
+        alphas = colors.new_empty(tiled.height, tiled.width, 1)
+        for part in _parts(channels):
+            some = None if part.start else alphas
+            _blend("blend", tiled, part, channels, colors, image, some)
+        ctx.tiled, ctx.moving = tiled, moving
+        ctx.save_for_backward(colors, image, alphas)
+        return image, alphas
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_image, v_alphas):
+        colors, image, alphas = ctx.saved_tensors
+        (count, channels), tiled = colors.shape, ctx.tiled
+        v_image, v_alphas = v_image.contiguous(), v_alphas.contiguous()
+        sums = image.new_zeros(count * (ELLIPSE + channels))
+        v_ellipses, v_colors = sums.split([count * ELLIPSE, count * channels])
+        for part in _parts(channels):
+            moving = min(ctx.moving, part.stop) - part.start
+            if part.start and moving <= 0:
+                _blend("backproject", tiled, part, channels, v_image, v_colors)
+                continue
+            some = colors, image, alphas, v_image, None if part.start else v_alphas
+            _blend("blend_backward", tiled, part, channels, moving, *some, v_colors, v_ellipses)
+        v_means2d, v_conics, v_opacities = v_ellipses.view(count, ELLIPSE).split([2, 3, 1], dim=1)
+        v_colors = v_colors.view(count, channels)
+        return None, None, v_colors, v_means2d, v_conics, v_opacities[:, 0]
+
+
+class _Composite(Function):
+    @staticmethod
+    def forward(ctx, tiled, values):
+        ctx.tiled = tiled
+        values, channels = values.contiguous(), values.shape[1]
+        image = values.new_empty(tiled.height, tiled.width, channels)
+        for part in _parts(channels):
+            _blend("blend", tiled, part, channels, values, image, None)
+        return image
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_image):
+        return None, backproject(ctx.tiled, v_image)
+
+
+class _SphericalHarmonics(Function):
+    @staticmethod
+    def forward(ctx, bases, lowest, *harmonics):
+        dirs, sh0, shN = (each.contiguous() for each in harmonics)
+        ctx.given = bases, shN.shape[1], lowest, len(dirs)
+        out = torch.empty_like(dirs)
+        _harmonics("colors", dirs, sh0, shN, *ctx.given, out)
+        ctx.save_for_backward(dirs, sh0, shN, out)
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, v_out):
+        dirs, sh0, shN, out = ctx.saved_tensors
+        v_dirs, v_sh0, v_shN = (each.new_empty(each.shape) for each in (dirs, sh0, shN))
+        v_dirs = v_dirs if ctx.needs_input_grad[2] else None
+        given = dirs, shN, out, v_out.contiguous(), *ctx.given
+        _harmonics("colors_backward", *given, v_dirs, v_sh0, v_shN)
+        return None, None, v_dirs, v_sh0, v_shN
+
+
+def _harmonics(kernel: str, dirs: Tensor, *others: Argument) -> None:
+    """Run a kernel with a thread for each direction."""
+    given = dirs.device, len(dirs), dirs, *others
+    nvrtc.for_each_row(HARMONICS, *given, kernel=kernel, **SH_CONSTANTS)
 
 
 def spherical_harmonics(
@@ -39,65 +227,50 @@ def spherical_harmonics(
     clamp: bool = True,
 ) -> Float[Tensor, "N 3"]:
     """Colours of Gaussians seen along `dirs`; see `reference.spherical_harmonics`."""
-    sh = torch.cat([sh0, shN], dim=1)
-    colors = gsplat.spherical_harmonics(degree, dirs, sh) + 0.5
-    return colors.clamp(min=0) if clamp else colors
+    lowest = 0.0 if clamp else -math.inf
+    return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
 
 
-@torch.no_grad()
 def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
-    """What one camera sees of Gaussians, without gradients."""
-    means, quats, scales, opacities, antialiased = gaussians
-    if not len(means):
-        return reference.project_gaussians(gaussians, view)
-    radii, means2d, depths, conics, compensations = gsplat.fully_fused_projection(
-        means,
-        None,
-        quats,
-        scales,
-        view.viewmat[None],
-        view.K[None],
-        view.width,
-        view.height,
-        eps2d=EPS2D,
-        near_plane=NEAR_PLANE,
-        far_plane=FAR_PLANE,
-        calc_compensations=antialiased,
-        opacities=opacities,
-    )
-    if antialiased:
-        opacities = opacities * compensations[0]
-    return Projected(means2d[0], conics[0], opacities, depths[0], radii[0])
+    """What one camera sees of Gaussians; gradients reach no depths."""
+    projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
+    if gaussians.antialiased:
+        return projected
+    return projected._replace(opacities=gaussians.opacities)
 
 
-def composite(
-    projected: Projected, values: Float[Tensor, "N D"], size: tuple[int, int]
-) -> Float[Tensor, "H W D"]:
+def rasterize(
+    gaussians: Gaussians,
+    colors: Float[Tensor, "C N D"],
+    cameras: Cameras,
+    *,
+    geometry_channels: int,
+) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
+    """Render; see `reference.rasterize`."""
+    projections = [project_gaussians(gaussians, view) for view in views_of(cameras)]
+    info = Projected(*(stacked(each) for each in zip(*projections, strict=True)))
+    # The blended tensors are views of those in `info`, so gradients reach these, too
+    views = [Projected(*each) for each in zip(*(unstacked(each) for each in info), strict=True)]
+    images = [
+        _Blend.apply(tile(view, cameras.size), geometry_channels, view_colors, *view[:3])
+        for view, view_colors in zip(views, colors, strict=True)
+    ]
+    render_colors, render_alphas = (stacked(each) for each in zip(*images, strict=True))
+    return render_colors, render_alphas, info._asdict()
+
+
+def composite(tiled: Tiled, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W D"]:
     """Composite values of projected Gaussians; see `reference.composite`."""
-    if not len(values):
-        width, height = size
-        return values.sum(dim=0).expand(height, width, -1)  # zeros, with a gradient
-    info = _tiled(projected, size)
-    parts = [_blended(part[None], info)[0] for part in values.split(CHANNELS_AT_ONCE, dim=-1)]
-    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=-1)
+    return _Composite.apply(tiled, values)
 
 
-def _tiled(projected: Projected, size: tuple[int, int]) -> dict[str, Any]:
-    """Projected Gaussians of one camera, sorted into tiles, as gsplat's functions take them."""
-    width, height = size
-    columns, rows = -(-width // TILE), -(-height // TILE)
-    places = projected.means2d[None], projected.radii[None], projected.depths[None]
-    _, tiles, order = gsplat.isect_tiles(*places, TILE, columns, rows)
-    return {
-        "means2d": projected.means2d[None],
-        "conics": projected.conics[None],
-        "opacities": projected.opacities[None],
-        "width": width,
-        "height": height,
-        "tile_size": TILE,
-        "isect_offsets": gsplat.isect_offset_encode(tiles, 1, columns, rows),
-        "flatten_ids": order,
-    }
+def backproject(tiled: Tiled, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
+    """The adjoint of `composite`; see `reference.backproject`."""
+    image, channels = image.detach().contiguous(), image.shape[-1]
+    sums = image.new_zeros(len(tiled.opacities), channels)
+    for part in _parts(channels):
+        _blend("backproject", tiled, part, channels, image, sums)
+    return sums
 
 
 @torch.no_grad()
@@ -108,82 +281,9 @@ def front_depth(
     size: tuple[int, int],
     shares: tuple[float, float],
 ) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
-    """The mean depth between two shares of a pixel's weight; see `reference.front_depth`.
-
-    gsplat lists which Gaussians each pixel shows, front to back.
-    """
-    if not len(planes):
-        return reference.front_depth(projected, planes, counted, size, shares)
-    (width, height), info = size, _tiled(projected, size)
-    light = planes.new_ones(1, height, width)
-    rows, pixels, _ = gsplat.rasterize_to_indices_in_range(
-        0, EVERY_BATCH, light, info["means2d"], info["conics"], info["opacities"], width, height,
-        TILE, info["isect_offsets"], info["flatten_ids"],
-    )  # fmt: skip
-    rows, pixels = rows.long(), pixels.long()
-    centres, (means2d, conics, opacities, *_) = pixel_centres(width, height).to(planes), projected
-    offsets = centres[pixels] - means2d[rows]
-    alphas = reference.alphas_at(offsets, conics[rows], opacities[rows])
-    # The light that is left in front of each, from logarithms: pixels differ in length
-    passing = torch.log1p(-alphas.double())
-    before = passing.cumsum(dim=0) - passing
-    starts = torch.searchsorted(pixels, torch.arange(len(centres)).to(pixels))
-    before -= before[starts.clamp(max=max(len(pixels) - 1, 0))][pixels]
-    weights = counted[rows] * alphas * before.exp().to(alphas)
-    kept = weights.nonzero()[:, 0]
-    pixels, rows, weights = pixels[kept], rows[kept], weights[kept]
-    depths = reference.depths_at(projected, planes, rows, centres[pixels])
-    image = reference.mean_depths(pixels, weights, depths, len(centres), shares)
-    depths, covered = image.reshape(height, width, 2).unbind(dim=2)
+    """The mean depth between two shares of a pixel's weight; see `reference.front_depth`."""
+    tiled, rows = tile(projected, size), torch.cat([planes, counted[:, None]], dim=1)
+    covered = composite(tiled, counted[:, None])[..., 0]
+    depths, part = torch.empty_like(covered), slice(0, PLANES)
+    _blend("front_depth", tiled, part, PLANES, rows, covered, *map(float, shares), depths)
     return depths, covered
-
-
-def rasterize(
-    gaussians: Gaussians,
-    colors: Float[Tensor, "C N D"],
-    cameras: Cameras,
-    *,
-    geometry_channels: int,
-) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `reference.rasterize`.
-
-    The Gaussians are projected and sorted into tiles once, for all channels.
-    """
-    if not len(gaussians.means):
-        return reference.rasterize(gaussians, colors, cameras, geometry_channels=geometry_channels)
-    width, height = cameras.size
-    moving, others = colors.tensor_split([geometry_channels], dim=-1)
-    image, alphas, info = gsplat.rasterization(
-        *gaussians[:4],
-        colors=moving,
-        viewmats=cameras.viewmats,
-        Ks=cameras.Ks,
-        width=width,
-        height=height,
-        near_plane=NEAR_PLANE,
-        far_plane=FAR_PLANE,
-        eps2d=EPS2D,
-        packed=False,  # projections are [C, N, ...], which is what `Info` promises
-        rasterize_mode="antialiased" if gaussians.antialiased else "classic",
-        channel_chunk=CHANNELS_AT_ONCE,
-    )
-    if others.shape[-1] > 0:
-        parts = [_blended(part, info) for part in others.split(CHANNELS_AT_ONCE, dim=-1)]
-        image = torch.cat([image, *parts], dim=-1)
-    return image, alphas, {key: info[key] for key in Projected._fields}
-
-
-def _blended(colors: Float[Tensor, "C N D"], info: dict[str, Any]) -> Float[Tensor, "C H W D"]:
-    """More channels of what gsplat has projected; their gradients reach the colours only."""
-    image, _ = gsplat.rasterize_to_pixels(
-        means2d=info["means2d"].detach(),
-        conics=info["conics"].detach(),
-        colors=colors,
-        opacities=info["opacities"].detach(),
-        image_width=info["width"],
-        image_height=info["height"],
-        tile_size=info["tile_size"],
-        isect_offsets=info["isect_offsets"],
-        flatten_ids=info["flatten_ids"],
-    )
-    return image

@@ -6,6 +6,7 @@ antialiased Gaussians, its antialiased one). The CPU kernels take the nouns with
 of tensors.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
@@ -20,7 +21,8 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import pixel_centres
 from stylesplat.scene.splats import Splats, sh_basis
 
-Backend = Literal["auto", "reference", "cpu", "cuda"]
+Backend = Literal["auto", "reference", "cpu", "cuda", "gsplat"]
+ON_GPU = "cuda"  # what `auto` takes for tensors on a GPU: `cuda`, our kernels, or `gsplat`
 Info = dict[str, Tensor]
 
 EVERYONE = slice(None)
@@ -77,6 +79,13 @@ class Projected(NamedTuple):
     """Whole pixels in x and y; 0 for Gaussians out of view."""
 
 
+class ProjectedView(NamedTuple):
+    """What is composited. Backends of GPUs have their own, with Gaussians sorted into tiles."""
+
+    projected: Projected
+    size: tuple[int, int]
+
+
 def views_of(cameras: Cameras) -> list[View]:
     """The cameras one by one; they share an image size."""
     matrices = zip(cameras.viewmats, cameras.Ks, strict=True)
@@ -100,13 +109,15 @@ def with_matrices_of(splats: Splats, cameras: Cameras) -> Cameras:
 def backend_module(backend: Backend, device: torch.device) -> Any:
     """The module of a backend: it has `rasterize`, `composite` and the like, as this one has."""
     if backend == "auto":
-        backend = "cuda" if device.type == "cuda" else "cpu"
-    if backend == "cuda" and find_spec("gsplat") is None:
+        backend = ON_GPU if device.type == "cuda" else "cpu"
+    if backend != "gsplat":
+        return import_module(f"stylesplat.rendering.{backend}")
+    if find_spec("gsplat") is None:
         raise StyleSplatError(
-            "Rendering on a GPU needs gsplat, which is not installed. "
-            "Run `pip install stylesplat[cuda]`, or choose the cpu device."
+            "The backend gsplat is not installed. Run `pip install 'stylesplat[gsplat]'`, or take "
+            "the backend cuda."
         )
-    return import_module(f"stylesplat.rendering.{backend}")
+    return import_module("stylesplat.rendering.through_gsplat")
 
 
 def spherical_harmonics(
@@ -226,11 +237,33 @@ def blend(
     return image[..., :-1], image[..., -1:]
 
 
-def composite(
-    projected: Projected, values: Float[Tensor, "N D"], size: tuple[int, int]
-) -> Float[Tensor, "H W D"]:
+def tile(projected: Projected, size: tuple[int, int]) -> ProjectedView:
+    """What `composite` and `backproject` take: one camera's Gaussians, sorted once for all."""
+    return ProjectedView(projected, size)
+
+
+def composite(tiled: ProjectedView, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W D"]:
     """Composite values of one camera's projected Gaussians; gradients reach the values alone."""
-    return blend(projected, values, size, geometry_channels=0)[0]
+    return blend(tiled.projected, values, tiled.size, geometry_channels=0)[0]
+
+
+def backproject(tiled: ProjectedView, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
+    """The adjoint of `composite`: sums of an image times the weights of each Gaussian."""
+    return adjoint(composite, tiled, len(tiled.projected.depths), image)
+
+
+def adjoint(
+    composite: Callable[[Any, Tensor], Tensor],
+    tiled: Any,
+    count: int,
+    image: Float[Tensor, "H W D"],
+) -> Float[Tensor, "N D"]:
+    """The adjoint of a backend's `composite` of so many Gaussians, as its gradient."""
+    values = image.new_zeros(count, image.shape[-1]).requires_grad_()
+    with torch.enable_grad():
+        shown = composite(tiled, values)
+        total = shown.flatten() @ image.flatten()  # with grad_outputs torch imports sympy: 1 s
+    return torch.autograd.grad(total, values)[0]
 
 
 def depth_planes(
@@ -314,6 +347,16 @@ def mean_depths(
     sums = torch.zeros_like(covered).index_add(0, pixels, inside.clamp(min=0) * depths)
     means = sums / (high - low).where(covered > 0, 1)
     return torch.stack([means, covered], dim=1).to(depths)
+
+
+def stacked(tensors: tuple[Tensor, ...]) -> Tensor:
+    """The tensors of some views as one; of one view without a copy."""
+    return tensors[0][None] if len(tensors) == 1 else torch.stack(tensors)
+
+
+def unstacked(tensor: Tensor) -> tuple[Tensor, ...]:
+    """The tensors of each view."""
+    return (tensor.squeeze(0),) if len(tensor) == 1 else tensor.unbind()
 
 
 def _front_to_back(projected: Projected) -> Int[Tensor, " M"]:

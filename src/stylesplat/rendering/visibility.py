@@ -5,7 +5,7 @@ scene is projected a part at a time, so that memory is that of the Gaussians in 
 loaded on the first call: to select by id none are needed.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -118,48 +118,49 @@ def touching(
     return touched.index_fill(0, rows[counts > 0], True)
 
 
-def composite_projected(
-    projected: Projected,
-    values: Float[Tensor, "M K"],
-    size: tuple[int, int],
-    backend: Backend = "auto",
-) -> Float[Tensor, "H W K"]:
-    """Composite values of projected Gaussians, as many channels at a time as kernels take."""
-    blend = backend_module(backend, values.device).composite
-    parts = [blend(projected, part, size) for part in values.split(CHANNELS_PER_PASS, dim=1)]
-    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=-1)
+def tiled(projected: Projected, size: tuple[int, int], backend: Backend = "auto") -> "TiledView":
+    """Projected Gaussians, prepared to composite values of theirs again and again."""
+    device = projected.depths.device
+    return TiledView(backend_module(backend, device).tile(projected, size), backend, device)
 
 
-def backproject_projected(
-    projected: Projected,
-    image: Float[Tensor, "H W K"],
-    size: tuple[int, int],
-    backend: Backend = "auto",
-) -> Float[Tensor, "M K"]:
-    """The adjoint, as a gradient: an image is linear in what Gaussians carry."""
-    parts = list[Tensor]()
-    for part in image.split(CHANNELS_PER_PASS, dim=-1):
-        values = image.new_zeros(len(projected.depths), part.shape[-1]).requires_grad_()
-        with torch.enable_grad():
-            shown = composite_projected(projected, values, size, backend)
-            total = shown.flatten() @ part.flatten()  # with grad_outputs torch imports sympy: 1 s
-        parts += torch.autograd.grad(total, values)
-    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+class TiledView(NamedTuple):
+    """Projected Gaussians of one view, prepared for compositing by a backend."""
+
+    tiles: Any
+    backend: Backend
+    device: torch.device
+
+    def composite(self, values: Float[Tensor, "M K"]) -> Float[Tensor, "H W K"]:
+        """Composite their values, as many channels at a time as kernels take."""
+        blend = backend_module(self.backend, self.device).composite
+        parts = [blend(self.tiles, part) for part in values.split(CHANNELS_PER_PASS, dim=1)]
+        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=-1)
+
+    def backproject(self, image: Float[Tensor, "H W K"]) -> Float[Tensor, "M K"]:
+        """The adjoint."""
+        back = backend_module(self.backend, self.device).backproject
+        parts = [back(self.tiles, part) for part in image.split(CHANNELS_PER_PASS, dim=-1)]
+        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
 
 @torch.no_grad()
-def visible(near: InView, camera: Cameras) -> InView:
-    """The Gaussians that reach a pixel of the camera, though others hide some."""
+def visible(near: InView, camera: Cameras, view: TiledView | None = None) -> InView:
+    """The Gaussians that reach a pixel of the camera, though others hide some.
+
+    `view` is theirs, where it is there already.
+    """
     if near.rows.device.type != "cpu":
         width, height = camera.size
         image = near.projected.means2d.new_ones(height, width, 1)
-        pixels = backproject_projected(near.projected, image, camera.size)
+        view = view or tiled(near.projected, camera.size)
+        pixels = view.backproject(image)
         return near.some(pixels.nonzero()[:, 0])
     from stylesplat.rendering import cpu
 
     colors = near.projected.means2d.new_zeros(len(near.rows), 3)
-    tiled = cpu.rasterize_to_pixels(near.projected, colors, camera.size).tiled
-    places = np.sort(tiled.order[cpu.reaching(tiled)])
+    lists = cpu.rasterize_to_pixels(near.projected, colors, camera.size).tiled
+    places = np.sort(lists.order[cpu.reaching(lists)])
     return near.some(torch.from_numpy(places.astype(np.int64)))
 
 

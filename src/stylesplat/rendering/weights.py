@@ -20,17 +20,17 @@ from scipy.sparse import csc_array, csr_array
 from torch import Tensor
 from torch.nn.functional import pad
 
-from stylesplat.rendering.reference import Backend, Projected, backend_module, with_matrices_of
+from stylesplat.rendering.reference import Backend, backend_module, with_matrices_of
 from stylesplat.rendering.render import colors_of, render
 from stylesplat.rendering.visibility import (
     CHANNELS_PER_PASS,
     VISIBLE_LARGE,
     VISIBLE_MANY,
-    backproject_projected,
+    TiledView,
     bounds,
-    composite_projected,
     in_view,
     project_splats,
+    tiled,
     touching,
     visible,
 )
@@ -67,9 +67,8 @@ def composite(
     near = in_view(splats, camera, pixels, backend)
     if len(near.rows) > VISIBLE_MANY:
         near = visible(near, camera)
-    return composite_projected(
-        near.projected, values.index_select(0, near.rows), camera.size, backend
-    )
+    view = tiled(near.projected, camera.size, backend)
+    return view.composite(values.index_select(0, near.rows))
 
 
 @torch.no_grad()
@@ -82,7 +81,7 @@ def backproject(
 ) -> Float[Tensor, "N K"]:
     """Sum an image over its pixels, times the weights of each Gaussian: adjoint to `composite`."""
     near = in_view(splats, camera, backend=backend)
-    sums = backproject_projected(near.projected, image, camera.size, backend)
+    sums = tiled(near.projected, camera.size, backend).backproject(image)
     return sums.new_zeros(len(splats), sums.shape[1]).index_copy_(0, near.rows, sums)
 
 
@@ -134,7 +133,7 @@ def label_pixels(
             if len(passes) > 1:
                 marked = wanted.any(dim=-1).to(splats.device)
                 part = near.some(touching(*bounds(near.projected), marked).nonzero()[:, 0])
-            pixels = backproject_projected(part.projected, wanted.to(splats.means), camera.size)
+            pixels = tiled(part.projected, camera.size).backproject(wanted.to(splats.means))
             entries, which = pixels.nonzero(as_tuple=True)
             own = np.array([columns.setdefault(id, len(columns)) for id in ids])
             places = part.rows[entries].cpu().numpy(), own[which.cpu().numpy()]
@@ -304,17 +303,30 @@ class RasterizedContributions(Contributions):
     places: Int[Tensor, " M"]
     """Where among these are `gaussians`."""
 
-    def _projected(self) -> Projected:
+    def view(self) -> TiledView:
+        """What reaches the image."""
         near = self.scene.map(lambda tensor: tensor.index_select(0, self.near))
-        return project_splats(near, self.camera)
+        return tiled(project_splats(near, self.camera), self.camera.size)
 
     def composite(self, values: Float[Tensor, "M D"]) -> Float[Tensor, "H W D"]:
         every = values.new_zeros(len(self.near), values.shape[1]).index_copy(0, self.places, values)
-        return composite_projected(self._projected(), every, self.camera.size)
+        return self.view().composite(every)
 
     def backproject(self, image: Float[Tensor, "H W D"]) -> Float[Tensor, "M D"]:
-        sums = backproject_projected(self._projected(), image, self.camera.size)
-        return sums.index_select(0, self.places)
+        return self.view().backproject(image).index_select(0, self.places)
+
+
+@dataclass(frozen=True, eq=False)
+class TiledContributions(RasterizedContributions):
+    """Without stored weights; on a GPU, which keeps the Gaussians sorted into tiles.
+
+    These take about as much memory as the images.
+    """
+
+    tiles: TiledView
+
+    def view(self) -> TiledView:
+        return self.tiles
 
 
 @torch.no_grad()
@@ -342,21 +354,26 @@ def contributions(
     others = (~mine).nonzero()[:, 0]
     colors = mine[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
     colors[others, :3] = colors_of(splats, near.rows[others], camera.positions)
+    view = None
     if splats.device.type == "cpu":
         cpu = _cpu()
-        tiled, image, _ = cpu.rasterize_to_pixels(near.projected, colors, camera.size)
-        drawn = cpu.reaching(tiled) & mine.numpy()[tiled.order]
+        lists, image, _ = cpu.rasterize_to_pixels(near.projected, colors, camera.size)
+        drawn = cpu.reaching(lists) & mine.numpy()[lists.order]
         numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
-        blocks = cpu.store_contributions(tiled, numbers, camera.size, max_bytes)
-        rows = near.rows[torch.from_numpy(tiled.order[drawn].astype(np.int64))]
+        blocks = cpu.store_contributions(lists, numbers, camera.size, max_bytes)
+        rows = near.rows[torch.from_numpy(lists.order[drawn].astype(np.int64))]
         if blocks is not None:
             return StoredContributions(len(splats), rows, *_split(image), blocks)
     else:
-        image = composite_projected(near.projected, colors, camera.size)
-    near = visible(near, camera).rows
-    places = mask[near].nonzero()[:, 0]
-    shared = len(splats), near[places], *_split(image)
-    return RasterizedContributions(*shared, geometry_only(splats), camera, near, places)
+        view = tiled(near.projected, camera.size)
+        image = view.composite(colors)
+    near = visible(near, camera, view)
+    places = mask[near.rows].nonzero()[:, 0]
+    shared = len(splats), near.rows[places], *_split(image)
+    given = *shared, geometry_only(splats), camera, near.rows, places
+    if splats.device.type == "cpu":
+        return RasterizedContributions(*given)
+    return TiledContributions(*given, tiled(near.projected, camera.size))
 
 
 def _split(image: Float[Tensor, "H W 4"]) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:

@@ -6,6 +6,7 @@ Rows whose Gaussian is invisible in a step keep their value and moments, as in g
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numba
@@ -15,7 +16,9 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from stylesplat.rendering.kernels.jit import kernel
+from stylesplat.rendering.nvrtc import for_each_row
 
+KERNEL = Path(__file__).with_name("adam.cu")
 BETA1, BETA2 = 0.9, 0.999
 EPS = 1e-15  # as in the 3D Gaussian splatting code
 
@@ -125,28 +128,22 @@ class AdamTurn(NamedTuple):
     rate: float
     corrections: tuple[float, float]
 
+    @property
+    def factors(self) -> tuple[float, float]:
+        """Of the first moment, and of the second."""
+        return self.rate / self.corrections[0], 1 / self.corrections[1]
+
 
 def adam_cuda(changed: Changed, turns: Sequence[AdamTurn], kept: tuple[float, float]) -> None:
-    """Step a tensor in place, by the kernel of gsplat's `SelectiveAdam`; see `adam_cpu`.
-
-    The kernel divides by sqrt(second) + eps without the corrections, so rate and eps contain them:
-    rate / c1 * first / (sqrt(second / c2) + eps) is the same.
-    """
-    from gsplat.cuda._wrapper import adam
-
+    """Step a tensor on a GPU in place; see `adam_cpu`."""
+    param, first, second = changed
+    assert all(tensor.is_contiguous() for tensor in changed)
+    rows, count = len(param), param.numel()
     for turn in turns:
-        root = turn.corrections[1] ** 0.5
-        param, *moments = changed
-        adam(
-            param,
-            turn.grad.contiguous(),
-            *moments,
-            valid=turn.visible,
-            lr=turn.rate * root / turn.corrections[0],
-            b1=kept[0],
-            b2=kept[1],
-            eps=EPS * root,
-        )
+        grad, factor, scale = turn.grad.contiguous(), *turn.factors
+        steps = rows, count // max(rows, 1), factor, scale, *kept
+        given = param, first, second, grad, turn.visible.contiguous(), *steps
+        for_each_row(KERNEL, param.device, count, *given, ADAM_EPS=EPS)
 
 
 def adam_cpu(changed: Changed, turns: Sequence[AdamTurn], kept: tuple[float, float]) -> None:
@@ -155,7 +152,7 @@ def adam_cpu(changed: Changed, turns: Sequence[AdamTurn], kept: tuple[float, flo
     arrays = tuple(_rows(tensor) for tensor in packed)
     grads = tuple(_rows(turn.grad) for turn in turns)
     chosen = tuple(turn.visible.numpy() for turn in turns)
-    factors = [(turn.rate / turn.corrections[0], 1 / turn.corrections[1]) for turn in turns]
+    factors = [turn.factors for turn in turns]
     betas = np.float32(kept[0]), np.float32(kept[1])
     _adam(arrays, betas, grads, chosen, np.array(factors, np.float32))
     for tensor, copy in zip(changed, packed, strict=True):

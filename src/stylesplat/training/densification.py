@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from inspect import signature
 from math import comb, exp
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numba
@@ -19,6 +20,7 @@ from torch import Tensor
 from stylesplat.io.splats.splat_ply import SMALLEST_QUAT
 from stylesplat.io.tensors import GAUSSIANS, IDENTITIES, rows_in_range
 from stylesplat.rendering.kernels.jit import kernel
+from stylesplat.rendering.nvrtc import for_each_row
 from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import TensorOptimizer
 from stylesplat.training.config import TrainConfig, means_decay
@@ -31,6 +33,12 @@ NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
 DENSE_OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
+NOISE_CONSTANTS = {
+    "DEAD_OPACITY": DEAD_OPACITY,
+    "NOISE_SHARPNESS": NOISE_SHARPNESS,
+    "DENSE_OPAQUE": DENSE_OPAQUE,
+}
+KERNEL = Path(__file__).with_name("add_noise.cu")
 DECLARED = GAUSSIANS | {"identities": IDENTITIES}
 
 Params = dict[str, Tensor]
@@ -129,20 +137,15 @@ def perturb_means(
 
 
 def add_noise_cuda(params: Params, noise: Float[Tensor, "N 3"], rate: float) -> None:
-    """Move means by a rate times their covariance times noise.
-
-    As gsplat's `inject_noise_to_position`, which draws from the global generator.
-    """
-    from gsplat import quat_scale_to_covar_preci
-
-    scales, opacities = params["scales"].exp(), torch.sigmoid(params["opacities"])
-    covars, _ = quat_scale_to_covar_preci(params["quats"], scales, compute_preci=False)
-    gate = torch.sigmoid(NOISE_SHARPNESS * (DEAD_OPACITY - opacities))
-    params["means"].add_(torch.einsum("nij,nj->ni", covars, rate * gate[:, None] * noise))
+    """Add noise along the axes of each Gaussian, without the opaque ones."""
+    means, *others = (params[name] for name in ("means", "quats", "scales", "opacities"))
+    assert means.is_contiguous()
+    given = means, *(each.contiguous() for each in others), noise.contiguous(), rate, len(means)
+    for_each_row(KERNEL, means.device, len(means), *given, **NOISE_CONSTANTS)
 
 
 def add_noise_cpu(params: Params, noise: Float[Tensor, "N 3"], rate: float) -> None:
-    """The same by noise along the axes of each Gaussian, without the opaque ones."""
+    """The same on a CPU."""
     names = ("means", "quats", "scales", "opacities")
     _add_noise(tuple(t.numpy() for t in (*(params[name] for name in names), noise)), rate)
 
