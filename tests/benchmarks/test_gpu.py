@@ -14,7 +14,7 @@ from stylesplat.io.captures.capture_folder import load
 
 @pytest.mark.usefixtures("cuda")
 def test_images_and_gradients_are_the_references(capsys: pytest.CaptureFixture[str]):
-    assert gpu.check_correctness()
+    assert gpu.check_correctness("cuda")
     assert capsys.readouterr().out.count("ok\n") == 8
 
 
@@ -26,8 +26,7 @@ def test_what_is_timed_runs(tmp_path: Path):
     scene, seconds = gpu.train_fox(fox, steps=20)
     assert seconds > 0 and scene.splats.classifier is not None
     assert gpu.train_as_paper(fox, steps=4) > 0
-    for step in (gpu.step_of_colors, gpu.step_of_gsplat):
-        assert gpu.milliseconds(step(fox, scene.splats), 2) > 0
+    assert gpu.milliseconds(gpu.step_of_colors(fox, scene.splats), 2) > 0
     style, _ = write_pictures(tmp_path)
     quick = replace(PAINTED_FAST, quality="draft", steps=2)
     assert gpu.paint_fox(TRAINED, style, "compact", None, quick) > 0

@@ -16,6 +16,7 @@
 
 #define __global__
 #define __device__
+#define __forceinline__ inline
 #define __noinline__ __attribute__((noinline))
 #define __launch_bounds__(threads)
 #define __shared__ static
@@ -166,7 +167,12 @@ static float __shfl_xor_sync(unsigned, float value, int bits) {
     return value;
 }
 template <class T>
-static void atomicAdd(T* to, T value) { *to += value; }
+static T atomicAdd(T* to, T value) {
+    T before = *to;
+    *to += value;
+    return before;
+}
+using std::min;
 static int __ffs(unsigned bits) { return __builtin_ffs(bits); }
 static unsigned __float_as_uint(float value) {
     unsigned word;

@@ -100,6 +100,12 @@ def limits() -> Splats:
     return replace(splats, scales=scales, opacities=opacities)
 
 
+def crowd() -> Splats:
+    """Faint Gaussians that each cover the whole image."""
+    splats = random_splats(9000)
+    return replace(splats, scales=splats.scales + 2, opacities=torch.full((9000,), -5.0))
+
+
 HARD: dict[str, tuple[Callable[[], Splats], Cameras]] = {
     "one pixel": (random_splats, view(1, 1)),
     "one column": (random_splats, view(1, 37)),
@@ -137,6 +143,7 @@ HARD: dict[str, tuple[Callable[[], Splats], Cameras]] = {
     "faint": (
         lambda: replace(random_splats(), opacities=random_splats().opacities - 6), view(40, 30)
     ),
+    "thousands in a tile": (crowd, view(8, 8)),  # more than a GPU sorts in its shared memory
     "no bands": (lambda: random_splats(sh_degree=0), view(40, 30)),
     "one band": (lambda: random_splats(sh_degree=1), view(40, 30)),
     "two bands": (lambda: random_splats(sh_degree=2), view(40, 30)),

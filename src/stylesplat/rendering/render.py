@@ -19,6 +19,7 @@ from stylesplat.rendering.reference import (
     Info,
     activated,
     backend_module,
+    stacked,
     with_matrices_of,
 )
 from stylesplat.rendering.visibility import PART, VISIBLE_MANY, in_view, visible
@@ -75,7 +76,7 @@ def rasterize(
         clamp: Whether Gaussians' colours below 0 become 0, as gsplat has it.
         raise_clamped: Whether a clamped colour has the gradients that would raise it, for training:
             without any, what starts black stays black.
-        backend: `auto` takes `cuda` for tensors on a GPU and `cpu` for the others.
+        backend: `auto` takes `cuda`, our kernels, for tensors on a GPU and `cpu` for the others.
 
     Returns:
         The image, linear in the features and not clamped above 1; the coverage; and gsplat's
@@ -83,7 +84,8 @@ def rasterize(
         Gaussians of antialiased splats), `depths` [C,N] and `radii` [C,N,2] (0 = out of view).
 
     Raises:
-        StyleSplatError: If the cameras differ in size or gsplat is not installed.
+        StyleSplatError: If the cameras differ in size; if the backend is `gsplat` and it is not
+            installed; or if a GPU's kernels cannot be compiled or started.
     """
     raise_if_interrupted()
     module = backend_module(backend, splats.device)
@@ -94,7 +96,7 @@ def rasterize(
     for origin in cameras.positions:
         dirs = splats.means - origin
         views.append(module.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=clamp))
-    colors = torch.stack(views)  # [C, N, 3]
+    colors = stacked(tuple(views))  # [C, N, 3]
     if raise_clamped:
         colors = _ColorClamp.apply(colors)
     if features is not None:

@@ -10,19 +10,20 @@ __device__ inline float clamped(float value, float low, float high) {
     return fminf(fmaxf(value, low), high);
 }
 
-// Sums numbers over a warp. Lane l holds the sum of values[l % COUNT], COUNT a power of two: lanes
-// exchange halves of what they still have, which takes COUNT shuffles and not 5 COUNT.
-template <int COUNT>
-__device__ inline float warp_sums(float (&values)[COUNT], int lane) {
+// Sums numbers over a warp. Lane l gets the sum of values[l % COUNT], COUNT a power of two: lanes
+// exchange halves of what they still have, which takes COUNT shuffles and not 5 COUNT. By recursion, as
+// loops would not be unrolled, and the numbers would not stay in registers.
+template <int COUNT, int HALF = COUNT / 2>
+__device__ __forceinline__ float warp_sums(float (&values)[COUNT], int lane) {
+    if constexpr (HALF > 0) {
+        bool is_upper = lane & HALF;
 #pragma unroll
-    for (int half = COUNT / 2; half > 0; half /= 2) {
-        bool is_upper = lane & half;
-#pragma unroll
-        for (int i = 0; i < half; ++i) {
-            float own = is_upper ? values[i + half] : values[i];
-            float other = is_upper ? values[i] : values[i + half];
-            values[i] = own + __shfl_xor_sync(WARP, other, half);
+        for (int i = 0; i < HALF; ++i) {
+            float own = is_upper ? values[i + HALF] : values[i];
+            float other = is_upper ? values[i] : values[i + HALF];
+            values[i] = own + __shfl_xor_sync(WARP, other, HALF);
         }
+        return warp_sums<COUNT, HALF / 2>(values, lane);
     }
     float sum = values[0];
 #pragma unroll

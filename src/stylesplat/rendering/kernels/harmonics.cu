@@ -22,6 +22,24 @@ __device__ inline void fill_basis(const Direction& d, float (&basis)[16]) {
     basis[15] = -SH_A3 * x * (xx - 3 * yy);
 }
 
+// The gradient of a direction from that of the basis functions.
+__device__ inline void store_direction_gradient(const Direction& d, const float (&s)[16], float* v_dir) {
+    float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+    float v_x = -SH_C1 * s[3] + SH_A2 * (y * s[4] - z * s[7]) + 2 * SH_C2 * x * s[8];
+    float v_y = -SH_C1 * s[1] + SH_A2 * (x * s[4] - z * s[5]) - 2 * SH_C2 * y * s[8];
+    float v_z = SH_C1 * s[2] - SH_A2 * (y * s[5] + x * s[7]) + 6 * SH_B2 * z * s[6];
+    v_x += -6 * SH_A3 * x * y * s[9] + SH_B3 * y * z * s[10] - SH_C3 * (5 * zz - 1) * s[13];
+    v_x += 2 * SH_TESSERAL * x * z * s[14] - 3 * SH_A3 * (xx - yy) * s[15];
+    v_y += -3 * SH_A3 * (xx - yy) * s[9] + SH_B3 * x * z * s[10] - SH_C3 * (5 * zz - 1) * s[11];
+    v_y += -2 * SH_TESSERAL * y * z * s[14] + 6 * SH_A3 * x * y * s[15];
+    v_z += SH_B3 * x * y * s[10] - 10 * SH_C3 * z * (y * s[11] + x * s[13]);
+    v_z += 3 * SH_ZONAL * (5 * zz - 1) * s[12] + SH_TESSERAL * (xx - yy) * s[14];
+    float radial = v_x * x + v_y * y + v_z * z;
+    v_dir[0] = (v_x - radial * x) * d.inverse;
+    v_dir[1] = (v_y - radial * y) * d.inverse;
+    v_dir[2] = (v_z - radial * z) * d.inverse;
+}
+
 // `sh0` [N,1,3], `shN` [N,rest,3]; `bases` is 1, 4, 9 or 16, and colours are clamped at `lowest`.
 extern "C" __global__ void colors(const float* dirs, const float* sh0, const float* shN, int bases,
                                   int rest, float lowest, int count, float* out) {
@@ -39,43 +57,40 @@ extern "C" __global__ void colors(const float* dirs, const float* sh0, const flo
     for (int c = 0; c < 3; ++c) out[3 * i + c] = fmaxf(sums[c] + 0.5f, lowest);
 }
 
-// `out` are the colours. `v_dirs` may be null.
+const int MOST_BANDS = 45;  // numbers of a Gaussian
+
+// `out` are the colours. `v_dirs` may be null. The bands go through shared memory, as threads that read
+// and write rows of their own would use a fraction of each transfer.
 extern "C" __global__ void colors_backward(const float* dirs, const float* shN, const float* out,
                                            const float* v_out, int bases, int rest, float lowest,
                                            int count, float* v_dirs, float* v_sh0, float* v_shN) {
-    int i = row_of_thread();
-    if (i >= count) return;
-    Direction d(dirs + 3 * i);
-    float basis[16], v[3], s[16];  // s: how much each basis function counts, for the directions
-    fill_basis(d, basis);
-    const float* bands = shN + (long long)3 * rest * i;
-    float* v_bands = v_shN + (long long)3 * rest * i;
-    for (int c = 0; c < 3; ++c) {
-        v[c] = out[3 * i + c] > lowest ? v_out[3 * i + c] : 0;
-        v_sh0[3 * i + c] = basis[0] * v[c];
-    }
-#pragma unroll
-    for (int k = 1; k < 16; ++k) {
-        s[k] = 0;
-        if (k > rest) continue;
+    __shared__ float rows[ROWS_OF_BLOCK * MOST_BANDS];
+    int i = row_of_thread(), first = blockIdx.x * blockDim.x, stride = 3 * rest;
+    int size = min((int)blockDim.x, count - first) * stride;
+    if (v_dirs != nullptr)
+        for (int k = threadIdx.x; k < size; k += blockDim.x)
+            rows[k] = shN[(long long)stride * first + k];
+    __syncthreads();
+    if (i < count) {
+        float* bands = rows + stride * threadIdx.x;
+        Direction d(dirs + 3 * i);
+        float basis[16], v[3], s[16];  // s: how much each basis function counts, for the directions
+        fill_basis(d, basis);
         for (int c = 0; c < 3; ++c) {
-            v_bands[3 * k - 3 + c] = k < bases ? basis[k] * v[c] : 0;
-            if (k < bases) s[k] += bands[3 * k - 3 + c] * v[c];
+            v[c] = out[3 * i + c] > lowest ? v_out[3 * i + c] : 0;
+            v_sh0[3 * i + c] = basis[0] * v[c];
         }
+#pragma unroll
+        for (int k = 1; k < 16; ++k) {
+            s[k] = 0;
+            if (k > rest) continue;
+            float* band = bands + 3 * k - 3;
+            if (k < bases) s[k] = band[0] * v[0] + band[1] * v[1] + band[2] * v[2];
+            for (int c = 0; c < 3; ++c) band[c] = k < bases ? basis[k] * v[c] : 0;
+        }
+        if (v_dirs != nullptr) store_direction_gradient(d, s, v_dirs + 3 * i);
     }
-    if (v_dirs == nullptr) return;
-    float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
-    float v_x = -SH_C1 * s[3] + SH_A2 * (y * s[4] - z * s[7]) + 2 * SH_C2 * x * s[8];
-    float v_y = -SH_C1 * s[1] + SH_A2 * (x * s[4] - z * s[5]) - 2 * SH_C2 * y * s[8];
-    float v_z = SH_C1 * s[2] - SH_A2 * (y * s[5] + x * s[7]) + 6 * SH_B2 * z * s[6];
-    v_x += -6 * SH_A3 * x * y * s[9] + SH_B3 * y * z * s[10] - SH_C3 * (5 * zz - 1) * s[13];
-    v_x += 2 * SH_TESSERAL * x * z * s[14] - 3 * SH_A3 * (xx - yy) * s[15];
-    v_y += -3 * SH_A3 * (xx - yy) * s[9] + SH_B3 * x * z * s[10] - SH_C3 * (5 * zz - 1) * s[11];
-    v_y += -2 * SH_TESSERAL * y * z * s[14] + 6 * SH_A3 * x * y * s[15];
-    v_z += SH_B3 * x * y * s[10] - 10 * SH_C3 * z * (y * s[11] + x * s[13]);
-    v_z += 3 * SH_ZONAL * (5 * zz - 1) * s[12] + SH_TESSERAL * (xx - yy) * s[14];
-    float radial = v_x * x + v_y * y + v_z * z;
-    v_dirs[3 * i] = (v_x - radial * x) * d.inverse;
-    v_dirs[3 * i + 1] = (v_y - radial * y) * d.inverse;
-    v_dirs[3 * i + 2] = (v_z - radial * z) * d.inverse;
+    __syncthreads();
+    for (int k = threadIdx.x; k < size; k += blockDim.x)
+        v_shN[(long long)stride * first + k] = rows[k];
 }

@@ -1,10 +1,11 @@
-// Which Gaussians are visible in which tiles of an image, of TILE x TILE pixels.
+// Which Gaussians are visible in which tiles of an image, of TILE x TILE pixels, front to back.
 
-// Goes through the tiles of one Gaussian. Not inlined, so that counting and listing round alike.
-__device__ __noinline__ long long visit_tiles(float x, float y, float a, float b, float c, float opacity,
-                                              int radius_x, int radius_y, int columns, int rows, int id,
-                                              unsigned depth, long long place, long long* keys,
-                                              int* ids) {
+// Counts a Gaussian in the tiles in which it is visible where `keys` is null; else puts its key into each
+// of them, from the end. Not inlined, so that counting and listing round alike.
+__device__ __noinline__ void visit_tiles(float x, float y, float a, float b, float c, float opacity,
+                                         int radius_x, int radius_y, int columns, int rows,
+                                         long long key, int* counts, const long long* starts,
+                                         long long* keys) {
     float limit = exponent_limit(opacity);
     int first_x = (int)fmaxf(floorf((x - radius_x) / TILE), 0);
     int first_y = (int)fmaxf(floorf((y - radius_y) / TILE), 0);
@@ -16,41 +17,59 @@ __device__ __noinline__ long long visit_tiles(float x, float y, float a, float b
             float left = TILE * column + PIXEL_CENTRE - x;
             if (!is_visible_in(a, b, c, limit, left, top, left + (TILE - 1), top + (TILE - 1)))
                 continue;
-            if (keys != nullptr) {
-                keys[place] = (long long)(row * columns + column) << 32 | depth;
-                ids[place] = id;
-            }
-            ++place;
+            int tile = row * columns + column;
+            int rest = atomicAdd(counts + tile, keys == nullptr ? 1 : -1);
+            if (keys != nullptr) keys[starts[tile] + rest - 1] = key;
         }
     }
-    return place;
 }
 
-// Counts the tiles of each Gaussian, where `keys` is null; else lists a key for each, to sort by, and
-// its Gaussian. `ends` are the running sums of the counts.
+// Adds the number of Gaussians to each tile's, or lists their keys: depth, then number. Listing takes the
+// counts down to 0.
 extern "C" __global__ void list_tiles(const float* means2d, const float* conics, const float* opacities,
                                       const float* depths, const int* radii, int columns, int rows,
-                                      int count, int* counts, const long long* ends, long long* keys,
-                                      int* ids) {
+                                      int count, int* counts, const long long* starts,
+                                      long long* keys) {
     int i = row_of_thread();
-    if (i >= count) return;
-    long long place = keys == nullptr ? 0 : ends[i] - counts[i];
-    if (radii[2 * i] > 0)
-        place = visit_tiles(means2d[2 * i], means2d[2 * i + 1], conics[3 * i], conics[3 * i + 1],
-                            conics[3 * i + 2], opacities[i], radii[2 * i], radii[2 * i + 1], columns,
-                            rows, i, __float_as_uint(depths[i]), place, keys, ids);
-    if (keys == nullptr) counts[i] = (int)place;
+    if (i >= count || radii[2 * i] <= 0) return;
+    long long key = (long long)__float_as_uint(depths[i]) << 32 | (unsigned)i;
+    visit_tiles(means2d[2 * i], means2d[2 * i + 1], conics[3 * i], conics[3 * i + 1], conics[3 * i + 2],
+                opacities[i], radii[2 * i], radii[2 * i + 1], columns, rows, key, counts, starts, keys);
 }
 
-// Cuts sorted keys into tiles: `starts` [tiles + 1]; and puts the Gaussians into their order.
-extern "C" __global__ void cut_tiles(const long long* keys, const long long* sources, const int* ids,
-                                     const long long* ends, int count, int tiles, long long* starts,
-                                     int* order) {
-    long long i = (long long)blockIdx.x * blockDim.x + threadIdx.x, pairs = ends[count - 1];
-    if (i >= pairs) return;
-    order[i] = ids[sources[i]];
-    int own = (int)(keys[i] >> 32), before = i > 0 ? (int)(keys[i - 1] >> 32) : -1;
-    for (int tile = before + 1; tile <= own; ++tile) starts[tile] = i;
-    if (i == pairs - 1)
-        for (int tile = own + 1; tile <= tiles; ++tile) starts[tile] = pairs;
+// Sorts keys by the threads of a block. Bitonic, with all comparisons in one direction: so there may be
+// any number of keys, as if endless ones followed them.
+__device__ __forceinline__ void sort_keys(long long* keys, unsigned size) {
+    for (unsigned merged = 2; merged < 2 * size; merged *= 2) {
+        for (unsigned stride = merged / 2; stride > 0; stride /= 2) {
+            for (unsigned k = threadIdx.x;; k += blockDim.x) {
+                unsigned low = 2 * k - (k & (stride - 1));
+                if (low >= size) break;
+                unsigned high = stride == merged / 2 ? low ^ (merged - 1) : low + stride;
+                if (high >= size || keys[low] <= keys[high]) continue;
+                long long larger = keys[low];
+                keys[low] = keys[high], keys[high] = larger;
+            }
+            __syncthreads();
+        }
+    }
+}
+
+const int SORTED_AT_ONCE = 4096;  // keys: 32 KB of shared memory; of more they stay where they are
+
+// Sorts the keys of each tile, a block for a tile, and writes the Gaussians in their order.
+extern "C" __global__ void sort_tiles(const long long* starts, long long* keys, int* order) {
+    __shared__ long long room[SORTED_AT_ONCE];
+    long long first = starts[blockIdx.x];
+    long long* own = keys + first;
+    unsigned size = (unsigned)(starts[blockIdx.x + 1] - first);
+    if (size <= SORTED_AT_ONCE) {
+        for (unsigned k = threadIdx.x; k < size; k += blockDim.x) room[k] = own[k];
+        __syncthreads();
+        sort_keys(room, size);
+        for (unsigned k = threadIdx.x; k < size; k += blockDim.x) order[first + k] = (int)room[k];
+    } else {
+        sort_keys(own, size);
+        for (unsigned k = threadIdx.x; k < size; k += blockDim.x) order[first + k] = (int)own[k];
+    }
 }
