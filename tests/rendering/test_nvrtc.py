@@ -40,6 +40,26 @@ def test_every_number_of_channels_and_every_tile_compiles():
         assert nvrtc.compile_source(cuda.BLEND, "sm_80", **defines)
 
 
+def test_kernels_are_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.setenv(name, str(tmp_path / "cache"))
+    made = nvrtc.cached_cubin(adam.KERNEL, "sm_80", ADAM_EPS=adam.EPS)
+    (file,) = (tmp_path / "cache").rglob("*.*")
+    assert file.read_bytes() == made
+    file.write_bytes(b"kept")
+    assert nvrtc.cached_cubin(adam.KERNEL, "sm_80", ADAM_EPS=adam.EPS) == b"kept"
+    assert nvrtc.cached_cubin(adam.KERNEL, "sm_80", ADAM_EPS=1.0) != b"kept"
+
+
+def test_a_cache_that_cannot_be_written_to_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "file").touch()
+    for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.setenv(name, str(tmp_path / "file"))
+    assert nvrtc.cached_cubin(adam.KERNEL, "sm_80", ADAM_EPS=adam.EPS)
+
+
 def test_the_error_is_the_compilers(tmp_path: Path):
     source = tmp_path / "broken.cu"
     source.write_text('extern "C" __global__ void broken() {\n    int i = nothing;\n}\n')

@@ -11,7 +11,7 @@ from balls import CAMERAS, SPLATS, ball
 from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
 from stylesplat.imaging.similarity import blur_matrix
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.weights import RasterizedContributions
+from stylesplat.rendering.weights import TiledContributions
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.painter import paint_steps
@@ -55,7 +55,7 @@ def test_views_on_a_device_rasterize_what_reaches_them(cuda: str, network: Featu
     context = paint_setup(splats, CAMERAS, network.to(cuda))
     boxes = find_boxes(splats, CAMERAS[:2], mask)
     for view in object_views(context, target, boxes, 1.0):
-        assert isinstance(view.linear, RasterizedContributions)
-        assert len(view.linear.near) < len(splats)
+        assert isinstance(view.linear, TiledContributions)
+        assert len(view.linear.gaussians) + view.linear.others < len(splats)
         whole = rasterize(splats, view.camera)[0][0]
         torch.testing.assert_close(view.render(splats.sh0[mask, 0]).cpu(), whole.cpu())

@@ -89,7 +89,7 @@ def doctor(device: str = "auto", budget: SelfTest | None = None) -> dict[str, An
 
 
 def _versions() -> dict[str, str | None]:
-    found = dict[str, str | None].fromkeys(DOCTOR_LIBRARIES)
+    found = dict[str, str | None](dict.fromkeys(DOCTOR_LIBRARIES))
     for name in DOCTOR_LIBRARIES:
         with suppress(PackageNotFoundError):
             found[name] = version(name)

@@ -118,7 +118,7 @@ class _Project(Function):
         opacities = new(count if antialiased else 0)
         out = Projected(new(count, 2), new(count, 3), opacities, new(count), radii)
         ctx.given = view.width, view.height, int(antialiased), count
-        nvrtc.for_each_row(PROJECT, radii.device, count, *tensors, *ctx.given, *out)
+        nvrtc.for_each_row(PROJECT, "project", radii.device, count, *tensors, *ctx.given, *out)
         ctx.save_for_backward(*tensors, radii)
         ctx.mark_non_differentiable(out.depths, radii)
         return tuple(out)
@@ -135,8 +135,8 @@ class _Project(Function):
             v_view = torch.zeros(3, 4, dtype=torch.float64, device=means.device)
         incoming = [_with_rows(each) for each in (v_means2d, v_conics, v_opacities)]
         given = *tensors, *ctx.given, radii, *incoming, *(each.stride(0) for each in incoming)
-        given = *given, *found, v_view
-        nvrtc.for_each_row(PROJECT, means.device, count, *given, kernel="project_backward")
+        given = means.device, count, *given, *found, v_view
+        nvrtc.for_each_row(PROJECT, "project_backward", *given)
         v_viewmat = None
         if v_view is not None:
             v_viewmat = torch.nn.functional.pad(v_view.to(viewmat), (0, 0, 0, 1))  # one is fixed
@@ -222,7 +222,7 @@ class _SphericalHarmonics(Function):
 def _harmonics(kernel: str, dirs: Tensor, *others: Argument) -> None:
     """Run a kernel with a thread for each direction."""
     given = dirs.device, len(dirs), dirs, *others
-    nvrtc.for_each_row(HARMONICS, *given, kernel=kernel, **SH_CONSTANTS)
+    nvrtc.for_each_row(HARMONICS, kernel, *given, **SH_CONSTANTS)
 
 
 def spherical_harmonics(

@@ -105,43 +105,45 @@ class Kernels:
 
 def packed_arguments(arguments: tuple[Argument, ...]) -> bytes:
     """Arguments as they lie in a kernel's memory: pointers, int and float."""
-    layout, values = "", list[int | float]()
-    for argument in arguments:
-        if isinstance(argument, int | float):
-            layout += "f" if isinstance(argument, float) else "i"
-            values.append(argument)
-        else:
-            layout += "P"
-            values.append(0 if argument is None else argument.data_ptr())
-    return struct.pack(layout, *values)
+    values = [
+        each if isinstance(each, (int, float)) else 0 if each is None else each.data_ptr()
+        for each in arguments
+    ]
+    return _layout(tuple(map(type, arguments))).pack(*values)
+
+
+@cache
+def _layout(types: tuple[type, ...]) -> struct.Struct:
+    return struct.Struct("".join({int: "i", float: "f"}.get(each, "P") for each in types))
 
 
 @cache
 def load(source: Path, device: torch.device, **defines: int | float) -> Kernels:
     """The kernels of a source with constants defined, for a GPU."""
     major, minor = torch.cuda.get_device_capability(device)
-    return Kernels(_cubin(source, f"sm_{major}{minor}", **defines), device)
+    return Kernels(cached_cubin(source, f"sm_{major}{minor}", **defines), device)
 
 
 def for_each_row(
     source: Path,
+    kernel: str,
     device: torch.device,
     count: int,
     *arguments: Argument,
-    kernel: str | None = None,
     **defines: int | float,
 ) -> None:
-    """Run a kernel, by default of its source's name, with a thread for each row."""
+    """Run a kernel with a thread for each row."""
     grid = -(-count // THREADS), 1
-    load(source, device, **defines).launch(kernel or source.stem, grid, THREADS, *arguments)
+    load(source, device, **defines).launch(kernel, grid, THREADS, *arguments)
 
 
-def _cubin(source: Path, architecture: str, **defines: int | float) -> bytes:
-    """Compiled kernels, from the cache if they are there."""
+def cached_cubin(source: Path, architecture: str, **defines: int | float) -> bytes:
+    """What `compile_source` makes, from the user's cache if it is there and can be written to."""
     text = source_text(source, **defines)
     key = sha256(f"{architecture} {version()} {OPTIONS} {text}".encode()).hexdigest()
+    name = f"{source.stem}-{key[:24]}.cubin"
     with suppress(OSError, RuntimeError):  # RuntimeError: there is no home
-        return (_cache_folder() / f"{source.stem}-{key[:24]}.cubin").read_bytes()
+        return (_cache_folder() / name).read_bytes()
     cubin = compile_source(source, architecture, **defines)
     with suppress(OSError, RuntimeError):
         folder = _cache_folder()
@@ -149,7 +151,7 @@ def _cubin(source: Path, architecture: str, **defines: int | float) -> bytes:
         handle, draft = tempfile.mkstemp(dir=folder)
         with os.fdopen(handle, "wb") as file:
             file.write(cubin)
-        Path(draft).replace(folder / f"{source.stem}-{key[:24]}.cubin")
+        Path(draft).replace(folder / name)
     return cubin
 
 

@@ -26,6 +26,7 @@ from stylesplat.rendering.visibility import (
     CHANNELS_PER_PASS,
     VISIBLE_LARGE,
     VISIBLE_MANY,
+    InView,
     TiledView,
     bounds,
     in_view,
@@ -303,30 +304,31 @@ class RasterizedContributions(Contributions):
     places: Int[Tensor, " M"]
     """Where among these are `gaussians`."""
 
-    def view(self) -> TiledView:
-        """What reaches the image."""
+    def _view(self) -> TiledView:
         near = self.scene.map(lambda tensor: tensor.index_select(0, self.near))
         return tiled(project_splats(near, self.camera), self.camera.size)
 
     def composite(self, values: Float[Tensor, "M D"]) -> Float[Tensor, "H W D"]:
         every = values.new_zeros(len(self.near), values.shape[1]).index_copy(0, self.places, values)
-        return self.view().composite(every)
+        return self._view().composite(every)
 
     def backproject(self, image: Float[Tensor, "H W D"]) -> Float[Tensor, "M D"]:
-        return self.view().backproject(image).index_select(0, self.places)
+        return self._view().backproject(image).index_select(0, self.places)
 
 
 @dataclass(frozen=True, eq=False)
-class TiledContributions(RasterizedContributions):
-    """Without stored weights; on a GPU, which keeps the Gaussians sorted into tiles.
+class TiledContributions(Contributions):
+    """Without stored weights; on a GPU, which keeps all that is visible sorted into tiles."""
 
-    These take about as much memory as the images.
-    """
+    view: TiledView
+    """Of these Gaussians and, behind them in memory, of the others."""
+    others: int
 
-    tiles: TiledView
+    def composite(self, values: Float[Tensor, "M D"]) -> Float[Tensor, "H W D"]:
+        return self.view.composite(pad(values, (0, 0, 0, self.others)))
 
-    def view(self) -> TiledView:
-        return self.tiles
+    def backproject(self, image: Float[Tensor, "H W D"]) -> Float[Tensor, "M D"]:
+        return self.view.backproject(image)[: len(self.gaussians)]
 
 
 @torch.no_grad()
@@ -350,30 +352,45 @@ def contributions(
     """
     camera = with_matrices_of(splats, camera)  # once, not in every step
     near = in_view(splats, camera, pixels)
+    if splats.device.type != "cpu":
+        return _tiled_contributions(splats, camera, mask, near)
     mine = mask[near.rows]
+    colors = _colors_of_others(splats, camera, near, mine)
+    cpu = _cpu()
+    lists, image, _ = cpu.rasterize_to_pixels(near.projected, colors, camera.size)
+    drawn = cpu.reaching(lists) & mine.numpy()[lists.order]
+    numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
+    blocks = cpu.store_contributions(lists, numbers, camera.size, max_bytes)
+    rows = near.rows[torch.from_numpy(lists.order[drawn].astype(np.int64))]
+    if blocks is not None:
+        return StoredContributions(len(splats), rows, *_split(image), blocks)
+    near = visible(near, camera).rows
+    places = mask[near].nonzero()[:, 0]
+    shared = len(splats), near[places], *_split(image)
+    return RasterizedContributions(*shared, geometry_only(splats), camera, near, places)
+
+
+def _tiled_contributions(
+    splats: Splats, camera: Cameras, mask: Bool[Tensor, " N"], near: InView
+) -> TiledContributions:
+    mine = mask[near.rows]
+    near = near.some(torch.cat([each.nonzero()[:, 0] for each in (mine, ~mine)]))
+    colors = _colors_of_others(splats, camera, near, mask[near.rows])
+    view = tiled(near.projected, camera.size)
+    image, near = view.composite(colors), visible(near, camera, view)
+    rows = near.rows[mask[near.rows]]
+    view = tiled(near.projected, camera.size)
+    return TiledContributions(len(splats), rows, *_split(image), view, len(near.rows) - len(rows))
+
+
+def _colors_of_others(
+    splats: Splats, camera: Cameras, near: InView, mine: Bool[Tensor, " L"]
+) -> Float[Tensor, "L 4"]:
+    """Black for some Gaussians, the others' colours; and 1 for those, as their coverage."""
     others = (~mine).nonzero()[:, 0]
     colors = mine[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
     colors[others, :3] = colors_of(splats, near.rows[others], camera.positions)
-    view = None
-    if splats.device.type == "cpu":
-        cpu = _cpu()
-        lists, image, _ = cpu.rasterize_to_pixels(near.projected, colors, camera.size)
-        drawn = cpu.reaching(lists) & mine.numpy()[lists.order]
-        numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
-        blocks = cpu.store_contributions(lists, numbers, camera.size, max_bytes)
-        rows = near.rows[torch.from_numpy(lists.order[drawn].astype(np.int64))]
-        if blocks is not None:
-            return StoredContributions(len(splats), rows, *_split(image), blocks)
-    else:
-        view = tiled(near.projected, camera.size)
-        image = view.composite(colors)
-    near = visible(near, camera, view)
-    places = mask[near.rows].nonzero()[:, 0]
-    shared = len(splats), near.rows[places], *_split(image)
-    given = *shared, geometry_only(splats), camera, near.rows, places
-    if splats.device.type == "cpu":
-        return RasterizedContributions(*given)
-    return TiledContributions(*given, tiled(near.projected, camera.size))
+    return colors
 
 
 def _split(image: Float[Tensor, "H W 4"]) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:

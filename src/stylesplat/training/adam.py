@@ -143,7 +143,7 @@ def adam_cuda(changed: Changed, turns: Sequence[AdamTurn], kept: tuple[float, fl
         grad, factor, scale = turn.grad.contiguous(), *turn.factors
         steps = rows, count // max(rows, 1), factor, scale, *kept
         given = param, first, second, grad, turn.visible.contiguous(), *steps
-        for_each_row(KERNEL, param.device, count, *given, ADAM_EPS=EPS)
+        for_each_row(KERNEL, "adam", param.device, count, *given, ADAM_EPS=EPS)
 
 
 def adam_cpu(changed: Changed, turns: Sequence[AdamTurn], kept: tuple[float, float]) -> None:

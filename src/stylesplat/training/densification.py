@@ -141,7 +141,7 @@ def add_noise_cuda(params: Params, noise: Float[Tensor, "N 3"], rate: float) -> 
     means, *others = (params[name] for name in ("means", "quats", "scales", "opacities"))
     assert means.is_contiguous()
     given = means, *(each.contiguous() for each in others), noise.contiguous(), rate, len(means)
-    for_each_row(KERNEL, means.device, len(means), *given, **NOISE_CONSTANTS)
+    for_each_row(KERNEL, "add_noise", means.device, len(means), *given, **NOISE_CONSTANTS)
 
 
 def add_noise_cpu(params: Params, noise: Float[Tensor, "N 3"], rate: float) -> None:
