@@ -1,5 +1,6 @@
 """Laying a canvas and cropping a scene on a GPU; on any machine, see `fake_cuda.py`."""
 
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -109,7 +110,7 @@ def test_the_canvas(cuda: str):  # noqa: F811
 
 @pytest.mark.usefixtures("quick_painting")
 def test_fitting_never_waits_for_the_device(cuda: str, monkeypatch: pytest.MonkeyPatch):  # noqa: F811
-    """Whatever it asks, it asks before its steps."""
+    """Whatever it asks, it asks before its steps, but for the number of pairs to sort."""
     splats, mask = SOLID.to(cuda), RED.to(cuda)
     views = unpainted_views(splats, mask, find_boxes(splats, LARGER, mask))
     canvas, trips = replace(Canvas.without_discs(splats, mask), views=views), list[list[str]]()
@@ -118,7 +119,8 @@ def test_fitting_never_waits_for_the_device(cuda: str, monkeypatch: pytest.Monke
         with HostTrips() as mode:
             fit_surfels(canvas, seed=0)
         trips.append(mode.found)
-    assert trips[0] == trips[1] != []
+    few, many = map(Counter, trips)
+    assert few.total() and (many - few).total() <= 2 and {*(many - few)} <= {"__int__"}
 
 
 def test_crops_of_large_scenes(
