@@ -16,6 +16,7 @@ from stylesplat.progress import Observer, observed
 from stylesplat.structure_from_motion import reconstruct as module
 from stylesplat.structure_from_motion.config import SfmConfig
 from stylesplat.structure_from_motion.diagnostics import (
+    are_apart,
     check_features,
     check_matches,
     check_models,
@@ -232,6 +233,9 @@ def test_of_several_places_the_largest_is_taken(result: Reconstruction, prepared
     counts = dict.fromkeys(names, 1000)
     reasons = why_unregistered([result.model, other], counts, {}, table, names)
     assert set(reasons.values()) == {"shows another place, with 9 other photos"}
+    assert are_apart([result.model, other], table), "a and b are in neither"
+    between = MatchTable(100, {(names[0], names[-1]): 40}, 0)
+    assert not are_apart([result.model, other], between) and not are_apart([other], table)
 
 
 def test_where_few_photos_fit_together_finer_features_are_found(

@@ -43,7 +43,17 @@ def test_what_sfm_wrote_down_says_why(posed: Path):
     write_sfm(record, posed)
     _, line = finding(check(load(posed)), "posed")
     assert line.startswith(
-        "4 of 5 photos have a pose, not IMG_3.jpg (no overlap); 1 more were left out."
+        "4 of 5 photos have a pose, not IMG_3.jpg (no overlap); 1 more were left out. Take more"
+    )
+
+
+def test_photos_of_another_place_need_none_in_between(posed: Path):
+    unregistered = {f"{n}.jpg": "shows another place, with 2 other photos" for n in "abc"}
+    record = sfm_record(source="photos", given=7, registered=4, unregistered=unregistered)
+    write_sfm(record, posed)
+    _, line = finding(check(load(posed)), "posed")
+    assert line.endswith(
+        "Pose each place in a folder of its own, or take photos that connect them."
     )
 
 

@@ -26,6 +26,7 @@ DIAGNOSIS_FEW = 20  # photos; with fewer from one side only, even that side is p
 MIN_SHARED = 50  # points that a photo has to share with others
 MIN_SHARED_SHARE = 0.1  # of what photos of the capture share in the median
 SAME_DISTANCE = 1.2  # ratio of distances that is not worth a number
+ELSEWHERE = "shows another place"  # how the reason begins that such a photo has no pose
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,8 @@ def diagnose_poses(posed: int, unposed: Mapping[str, str], left_out: int) -> Fin
         "Take more photos between those without a pose and the rest, in small steps, and pose "
         "them again."
     )
+    if unposed and all(reason.startswith(ELSEWHERE) for reason in unposed.values()):
+        advice = "Pose each place in a folder of its own, or take photos that connect them."
     return _graded("posed", posed / total, (0.95, 0.8), says, advice)
 
 
@@ -267,6 +270,17 @@ def is_without_depth(models: Sequence[pycolmap.Reconstruction], table: MatchTabl
     return planar and (not models or triangulation_angle(models[0]) < MIN_ANGLE)
 
 
+def are_apart(models: Sequence[pycolmap.Reconstruction], table: MatchTable) -> bool:
+    """Whether the photos fall into groups that no match joins, such as photos of two rooms."""
+    groups = [{i.name for i in m.images.values() if i.has_pose} for m in models]
+    group_of = {name: row for row, group in enumerate(groups) for name in group}
+    return len(groups) > 1 and not any(
+        group_of.get(one, -1) != group_of.get(other, -1)
+        for (one, other), count in table.matches.items()
+        if count >= MIN_INLIERS
+    )
+
+
 def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, total: int) -> None:
     """Raise a StyleSplatError unless one model shows the scene, from more than one place.
 
@@ -343,7 +357,7 @@ def why_unregistered(
             return f"too little texture: {counts[name]} features"
         for group in others:
             if name in group:
-                return f"shows another place, with {count_noun(len(group) - 1, 'other photo')}"
+                return f"{ELSEWHERE}, with {count_noun(len(group) - 1, 'other photo')}"
         shared = max((table.matches.get((name, other), 0) for other in posed), default=0)
         if shared < MIN_INLIERS:
             return (

@@ -24,6 +24,7 @@ from stylesplat.io.images import image_sizes, straight_alpha, write_image
 from stylesplat.progress import say
 from stylesplat.structure_from_motion.config import MIN_PHOTOS, SfmConfig
 from stylesplat.structure_from_motion.diagnostics import (
+    are_apart,
     check_features,
     check_matches,
     check_models,
@@ -173,7 +174,8 @@ def reconstruct(
             matched = time.perf_counter()
             models = _map_photos(workspace)
             turned = turntable and bool(models) and turn_on_one_axis(models[0], names)
-        if _posed(models) < MOSTLY_POSED * len(names) and not is_without_depth(models, table):
+        whole = _posed(models) >= MOSTLY_POSED * len(names) or are_apart(models, table)
+        if not whole and not is_without_depth(models, table):
             models, counts, table = _look_closer(workspace, photos, models, counts, table)
         times += [matched, time.perf_counter()]
         sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in names]
