@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,7 @@ def _pinhole_model(
 RECONSTRUCT_STAGES = ("features", "matching", "mapping")
 # Share of the photos: where fewer fit together, finer features are looked for, so many times more
 MOSTLY_POSED, CLOSER = 0.75, 4
+ALL_PAIRS = 20_000  # that are compared before: those of 200 photos take some 4 minutes
 # Degrees between poses of two mappers, and shares of their spread, from which one of them is wrong
 SAME_TURN, SAME_PLACE = 5.0, 0.1
 # Times as far from the middle as most cameras are: the cape had 1.2 where it was right, 19 where a
@@ -174,8 +176,7 @@ def reconstruct(
             matched = time.perf_counter()
             models = _map_photos(workspace)
             turned = turntable and bool(models) and turn_on_one_axis(models[0], names)
-        whole = _posed(models) >= MOSTLY_POSED * len(names) or are_apart(models, table)
-        if not whole and not is_without_depth(models, table):
+        if _posed(models) < MOSTLY_POSED * len(names) and not is_without_depth(models, table):
             models, counts, table = _look_closer(workspace, photos, models, counts, table)
         times += [matched, time.perf_counter()]
         sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in names]
@@ -220,31 +221,51 @@ def _look_closer(
     counts: dict[str, int],
     table: MatchTable,
 ) -> tuple[list[pycolmap.Reconstruction], dict[str, int], MatchTable]:
-    """What more and finer features find, where few photos fit together; else what there is.
+    """What all pairs of photos tell, then finer features, where few photos fit together.
 
-    Two mappers try: one photo after the other, and all at once. The second joins photos that are
-    far apart (of 29 of a golden cape, whose highlights wander, 22 instead of 8), and is trusted
-    where its poses are those of the first, or those of an object alone that turns on one axis.
+    Returns what poses most, or what there is.
     """
-    names = workspace.names
-    posed = f"{_posed(models)} of {len(names)} photos"
-    say(f"Only {posed} fit together so far: looking for finer features.")
+    names, tries = workspace.names, [(models, counts, table)]
+    every = set(combinations(range(len(names)), 2))
+    if table.compared < len(every) <= ALL_PAIRS and workspace.config.matching == "auto":
+        say(f"{_fit_together(models, names)}: comparing all pairs of photos.")
+        found = match_pairs(workspace, every)
+        tries += [(each, counts, found) for each in _map_both_ways(workspace, models)]
+    best = max(tries, key=lambda each: _posed(each[0]))
+    if _posed(best[0]) >= MOSTLY_POSED * len(names) or are_apart(best[0], best[2]):
+        return best
+    say(f"{_fit_together(best[0], names)}: looking for finer features.")
     config = replace(workspace.config, max_features=CLOSER * workspace.config.max_features)
     folder = workspace.folder / "closer"
     # Few photos do not tell more of a lens: with OPENCV's the second joined groups in two scales
     closer = open_workspace(folder, photos, names, config, workspace.masks, simple_lens=True)
     extract_features(closer, finest=True)
-    found = match_pairs(closer, choose_pairs(closer, ordered=False))
-    in_turn, at_once = _map_photos(closer), _map_photos(closer, "map_photos_at_once")
-    tries = [(models, counts, table)]
-    tries += [(each, feature_counts(closer), found) for each in (in_turn, at_once)]
-    others = (*in_turn[:1], *models[:1])
-    if at_once and not (
-        (workspace.masks is not None and turn_on_one_axis(at_once[0], names))
-        or (has_one_scale(at_once[0]) and all(agree(at_once[0], each) for each in others))
-    ):
-        tries.pop()
+    found, finer = match_pairs(closer, choose_pairs(closer, ordered=False)), feature_counts(closer)
+    tries += [(each, finer, found) for each in _map_both_ways(closer, best[0])]
     return max(tries, key=lambda each: _posed(each[0]))
+
+
+def _fit_together(models: list[pycolmap.Reconstruction], names: Sequence[str]) -> str:
+    return f"Only {_posed(models)} of {len(names)} photos fit together so far"
+
+
+def _map_both_ways(
+    workspace: Workspace, known: list[pycolmap.Reconstruction]
+) -> list[list[pycolmap.Reconstruction]]:
+    """The models by COLMAP's incremental mapper, and by its global one if they are to be trusted.
+
+    The second joins photos that are far apart (of 29 of a golden cape, whose highlights wander, 22
+    instead of 8). It is trusted where its poses are those of the first and of the largest model
+    that is known, or those of an object alone that turns on one axis.
+    """
+    in_turn = _map_photos(workspace)
+    at_once = _map_photos(workspace, "map_photos_at_once")
+    others = (*in_turn[:1], *known[:1])
+    is_trusted = at_once and (
+        (workspace.masks is not None and turn_on_one_axis(at_once[0], workspace.names))
+        or (has_one_scale(at_once[0]) and all(agree(at_once[0], each) for each in others))
+    )
+    return [in_turn, at_once] if is_trusted else [in_turn]
 
 
 def _posed(models: Sequence[pycolmap.Reconstruction]) -> int:
