@@ -261,8 +261,12 @@ def _map_photos(task: dict[str, Any]) -> None:
 
 
 def _map_photos_at_once(task: dict[str, Any]) -> None:
-    """The same by COLMAP's global mapper (Pan et al.: GLOMAP, 2024), from all pairs at once."""
+    """The same by COLMAP's global mapper (Pan et al.: GLOMAP, 2024), from all pairs at once.
+
+    Only pairs with so many matches count, if the task says how many.
+    """
     options = pycolmap.GlobalPipelineOptions()
+    options.min_num_matches = task.get("least", options.min_num_matches)
     options.num_threads, options.random_seed = task["threads"], task["seed"]
     options.min_model_size = MIN_PHOTOS
     Path(task["models"]).mkdir(parents=True, exist_ok=True)
