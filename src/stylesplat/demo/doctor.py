@@ -20,7 +20,7 @@ from stylesplat.demo.demo_run import STYLES, copy_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.rendering import nvrtc
-from stylesplat.rendering.render import pick_device, rasterize, render
+from stylesplat.rendering.render import has_nvidia_gpu, pick_device, rasterize, render
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import GIB
@@ -59,7 +59,7 @@ def doctor(device: str = "auto", budget: SelfTest | None = None) -> dict[str, An
     start = time.perf_counter()
     if device != "auto":
         pick_device(device)
-    gpus = [f"cuda:{number}" for number in range(torch.cuda.device_count())]
+    gpus = [f"cuda:{n}" for n in range(torch.cuda.device_count() if has_nvidia_gpu() else 0)]
     problems = []
     if not gpus and (seen := _gpus_of_driver()):
         problems.append(

@@ -6,6 +6,8 @@ the memory of what is in view.
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
 
+from functools import cache
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -14,6 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.interrupts import raise_if_interrupted
+from stylesplat.progress import say
 from stylesplat.rendering.reference import (
     Backend,
     Info,
@@ -34,19 +37,33 @@ def pick_device(name: torch.device | str = "auto") -> torch.device:
         StyleSplatError: If it is none of these, or `cuda` is asked for and torch sees no GPU.
     """
     if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        if not has_nvidia_gpu():
+            _say_unused_gpu()
+        return torch.device("cuda" if has_nvidia_gpu() else "cpu")
     try:
         device = torch.device(name)
     except (RuntimeError, TypeError):  # torch's own words for what is no device
         device = None
     if device is None or device.type not in ("cpu", "cuda"):
         raise StyleSplatError(f"There is no device {str(name)!r}. Use auto, cpu or cuda.")
-    if device.type == "cuda" and not torch.cuda.is_available():
+    if device.type == "cuda" and not has_nvidia_gpu():
         raise StyleSplatError(
             "Cannot compute on cuda: torch sees no NVIDIA GPU here. Use --device cpu, or install "
             "a driver and a CUDA build of torch."
         )
     return device
+
+
+def has_nvidia_gpu() -> bool:
+    """Whether torch sees one; builds of torch for AMD's GPUs call these `cuda`, too."""
+    return torch.cuda.is_available() and torch.version.hip is None
+
+
+@cache
+def _say_unused_gpu() -> None:
+    maker = "AMD" if torch.version.hip else "Apple" if torch.backends.mps.is_available() else None
+    if maker:
+        say(f"Computing on the CPU: kernels are for NVIDIA's GPUs, not for {maker}'s.")
 
 
 def rasterize(
