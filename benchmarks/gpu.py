@@ -212,10 +212,10 @@ def train_fox(fox: "Capture", steps: int = 7000) -> "tuple[Scene, float]":
 
 def train_as_paper(fox: "Capture", steps: int = PAPER_STEPS) -> float:
     """Seconds of 30,000 steps on the paper's settings, from fewer with as many Gaussians."""
-    from stylesplat.training.config import PRESETS
+    from stylesplat.training.config import TRAIN_PRESETS
     from stylesplat.training.loop import fit
 
-    paper = PRESETS["paper"]
+    paper = TRAIN_PRESETS["paper"]
     assert paper.sh_degree_every is not None
     shorter = replace(
         paper,
@@ -360,7 +360,7 @@ def of_fox(
     table: Table, fox: "Capture", style: Path, vgg16: Path | None, vgg19: Path | None
 ) -> None:
     """The rows of one capture: training, a step, and painting."""
-    from stylesplat.stylization.config import PRESETS, StyleConfig
+    from stylesplat.stylization.config import STYLE_PRESETS, StyleConfig
 
     scenes: list[Scene] = []
 
@@ -401,7 +401,7 @@ def of_fox(
     if vgg19 is not None:
         paint("fox, 300 steps of vgg19, s", "vgg19", vgg19, short)
     if vgg16 is not None:
-        paint("fox, 500 steps of vgg16 as published, s", "vgg16", vgg16, PRESETS["paper"])
+        paint("fox, 500 steps of vgg16 as published, s", "vgg16", vgg16, STYLE_PRESETS["paper"])
 
 
 def main() -> int:

@@ -12,19 +12,19 @@ from torch import Tensor
 from paper_figures.subject import Subject
 from stylesplat.scene.layers import Composed
 from stylesplat.stylization import optimize
-from stylesplat.stylization.config import PRESETS, StyleConfig
+from stylesplat.stylization.config import STYLE_PRESETS, StyleConfig
 from stylesplat.stylization.painter import paint_objects, paint_setup
 from stylesplat.stylization.painting import Painting
 
 
 def default_config(subject: Subject) -> StyleConfig:
     """Our default settings; their draft, which splits nothing, where effort is small."""
-    return StyleConfig(quality="draft") if subject.effort.draft else PRESETS["default"]
+    return StyleConfig(quality="draft") if subject.effort.draft else STYLE_PRESETS["default"]
 
 
 def paper_config(subject: Subject, lr: float = 0.05) -> StyleConfig:
     """The paper's settings, with a rate of its Figure 6."""
-    return replace(PRESETS["paper"], steps=subject.effort.steps, lr=lr)
+    return replace(STYLE_PRESETS["paper"], steps=subject.effort.steps, lr=lr)
 
 
 def painted(

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 HEAD, TAIL = 1200, 600  # characters of a very long message that are kept
 LONGEST_NAME = 100  # characters of a name in a message
-NAMED = 3  # names in a message; the others are counted
+JOINED_NAMES = 3  # names in a message; the others are counted
 UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]+")
 
 
@@ -42,7 +42,7 @@ def shorten(name: str) -> str:
     return name if len(name) <= LONGEST_NAME else f"{name[:20]}..."
 
 
-def join_names(names: Iterable[object], most: int = NAMED, *, whole: bool = False) -> str:
+def join_names(names: Iterable[object], most: int = JOINED_NAMES, *, whole: bool = False) -> str:
     """The first names, and how many others there are; `whole` keeps long names, as paths to type.
 
     Example:

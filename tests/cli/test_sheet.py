@@ -9,7 +9,7 @@ import torch
 from processes import complaint, result, run
 from stylesplat.figures.grid import CAPTION, GRID_HEAD, GRID_MARGIN
 from stylesplat.io.images import read_image
-from stylesplat.stylization.config import PRESETS
+from stylesplat.stylization.config import STYLE_PRESETS
 from stylesplat.stylization.recipe import parse_variation
 from stylesplat.verbs.sheet import SHEET_CELL, sheet_rows
 
@@ -49,7 +49,10 @@ def test_columns_and_rows_are_settings(scene: Path, style: Path, tmp_path: Path,
 def test_settings_start_from_the_preset():
     varied = dict([parse_variation("preset=paper,default")])
     ((_, cells),) = sheet_rows(["a.png"], varied, {})
-    assert [style.config for _, style in cells] == [PRESETS["paper"], PRESETS["default"]]
+    assert [style.config for _, style in cells] == [
+        STYLE_PRESETS["paper"],
+        STYLE_PRESETS["default"],
+    ]
     assert [style.network for _, style in cells] == ["vgg16", "compact"]
     ((_, cells),) = sheet_rows(["a.png"], {"seed": (1, 2)}, {"preset": "paper", "steps": 9})
     configs = [style.config for _, style in cells]

@@ -12,8 +12,8 @@ from stylesplat.scene.splats import Splats
 from stylesplat.selection import shares as surveying
 from stylesplat.selection.labels import each_object
 from stylesplat.selection.shares import (
-    INSIDE,
-    OUTSIDE,
+    SHARE_INSIDE,
+    SHARE_OUTSIDE,
     OwnShares,
     object_shares,
     small_views,
@@ -47,7 +47,7 @@ def test_shares_are_what_renders_say():
         one, other = (rasterize(splats, camera)[0][0, ..., 2] for splats in (lit, SPLATS))
         inside += float((one - other)[coverage(SPLATS, camera, BALL) > 0.5].sum())
         everywhere += float((one - other).sum())
-    expected = (inside / everywhere - OUTSIDE) / (INSIDE - OUTSIDE)
+    expected = (inside / everywhere - SHARE_OUTSIDE) / (SHARE_INSIDE - SHARE_OUTSIDE)
     assert float(shares[row]) == pytest.approx(expected, abs=0.03)  # float16 weights
     assert not shares[~BALL].any()
 

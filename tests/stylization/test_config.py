@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.stylization.config import LEAST, PLANS, PRESETS, Quality, Stage, StyleConfig
+from stylesplat.stylization.config import LEAST, PLANS, STYLE_PRESETS, Quality, Stage, StyleConfig
 from stylesplat.stylization.style import Style
 
 
@@ -46,7 +46,7 @@ PUBLISHED = {
 
 
 def test_the_papers_preset_is_the_method_as_published():
-    paper = PRESETS["paper"]
+    paper = STYLE_PRESETS["paper"]
     assert {name: asdict(paper)[name] for name in PUBLISHED} == PUBLISHED
     assert paper.max_discs(1000) == 0, "section 3.4: nothing but colours changes"
     assert paper.pattern_removed == 0

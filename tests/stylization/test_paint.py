@@ -18,7 +18,7 @@ from stylesplat.rendering.weights import coverage
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.layers import Composed, compose
 from stylesplat.scene.splats import Splats, rgb_from_sh0
-from stylesplat.stylization.config import PRESETS
+from stylesplat.stylization.config import STYLE_PRESETS
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.painter import (
     PREVIEW_STEPS,
@@ -132,7 +132,7 @@ def test_the_papers_steps_are_those_of_adam_at_its_rates(
     glaring = SCENE.sh0.clone()
     glaring[job.mask] *= 3  # beyond white and black, where it stays
     scene = replace(SCENE, sh0=glaring)
-    paper = replace(PRESETS["paper"], steps=steps, block=2, scale=1.5)
+    paper = replace(STYLE_PRESETS["paper"], steps=steps, block=2, scale=1.5)
     studio = paint_setup(scene, enlarged(CAMERAS, 3), network)
     styled = paint_objects(studio, [replace(job, config=paper)]).splats
     before, after = scene.tensors(), styled.tensors()

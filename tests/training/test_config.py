@@ -9,8 +9,8 @@ import pytest
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.training.config import (
-    PRESETS,
     SEGMENTS,
+    TRAIN_PRESETS,
     TrainConfig,
     means_decay,
 )
@@ -110,7 +110,7 @@ PAPER = {
 
 
 def test_each_setting_of_the_paper_has_its_source():
-    assert asdict(PRESETS["paper"]) == {name: value for name, (value, _) in PAPER.items()}
+    assert asdict(TRAIN_PRESETS["paper"]) == {name: value for name, (value, _) in PAPER.items()}
     assert SEGMENTS["paper"] == "joint", GROUPING
     assert DSSIM_WEIGHT == 0.2, f"{GAUSSIANS}: lambda_dssim"
     term = (NEIGHBOR_EVERY, STEP_NEIGHBORS, NEIGHBOR_SAMPLES, NEIGHBOR_WEIGHT, LOSS_MAX_POINTS)
@@ -119,7 +119,7 @@ def test_each_setting_of_the_paper_has_its_source():
 
 def test_the_rates_of_the_paper():
     extent = 3.0
-    assert learning_rates(PRESETS["paper"], extent) == pytest.approx(
+    assert learning_rates(TRAIN_PRESETS["paper"], extent) == pytest.approx(
         {
             "means": extent * 1.6e-4,  # position_lr_init times spatial_lr_scale
             "sh0": 0.0025,  # feature_lr
@@ -132,7 +132,7 @@ def test_the_rates_of_the_paper():
             "bias": 5e-4,
         }
     )
-    last = learning_rates(PRESETS["paper"], extent * means_decay(1.0))
+    last = learning_rates(TRAIN_PRESETS["paper"], extent * means_decay(1.0))
     assert last["means"] == pytest.approx(extent * 1.6e-6), "position_lr_final"
 
 

@@ -16,7 +16,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.style import Recipe, Style, StyledObject
-from stylesplat.training.config import PRESETS, TrainConfig
+from stylesplat.training.config import TRAIN_PRESETS, TrainConfig
 
 pytestmark = pytest.mark.usefixtures("quick_painting")
 
@@ -29,16 +29,16 @@ def photographed() -> Capture:
     return Capture(CAMERAS, photos)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", TRAIN_PRESETS)
 def test_lifting_refuses_settings_of_identities(preset: str):
-    other = not PRESETS[preset].identity_geometry
+    other = not TRAIN_PRESETS[preset].identity_geometry
     settings: dict[str, Any] = {"identity_every": 3, "identity_geometry": other}
     for name, value in settings.items():
         with pytest.raises(StyleSplatError, match=name):
             ss.train(photographed(), preset=preset, segment="lift", steps=1, **{name: value})
     with pytest.raises(StyleSplatError, match=r"object_growth.*segment lift"):
         ss.train(photographed(), TrainConfig(steps=1, identity_every=4, object_growth=3.0))
-    every = PRESETS[preset].identity_every
+    every = TRAIN_PRESETS[preset].identity_every
     scene = ss.train(photographed(), preset=preset, segment="lift", steps=1, identity_every=every)
     assert scene.metrics["steps"] == 1, "what the preset says itself is taken"
 

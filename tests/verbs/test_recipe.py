@@ -6,7 +6,7 @@ import pytest
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.layers import Source
-from stylesplat.stylization.config import PRESETS, StyleConfig
+from stylesplat.stylization.config import STYLE_PRESETS, StyleConfig
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe
 
@@ -68,7 +68,7 @@ def test_an_object_has_the_settings_of_all_and_its_own(read: Read, folder: Path)
 
 def test_a_preset_takes_the_place_of_the_defaults(read: Read):
     recipe = read("{preset: paper, seed: 1, objects: {vase: {style: wave.jpg}}}")
-    assert config_of(recipe) == replace(PRESETS["paper"], seed=1)
+    assert config_of(recipe) == replace(STYLE_PRESETS["paper"], seed=1)
     (vase,) = recipe.objects
     assert (vase.features, vase.weights, vase.intensity, vase.form) == (None, None, None, None)
     assert vase.style.network == "vgg16"

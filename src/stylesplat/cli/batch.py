@@ -27,7 +27,7 @@ from stylesplat.options import check_arguments
 if TYPE_CHECKING:
     from stylesplat.batch_jobs.run_batch import BatchResult
 
-NAMED = 5  # failed jobs in the last line; the table and the page have all
+FAULTS_LISTED = 5  # failed jobs in the last line; the table and the page have all
 OUTPUTS = {"export": ("output", "each"), "render": ("output",), "sheet": ("output",)}
 MAKES_FILE = ("export", "sheet")  # the suffix of the file that they make says of which kind it is
 JOB_VERBS: dict[str, tuple[type, tuple[Noun, ...], FolderContent | None]] = {
@@ -75,8 +75,10 @@ class Batch(Command):
         failed = [job for job in values["jobs"] if job["status"] == "failed"]
         if failed:
             others = f" ({values['skipped']} behind them skipped)" if values["skipped"] else ""
-            faults = [f"{job['job']}: {job['reason'].rstrip('.')}" for job in failed[:NAMED]]
-            rest = join_names([job["job"] for job in failed[NAMED:]])
+            faults = [
+                f"{job['job']}: {job['reason'].rstrip('.')}" for job in failed[:FAULTS_LISTED]
+            ]
+            rest = join_names([job["job"] for job in failed[FAULTS_LISTED:]])
             raise StyleSplatError(
                 f"{len(failed)} of {len(values['jobs'])} jobs failed{others}: "
                 f"{'; '.join([*faults, rest] if rest else faults)}. Mend that; the same command "

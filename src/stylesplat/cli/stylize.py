@@ -33,7 +33,7 @@ from stylesplat.stylization.config import RecolorConfig, StyleConfig
 if TYPE_CHECKING:
     from stylesplat.stylization.style import Recipe
 
-SETTINGS = from_config(StyleConfig)
+STYLE_SETTINGS = from_config(StyleConfig)
 SHOWN = ("intensity", "form")  # settings that a recipe may give another value after painting
 
 
@@ -56,7 +56,7 @@ class Stylize(MakingCommand):
     protect: UseAppendAction[tuple[str, ...]] = ()
     """Name of an object that gets no paint, such as the eyes of a face (`select --of` makes such
     parts). May be repeated."""
-    settings: Annotated[dict[str, Any], SETTINGS] = field(default_factory=dict)
+    settings: Annotated[dict[str, Any], STYLE_SETTINGS] = field(default_factory=dict)
     preset: StylePreset = "default"
     features: Features = None
     weights: Weights = None
@@ -206,7 +206,7 @@ class Adjust(EditingCommand):
         return Answer(values, lines, [next_command("export", self.folder)])
 
 
-VARIED = ("preset", "stroke_size", *SETTINGS.__annotations__)  # options of `stylize`
+VARIED_OPTIONS = ("preset", "stroke_size", *STYLE_SETTINGS.__annotations__)  # options of `stylize`
 
 
 @dataclass(frozen=True)
@@ -293,7 +293,7 @@ class Sheet(MakingCommand):
             name, equals, values = text.partition("=")
             key = {"scale": "stroke_size"}.get(name, name.replace("-", "_"))  # its other name
             if equals:
-                check_choice(key, "option of `stylize` to vary,", VARIED)
+                check_choice(key, "option of `stylize` to vary,", VARIED_OPTIONS)
             if key in found:
                 raise StyleSplatError(f"--vary {name} was given twice. List all its values in one.")
             _, found[key] = parse_variation(f"{key}{equals}{values}")

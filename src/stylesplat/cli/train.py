@@ -29,7 +29,13 @@ from stylesplat.io.atomic import progress_path
 from stylesplat.io.files import is_there
 from stylesplat.progress import Observer, observed, say
 from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished
-from stylesplat.training.config import PRESETS, SEGMENTS, Segment, TrainConfig, refuse_two_lengths
+from stylesplat.training.config import (
+    SEGMENTS,
+    TRAIN_PRESETS,
+    Segment,
+    TrainConfig,
+    refuse_two_lengths,
+)
 
 TRAIN_BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
 GOOD, FAIR = 27.0, 22.0  # dB of photos held out: sharp as photos are; soft, with objects in place
@@ -97,7 +103,7 @@ class Train(MakingCommand):
         from stylesplat.training.photo_size import painting_downscale
 
         refuse_two_lengths(self.settings)
-        config = replace(PRESETS[self.preset], **self.settings)
+        config = replace(TRAIN_PRESETS[self.preset], **self.settings)
         train = partial(
             ss.train,
             config=config,

@@ -28,11 +28,9 @@ from stylesplat.io.renders import write_views
 from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
-from stylesplat.stylization.config import PRESETS as STYLE_PRESETS
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.config import STYLE_PRESETS, StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.training.config import PRESETS as TRAIN_PRESETS
-from stylesplat.training.config import TrainConfig
+from stylesplat.training.config import TRAIN_PRESETS, TrainConfig
 from stylesplat.training.initialize import first_splats
 from stylesplat.verbs.export import export
 from stylesplat.verbs.render import render

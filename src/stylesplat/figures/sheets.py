@@ -47,7 +47,7 @@ SHEET_SPECK = 5  # pixels: narrower parts have no outline, which would cover the
 ROOM = 3.0  # length of a panel in lengths of the object, unless the view is shorter
 MIN_ROOM = 1 / 6  # of the view, which a panel shows at least, so that the place is recognised
 
-PHOTOS, PHOTO_COLUMNS = 8, 4  # of a preview of label maps
+PREVIEW_PHOTOS, PREVIEW_COLUMNS = 8, 4  # of a preview of label maps
 PHOTO_SIDE = 400  # pixels of such a photo's longer side at most
 TINT = 0.55  # how much of an object's colour covers the photo
 
@@ -119,7 +119,7 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
     maps, small = capture.label_maps or [], at_most(capture, PHOTO_SIDE)
     rows = [row for row in range(len(capture)) if maps[row] is not None]
     cells, ids = [], set[int]()
-    for row in evenly_spaced(rows, PHOTOS):
+    for row in evenly_spaced(rows, PREVIEW_PHOTOS):
         labels, photo = small.labels(row), small.photos[row].float()
         assert labels is not None
         ids |= ids_of(labels) - {BACKGROUND}
@@ -130,7 +130,7 @@ def mask_preview(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H
         (names.get(id, str(id)), label_colors(torch.tensor([[id]]))[0, 0].tolist())
         for id in sorted(ids)
     ]
-    return add_legend(draw_grid(wrap_cells(cells, PHOTO_COLUMNS)), key)
+    return add_legend(draw_grid(wrap_cells(cells, PREVIEW_COLUMNS)), key)
 
 
 def draw_contact_contours(capture: Capture, names: Mapping[int, str]) -> UInt8[Tensor, "H W 3"]:

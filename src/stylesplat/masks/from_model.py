@@ -35,7 +35,7 @@ from stylesplat.scene.capture import Capture, Labels, Mask, at_most, fingerprint
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import farthest_views
 
-SETTINGS = "settings.json"
+SETTINGS_FILE = "settings.json"
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def open_checkpoint(folder: Path, settings: dict[str, Any]) -> MaskCheckpoint:
                 f"{folder} is in the way of intermediate results. Move it elsewhere."
             )
         try:
-            same = read_json(folder / SETTINGS) == json.loads(json.dumps(settings))
+            same = read_json(folder / SETTINGS_FILE) == json.loads(json.dumps(settings))
         except StyleSplatError:  # damaged, or not yet written
             same = False
         if same:
@@ -95,7 +95,7 @@ def open_checkpoint(folder: Path, settings: dict[str, Any]) -> MaskCheckpoint:
         else:
             say("An earlier run had other settings, photos or poses; beginning anew.")
             shutil.rmtree(folder)
-    write_json(settings, folder / SETTINGS)
+    write_json(settings, folder / SETTINGS_FILE)
     return MaskCheckpoint(folder, settings["clips"], settings["sizes"])
 
 

@@ -28,7 +28,7 @@ from stylesplat.progress import task
 from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
-from stylesplat.stylization.config import PRESETS, WINDOW, Stage, without_retired
+from stylesplat.stylization.config import STYLE_PRESETS, WINDOW, Stage, without_retired
 from stylesplat.stylization.features import Cells
 from stylesplat.stylization.form import survey_detail
 from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
@@ -118,7 +118,7 @@ def repaint(
 
 def _setup(unpainted: Splats, views: MeshViews, layer: Layer) -> tuple[PaintSetup, Style]:
     files = [source.path for source in layer.styles]
-    config = with_settings(PRESETS["default"], without_retired(layer.settings))
+    config = with_settings(STYLE_PRESETS["default"], without_retired(layer.settings))
     style = Style(*(file for file in files if file is not None), config=config)
     network = load_network(layer.features, layer.weights, depth=config.block)
     cameras = views.cameras[views.trusted.nonzero()[0].tolist()]

@@ -166,10 +166,10 @@ class Capture:
         return None if self.valid_masks is None else self.valid_masks[row]
 
 
-PHOTOS = 5  # read for a fingerprint; users exchange all photos at once, or rename them
+FINGERPRINT_PHOTOS = 5  # read for a fingerprint; users exchange all photos at once, or rename them
 
 
-def fingerprint(capture: Capture, *, photos: int = PHOTOS) -> str:
+def fingerprint(capture: Capture, *, photos: int = FINGERPRINT_PHOTOS) -> str:
     """A digest of a capture.
 
     All label maps and masks are read, once and one at a time, but only so many photos: about 0.6 s

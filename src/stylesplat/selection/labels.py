@@ -165,7 +165,7 @@ OUTLIER_NEIGHBOURS = 20  # a floating clump of a dozen Gaussians must not confir
 # Standard deviations. Measured on eight objects of two scenes: 2 takes away most of what floats
 # for 1% of the object's own visible area at most (a thin plaque: 2%); 0.5 takes a fifth of it.
 MEMBER_SPREAD = 2.0
-MIN_POINTS = 20  # fewer have no meaningful mean distance
+OUTLIER_FEWEST = 20  # fewer have no meaningful mean distance
 
 
 def inliers(
@@ -190,7 +190,7 @@ def inliers(
         True for the points to keep; sets of fewer than 20 are kept whole.
     """
     keep = torch.ones(len(points), dtype=torch.bool, device=points.device)
-    if len(points) < MIN_POINTS:
+    if len(points) < OUTLIER_FEWEST:
         return keep
     neighbours = min(OUTLIER_NEIGHBOURS, len(points) // 2)
     positions = points.detach().cpu().double().numpy()

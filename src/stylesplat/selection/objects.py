@@ -19,7 +19,7 @@ from stylesplat.selection.resolve import find_object, names_of
 from stylesplat.selection.shares import OwnShares
 from stylesplat.training.lifting import lift, with_labels_of
 
-REST = "rest"  # name of the part that belongs to no object
+REST_NAME = "rest"  # name of the part that belongs to no object
 
 
 def part_mask(
@@ -48,12 +48,12 @@ def every_part(scene: Scene) -> dict[str, Scene]:
     masks = masks_of(scene)
     if not masks:
         raise no_objects_error(scene)
-    if REST in masks:
+    if REST_NAME in masks:
         raise StyleSplatError(
-            f"An object is called {REST!r}, as what belongs to no object will be. Call it "
+            f"An object is called {REST_NAME!r}, as what belongs to no object will be. Call it "
             "something else with `stylesplat rename`."
         )
-    masks[REST] = ~torch.stack([*masks.values()]).any(dim=0)
+    masks[REST_NAME] = ~torch.stack([*masks.values()]).any(dim=0)
     return {name: cut_out(scene, mask) for name, mask in masks.items() if mask.any()}
 
 

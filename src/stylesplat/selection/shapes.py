@@ -134,7 +134,10 @@ def within_distance(
 
 
 SHAPE_NEIGHBOURS = 12  # of a Gaussian, along which a selection spreads over a surface
-COLOR, BEND = 0.1, 0.15  # differences of colour, and of 1 - |cosine| of normals, as far as a step
+SPREAD_COLOR, SPREAD_BEND = (
+    0.1,
+    0.15,
+)  # differences of colour, and of 1 - |cosine| of normals, as far as a step
 
 
 @torch.no_grad()
@@ -169,7 +172,7 @@ def grow_by_similarity(
     lengths = (points[:, None] - points[neighbours]).norm(dim=-1)
     bends = 1 - (normals[:, None] * normals[neighbours]).sum(dim=-1).abs()
     changes = (colors[:, None] - colors[neighbours]).norm(dim=-1)
-    costs = lengths * (1 + (changes / COLOR) ** 2 + (bends / BEND) ** 2)
+    costs = lengths * (1 + (changes / SPREAD_COLOR) ** 2 + (bends / SPREAD_BEND) ** 2)
     starts = torch.arange(len(points))[:, None].expand_as(neighbours)
     graph = csr_array(
         (costs.flatten().clamp(min=1e-12), (starts.flatten(), neighbours.flatten())),

@@ -29,7 +29,7 @@ LABELLED = 0.25  # coverage from which a pixel is the object's if its label says
 # The part of a Gaussian's contribution inside the object at which its share begins to exceed 0,
 # and reaches 1. Measured on the fox and the demo: .5 and .9 leave more smudges on the wall, .8 and
 # .97 eat into the fur.
-OUTSIDE, INSIDE = 0.6, 0.95
+SHARE_OUTSIDE, SHARE_INSIDE = 0.6, 0.95
 # Pixels in all views; a Gaussian that contributes less takes its neighbours' part
 SHARE_UNSEEN = 0.02
 SHARE_NEIGHBOURS = 9
@@ -77,7 +77,7 @@ def object_shares(
         _, rows = tree.query(splats.means[unseen].double().cpu().numpy(), k=count)
         rows = torch.from_numpy(rows).to(splats.device)
         parts[unseen] = parts[seen][rows.view(-1, count)].median(dim=1).values
-    return ((parts - OUTSIDE) / (INSIDE - OUTSIDE)).clamp(0, 1) * picked
+    return ((parts - SHARE_OUTSIDE) / (SHARE_INSIDE - SHARE_OUTSIDE)).clamp(0, 1) * picked
 
 
 def small_views(cameras: Cameras) -> list[Cameras]:

@@ -29,22 +29,25 @@ from stylesplat.selection.shares import small_views
 # Edge of a patch in pixels of the sampled views, at the median distance. On the fox and the demo 4
 # to 9 give the same objects.
 PATCH = 5.0
-MARGIN = 5  # pixels of the sampled views, the edge of a patch
+EDGE_MARGIN = 5  # pixels of the sampled views, the edge of a patch
 GRAPH_GRAZING = 0.15  # cosine of the angle to the view's ray below which depth is noise
 MIN_POINTS, MIN_PATCHES = 3, 8  # in a patch, and in connected patches; fewer are noise
 GRAPH_TOUCH = 1.8  # edges of a patch between the middles of two that touch
 # Half a plane's thickness: in medians of how far its patches lie from it; at most, in edges of a
 # patch; at least, in parts of that
-SCATTER, FLAT, THINNEST = 3.0, 1.2, 0.5
+PLANE_SCATTER, PLANE_THICKEST, PLANE_THINNEST = 3.0, 1.2, 0.5
 GRAPH_PLANE = 0.15  # share of what shows from which a plane is background; the demo's table has .35
 # Share of the variance of normals that goes linearly with the place, from which a surface is
 # curved: .02 to .06 on tables and walls of four captures, .65 on the side of a cape
-CURVED = 0.5
-UPRIGHT, ALONG = 0.9, 0.8  # cosines of normals to a plane's that fit it, in candidates and planes
-SAMPLE, TRIES = 4000, 200  # points and candidates to find a plane
+PLANE_CURVED = 0.5
+PLANE_UPRIGHT, PLANE_ALONG = (
+    0.9,
+    0.8,
+)  # cosines of normals to a plane's that fit it, in candidates and planes
+PLANE_SAMPLE, PLANE_TRIES = 4000, 200  # points and candidates to find a plane
 # Differences of colours (CIELAB) and normals that divide pieces of a surface, rounds of mean shift,
 # and how fast their connections weaken
-SHADE, BEND, SHIFTS, EDGES = 5.0, 0.7, 10, 6.0
+PIECE_SHADE, PIECE_BEND, PIECE_SHIFTS, PIECE_EDGES = 5.0, 0.7, 10, 6.0
 GRAPH_UNSEEN = 0.02  # pixels in all views; a Gaussian that contributes less is placed by its centre
 
 
@@ -97,13 +100,13 @@ class SurfaceGraph:
         colours and folds (Comaniciu, Meer: Mean shift, PAMI 2002).
         """
         lab = lab_from_rgb(torch.from_numpy(self.colors)).numpy()
-        looks = np.hstack([lab / SHADE, self.normals / BEND])
+        looks = np.hstack([lab / PIECE_SHADE, self.normals / PIECE_BEND])
         count = len(looks)
-        for _ in range(SHIFTS):
+        for _ in range(PIECE_SHIFTS):
             near = np.exp(-self._differences(looks))
             weights = symmetric(near, self.touching, count) + eye_array(count)
             looks = (weights @ looks) / weights.sum(axis=1)[:, None]
-        strengths = np.exp(-EDGES * self._differences(looks)) + 1e-6
+        strengths = np.exp(-PIECE_EDGES * self._differences(looks)) + 1e-6
         return symmetric(strengths, self.touching, count)
 
     def _differences(self, looks: Float[np.ndarray, "K D"]) -> Float[np.ndarray, " P"]:
@@ -130,7 +133,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
         found.append(surface_points(shown, image.clamp(0, 1), grazing=GRAPH_GRAZING))
         valid = shown.reliable(GRAPH_GRAZING)
         inner = torch.zeros_like(valid)
-        inner[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
+        inner[EDGE_MARGIN:-EDGE_MARGIN, EDGE_MARGIN:-EDGE_MARGIN] = True
         margins.append(~inner[valid])
         known = torch.cat([shown.points * valid[..., None], valid[..., None]], dim=-1)
         sums += pixels_in(bare, camera, [known])
@@ -148,7 +151,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     beside = symmetric(np.ones(len(touching)), touching, len(points))
     normals = normals + beside @ normals
     normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-12)
-    planes = find_planes(points, normals, weights, FLAT * edge, np.random.default_rng(0))
+    planes = find_planes(points, normals, weights, PLANE_THICKEST * edge, np.random.default_rng(0))
     flat = np.zeros(len(points), bool)
     for plane in planes:
         flat |= np.abs(plane.heights(points)) < plane.thickness
@@ -163,7 +166,7 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     places = torch.where(torch.from_numpy(seen)[:, None], shown, splats.means).double().numpy()
     owners = np.asarray(tree.query(places, workers=-1)[1])
     for plane in planes:  # what an object hides of a plane is not the object's
-        below = np.flatnonzero(~seen & (np.abs(plane.heights(places)) < FLAT * edge))
+        below = np.flatnonzero(~seen & (np.abs(plane.heights(places)) < PLANE_THICKEST * edge))
         owners[below] = np.flatnonzero(flat)[KDTree(points[flat]).query(places[below])[1]]
     return SurfaceGraph(
         owners, points, colors, normals, touching, flat | lone, at_margin[:, 0] == 1
@@ -184,15 +187,15 @@ def find_planes(
     free, planes = np.ones(len(points), bool), []
     while weights[free].sum() >= GRAPH_PLANE * weights.sum():
         rows = np.flatnonzero(free)
-        some, tries = rng.choice(rows, SAMPLE), rng.choice(rows, TRIES)
+        some, tries = rng.choice(rows, PLANE_SAMPLE), rng.choice(rows, PLANE_TRIES)
         offsets = (points[tries] * normals[tries]).sum(axis=1)
         near = np.abs(points[some] @ normals[tries].T - offsets) < thickness
-        along = np.abs(normals[some] @ normals[tries].T) > UPRIGHT
+        along = np.abs(normals[some] @ normals[tries].T) > PLANE_UPRIGHT
         best = tries[(weights[some] @ (near & along)).argmax()]
         plane, on = Plane(points[best], normals[best], thickness), free
         for _ in range(3):
             on = free & (np.abs(plane.heights(points)) < thickness)
-            on &= np.abs(normals @ plane.normal) > ALONG
+            on &= np.abs(normals @ plane.normal) > PLANE_ALONG
             if weights[on].sum() < GRAPH_PLANE * weights.sum():
                 return planes
             centre = np.average(points[on], axis=0, weights=weights[on])
@@ -200,10 +203,10 @@ def find_planes(
             normal = np.linalg.eigh((away * weights[on, None]).T @ away)[1][:, 0]
             plane = Plane(centre, normal, thickness)
         free &= np.abs(plane.heights(points)) >= thickness
-        if _turning(plane, points[on], normals[on], weights[on]) > CURVED:
+        if _turning(plane, points[on], normals[on], weights[on]) > PLANE_CURVED:
             continue
-        scatter = SCATTER * float(np.median(np.abs(plane.heights(points[on]))))
-        scatter = float(np.clip(scatter, THINNEST * thickness, thickness))
+        scatter = PLANE_SCATTER * float(np.median(np.abs(plane.heights(points[on]))))
+        scatter = float(np.clip(scatter, PLANE_THINNEST * thickness, thickness))
         planes.append(replace(plane, thickness=scatter))
     return planes
 

@@ -40,7 +40,7 @@ from stylesplat.stylization.views import ObjectBox, Surface, per_view
 from stylesplat.training.adam import Moments, adam_step
 
 SPACING = 1.1  # pixels between discs: what is wider shows soft strokes, what is finer noise
-WIDE, FLAT = 0.75, 0.15  # deviations of a disc in its plane and across it, in spacings
+DISC_WIDE, DISC_FLAT = 0.75, 0.15  # deviations of a disc in its plane and across it, in spacings
 SHOWN_LEAST = 0.3  # pixels of a disc in the view that shows most of it: less is hidden by others
 # Of a disc before it is fitted: more looks grainy, as a pixel shows a single disc
 CANVAS_OPACITY = 0.8
@@ -63,12 +63,12 @@ LARGE, REACH = 2.0, 2.0
 LARGE_SHOWN = 10.0  # pixels that it shows in some view; in the canvas's own there are 10 to one
 SPLIT_FAINT = 0.1  # opacity of the Gaussian at a place from which no disc is laid there
 SPLIT_SIDE = 64  # discs along a Gaussian at most: larger ones are too few to matter
-OVERLAP = 2.45  # discs of `WIDE` that cover a place, when they are as dense as they get
+OVERLAP = 2.45  # discs of `DISC_WIDE` that cover a place, when they are as dense as they get
 
 CANVAS_STEPS = 18  # with 28 painted objects look the same
 CANVAS_RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}  # of logits, logarithms and colours
 RAISED = 0.4  # colours at most: more is noise, with none what lies behind shines through
-LAST = 0.1  # rate of the last step, as a share of the first's
+CANVAS_LAST = 0.1  # rate of the last step, as a share of the first's
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +191,7 @@ def _discs(
     opacities: Float[Tensor, " D"],
 ) -> Splats:
     """Discs so far apart, each with the rest of the Gaussian that it belongs to."""
-    scales = means.new_tensor([WIDE, WIDE, FLAT]).mul(spacing).log()
+    scales = means.new_tensor([DISC_WIDE, DISC_WIDE, DISC_FLAT]).mul(spacing).log()
     return replace(
         own,
         means=means,
@@ -363,7 +363,9 @@ def fit_surfels(canvas: Canvas, *, seed: int) -> Canvas:
             image, _, _ = rasterize(replace(view.splats, **moved), before.camera)
             wanted = before.image + raised * before.linear.coverage[..., None]
             (image[0] - wanted).square().mean().backward()
-        rates = {name: rate * LAST ** (step / CANVAS_STEPS) for name, rate in CANVAS_RATES.items()}
+        rates = {
+            name: rate * CANVAS_LAST ** (step / CANVAS_STEPS) for name, rate in CANVAS_RATES.items()
+        }
         visible = torch.zeros_like(canvas.is_disc).index_copy(0, rows, is_disc)
         adam_step(leaves, moments, rates, step, visible=visible)
         for leaf in leaves.values():

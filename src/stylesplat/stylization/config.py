@@ -236,7 +236,7 @@ class StyleConfig(Config):
         return min(max(length * USUAL_SCALE / self.scale, min(length, LEAST)), most)
 
 
-PRESETS = {
+STYLE_PRESETS = {
     "default": StyleConfig(),
     "paper": StyleConfig(steps=500, lr=0.0025, color="free", form=0.0, published=True),
 }

@@ -42,7 +42,7 @@ EVEN, UNEVEN = 0.75, 0.88
 EVEN_OF_TWO = 0.5
 # Bimodality of what has many values, and of two. The vase has .57 in most places and .75 in one of
 # twenty, fox .47, a sign's letters .85 to .95, .8 where pixels blur them.
-MANY, TWO = 0.75, 0.88
+TWO_FROM, TWO = 0.75, 0.88
 FORM_CHROMA = 0.5  # luminance that one unit of an object's main hue contrast becomes
 FORM_TINY = 1e-6  # energy of a band that the object hardly has
 FORM_NEAR = 0.04  # deviation of the window of a local correlation, in lengths
@@ -186,7 +186,7 @@ def measure_form(
     bands = [gain * band for band in object_detail(image, mask, length, survey.hue)]
     luma = image @ luma_weights(image.device, image.dtype)
     bimodal = bimodality(luma, mask, BAND_DEVIATIONS[-1] * length)
-    two = ((bimodal - MANY) / (TWO - MANY)).clamp(0, 1)
+    two = ((bimodal - TWO_FROM) / (TWO - TWO_FROM)).clamp(0, 1)
     even = EVEN + two * (EVEN_OF_TWO - EVEN)
     energies = smooth(torch.stack(bands).square(), mask, ENERGY_DEVIATION * length)
     # an object that is even in one band of sizes alone has no pattern all over

@@ -70,13 +70,13 @@ from stylesplat.stylization.views import (
     whole_views,
 )
 
-OWN = 0.5  # share of a Gaussian that is the object's: one with less is not painted
+OWN_SHARE = 0.5  # share of a Gaussian that is the object's: one with less is not painted
 BLUR_VIEWS = 6  # of the whole object, that suffice between stages
 SHARPENED = 2.0  # form of the finer band, added before fine stages: coarser ones lose it
 PREVIEW_STEPS = 25  # on the object's own Gaussians: laying the canvas takes longer
 LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
 VISIBLE = 0.02  # share of some pixel: an object with less in a view is hidden, but for seams
-MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
+CROP_MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
 REPORT_EVERY = 10  # steps between two updates of the loss in the progress bar
 
 
@@ -171,7 +171,7 @@ def own_part(setup: PaintSetup, painting: Painting) -> Painting:
     """The painting without Gaussians that lie mostly beside the object; the paper paints all."""
     if painting.config.published:
         return painting
-    own = object_shares(setup.splats, painting.mask, setup.cameras) > OWN
+    own = object_shares(setup.splats, painting.mask, setup.cameras) > OWN_SHARE
     if not own.any():
         require_boxes(setup, painting)  # else that is why
         raise StyleSplatError(
@@ -368,7 +368,7 @@ def paint(
         capture: Views of the object; their photos are not used.
         mask: The object's Gaussians.
         style: A picture's file, or its colours: floats in 0..1, or bytes.
-        config: Settings; see `StyleConfig` and `PRESETS`.
+        config: Settings; see `StyleConfig` and `STYLE_PRESETS`.
         network: The network whose features are matched; the package's own by default.
 
     Raises:
@@ -435,7 +435,7 @@ def crop_scene(
         return everything
     bare, own = geometry_only(splats), painting.mask.nonzero()[:, 0]
     others = replace(bare, opacities=bare.opacities.masked_fill(painting.mask, -torch.inf))
-    alone, square = bare[own], np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
+    alone, square = bare[own], np.ones((2 * CROP_MARGIN + 1, 2 * CROP_MARGIN + 1), np.uint8)
 
     def look(view: Cameras) -> Tensor | None:
         """The Gaussians that would show near the object; None if it is hidden."""

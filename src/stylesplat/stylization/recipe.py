@@ -15,7 +15,7 @@ from stylesplat.options import check_arguments, convert_settings, options_of, wi
 from stylesplat.scene.layers import Source
 from stylesplat.scene.objects import check_name_or_id
 from stylesplat.stylization.config import (
-    PRESETS,
+    STYLE_PRESETS,
     Network,
     Precision,
     StyleConfig,
@@ -26,9 +26,10 @@ from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledO
 
 Preset = Literal["default", "paper"]
 Strength = Intensity | None  # pyright: ignore[reportOperatorIssue]
-SETTINGS = options_of(StyleConfig)
-VARIED = SETTINGS | {"preset": Preset, "stroke_size": SETTINGS["scale"]}  # what a sheet may vary
-SHARED = {  # what else a recipe may say of all objects
+STYLE_OPTIONS = options_of(StyleConfig)
+# What a sheet may vary
+VARIED_KEYS = STYLE_OPTIONS | {"preset": Preset, "stroke_size": STYLE_OPTIONS["scale"]}
+RECIPE_KEYS = {  # what else a recipe may say of all objects
     "preset": Preset,
     "features": Network | None,
     "weights": str | None,
@@ -36,7 +37,7 @@ SHARED = {  # what else a recipe may say of all objects
     "settings": dict,
     "objects": dict | list | None,
 }
-OWN = {  # and of one
+OBJECT_KEYS = {  # and of one
     "style": str | tuple[str | None, ...] | None,
     "sha256": str | tuple[str, ...] | None,
     "settings": dict,
@@ -71,14 +72,14 @@ def read_recipe(path: Path | str, *, preset: Preset = "default") -> Recipe:
         content = parse_yaml(read_bytes(path, most=MAX_YAML))
         if not isinstance(content, dict):
             raise StyleSplatError("it must hold `objects:` and settings, as KEY: VALUE.")
-        settings, shared = _settings_and_others(content, SHARED)
+        settings, shared = _settings_and_others(content, RECIPE_KEYS)
         shared = {"preset": preset, **shared}
         if preset != "default" and shared["preset"] != preset:
             raise StyleSplatError(
                 f"it names the preset {shared['preset']}, and {preset} was asked for. Leave one of "
                 "them out."
             )
-        config = with_settings(PRESETS[shared["preset"]], settings)
+        config = with_settings(STYLE_PRESETS[shared["preset"]], settings)
         objects, recolors = [], []
         for name, entry in _named_entries(shared.get("objects")):
             with error_context(name):
@@ -101,16 +102,16 @@ def parse_variation(text: str) -> tuple[str, tuple[Any, ...]]:
         raise StyleSplatError(f"Expected KEY=VALUE,VALUE, got {text!r}. KEY is a setting.")
     with error_context(f"Cannot vary {text}"):
         values = parse_yaml(f"[{values}]")
-        return key, tuple(convert_settings({key: value}, VARIED)[key] for value in values)
+        return key, tuple(convert_settings({key: value}, VARIED_KEYS)[key] for value in values)
 
 
 def _settings_and_others(
     entry: Mapping[str, Any], keys: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The settings of an entry, which precede those under `settings`, and what it has of `keys`."""
-    own = convert_settings(without_retired(entry), {**SETTINGS, **keys})
+    own = convert_settings(without_retired(entry), {**STYLE_OPTIONS, **keys})
     others = {key: own.pop(key) for key in keys if key in own}
-    inner = convert_settings(without_retired(others.get("settings", {})), SETTINGS)
+    inner = convert_settings(without_retired(others.get("settings", {})), STYLE_OPTIONS)
     return inner | own, others
 
 
@@ -137,7 +138,7 @@ def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str
 def _styled_object(
     name: str, entry: dict[str, Any], config: StyleConfig, shared: Mapping[str, Any], folder: Path
 ) -> StyledObject:
-    settings, own = _settings_and_others(entry, OWN)
+    settings, own = _settings_and_others(entry, OBJECT_KEYS)
     network = own if "features" in own else shared
     if network is shared and "intensity" in own:  # else that of now, not of the painting
         settings["intensity"] = own["intensity"]

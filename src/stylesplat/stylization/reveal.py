@@ -36,7 +36,7 @@ FEW_GONE = 0.02  # share of the discs: if fewer go, there is no layer below to s
 GAINED = 0.15  # coverage that discs may add to what was open
 # Of the object's extent: what is as near behind discs is what they lie on, and no hole
 JUST_BEHIND = 0.04
-SOLID = 0.9  # coverage from which colours are the object's own
+REVEAL_SOLID = 0.9  # coverage from which colours are the object's own
 # Difference of colours from which they are unlike; deviations of the blur that is subtracted from
 # it, in lengths of the object, and of the one that averages it, in pixels
 UNLIKE, UNLIKE_MEAN, UNLIKE_BLUR = 0.1, 0.02, 1.0
@@ -115,7 +115,7 @@ def _weights_in_faults(
             change = change.permute(2, 0, 1)
             change = change - smooth(change, everywhere, UNLIKE_MEAN * length)
             strength = smooth(change.abs().mean(dim=0), everywhere, UNLIKE_BLUR)
-            is_unlike = (strength > UNLIKE) & (was.coverage > SOLID)
+            is_unlike = (strength > UNLIKE) & (was.coverage > REVEAL_SOLID)
         faults = torch.stack([is_open, is_unlike, is_lost, torch.ones_like(is_open)], dim=-1)
         return was.pixels_in(faults), now.pixels_in(faults)
 

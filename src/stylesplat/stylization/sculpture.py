@@ -33,7 +33,10 @@ STROKES_LOST, STRONG = 0.4, 0.1  # share of strokes that gives way, and the cont
 TONE_ROOM = 1.2
 BEYOND = 0.25  # slope of tones beyond these
 TONES = 0.02, 0.98  # quantiles of the paint's luminance that are its darkest and brightest
-MEAN, NEARBY = 0.03, 0.015  # deviations of windows, in lengths: of means, of strokes and form
+SCULPTURE_MEAN, SCULPTURE_NEAR = (
+    0.03,
+    0.015,
+)  # deviations of windows, in lengths: of means, of strokes and form
 
 
 def with_sculptures(scene: Scene) -> Scene:
@@ -125,7 +128,7 @@ def _sculpted(
     tones: tuple[float, float],
 ) -> Float[Tensor, "H W"]:
     """The luminance of a view of paint with more form and fewer strokes in its place."""
-    mean, near = MEAN * SCULPTURE_LENGTH, NEARBY * SCULPTURE_LENGTH
+    mean, near = SCULPTURE_MEAN * SCULPTURE_LENGTH, SCULPTURE_NEAR * SCULPTURE_LENGTH
     form = form - smooth(form, mask, mean)
     around, spread = smooth(torch.stack([luma, form.square()]), mask, mean)
     room, (low, high) = TONE_ROOM * spread.sqrt(), tones

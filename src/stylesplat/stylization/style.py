@@ -20,7 +20,7 @@ from stylesplat.options import with_settings
 from stylesplat.scene.layers import Source
 from stylesplat.stylization.config import (
     NETWORKS,
-    PRESETS,
+    STYLE_PRESETS,
     USUAL_SCALE,
     ColorMode,
     Network,
@@ -165,10 +165,10 @@ class Style:
         """
         if not pictures:
             raise StyleSplatError("A style has at least one picture. Pass a file: Style('a.jpg').")
-        check_choice(preset, "preset", PRESETS)
+        check_choice(preset, "preset", STYLE_PRESETS)
         object.__setattr__(self, "pictures", pictures)
         object.__setattr__(self, "preset", preset)
-        object.__setattr__(self, "config", with_settings(config or PRESETS[preset], settings))
+        object.__setattr__(self, "config", with_settings(config or STYLE_PRESETS[preset], settings))
 
     def __repr__(self) -> str:
         default, config = asdict(StyleConfig()), asdict(self.config)

@@ -36,7 +36,9 @@ MIN_CELLS = 16  # views with fewer features of the object are skipped
 VISITS = 5  # steps per view at least: preparing a view takes as long as a step
 VISITS_OF_WINDOWS = 2  # fewer, as it takes many windows to cover the object
 WINDOW_PLACES = 4096  # of a surface, which windows are to show
-FACING = 0.5  # of the largest cosine at which a view sees a place, from which it is shown there
+WINDOW_FACING = (
+    0.5  # of the largest cosine at which a view sees a place, from which it is shown there
+)
 SIGHT_CELLS = 32  # of a view's longer side, in each of which the nearest place hides farther ones
 WHOLE_VIEWS = 8  # of the whole object, which tell its colours and its form
 WHOLE_LENGTH = 240.0  # longer side of the object in them at most, in pixels
@@ -303,7 +305,7 @@ def _windows_all_over(
     for _ in range(count):
         place = int(shown.argmin())
         is_fresh, options = shown < shown[place] + 1, list[tuple[ObjectBox, Tensor]]()
-        for row in (sight[:, place] >= FACING).nonzero()[:, 0].tolist():
+        for row in (sight[:, place] >= WINDOW_FACING).nonzero()[:, 0].tolist():
             window = _window(boxes[row], pixels[row, place], side)
             inside = ((pixels[row] >= window.low) & (pixels[row] < window.high)).all(dim=1)
             options.append((window, inside * sight[row]))

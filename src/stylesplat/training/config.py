@@ -132,7 +132,7 @@ def means_decay(progress: float) -> float:
     return MEANS_DECAY**progress
 
 
-PRESETS = {
+TRAIN_PRESETS = {
     "default": TrainConfig(),
     "paper": replace(
         TrainConfig(),
@@ -173,7 +173,7 @@ def refuse_identity_settings(config: TrainConfig) -> None:
     """Raise a StyleSplatError if settings that lifting ignores differ from every preset's."""
     changed = [
         [name for name in IDENTITY_SETTINGS if getattr(config, name) != getattr(preset, name)]
-        for preset in PRESETS.values()
+        for preset in TRAIN_PRESETS.values()
     ]
     names = min(changed, key=len)
     if names:

@@ -19,8 +19,8 @@ from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.objects import with_names
 from stylesplat.training.config import (
-    PRESETS,
     SEGMENTS,
+    TRAIN_PRESETS,
     PhotoBackground,
     Segment,
     TrainConfig,
@@ -158,9 +158,9 @@ def _chosen(
             "one of them."
         )
     preset = preset or "default"
-    check_choice(preset, "preset", PRESETS)
+    check_choice(preset, "preset", TRAIN_PRESETS)
     refuse_two_lengths(settings)
-    return with_settings(config or PRESETS[preset], settings), preset
+    return with_settings(config or TRAIN_PRESETS[preset], settings), preset
 
 
 def _lifted(splats: Splats, capture: Capture, rows: Sequence[int]) -> Splats:
