@@ -21,9 +21,9 @@ from stylesplat.stylization.canvas import (
     fit_surfels,
 )
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.confine import LONG, align_to_strokes, trim_surfels
 from stylesplat.stylization.painter import layer_of
 from stylesplat.stylization.painting import Painting
+from stylesplat.stylization.trim import LONG, align_to_strokes, trim_surfels
 from stylesplat.stylization.views import ObjectBox, find_boxes
 
 FINE = enlarged(CAMERAS, 4)

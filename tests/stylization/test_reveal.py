@@ -11,8 +11,8 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.canvas import Canvas, build_surfels, split_large
-from stylesplat.stylization.reveal import reveal
+from stylesplat.stylization.canvas import Canvas, build_surfels
+from stylesplat.stylization.trim import reveal, split_large
 from stylesplat.stylization.views import find_boxes, typical_length
 
 VIEWS = enlarged(CAMERAS, 4)

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from stylesplat.stylization.surface import HOLE, PULLS, SURFACE_BESIDE, project_into_silhouettes
+from stylesplat.stylization.canvas import HOLE, PULLS, SURFACE_BESIDE, project_into_silhouettes
 
 SIZE, SIDE = 0.1, 60  # of a pixel, and pixels of the side
 

@@ -5,38 +5,37 @@ take. The canvas hides them. They keep their positions, and undoing gives them b
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn import functional as F
 
 from stylesplat.progress import track
-from stylesplat.rendering.reference import rotation_matrices
+from stylesplat.rendering.reference import rotation_matrices, with_matrices_of
 from stylesplat.rendering.render import colors_of, rasterize
-from stylesplat.rendering.surface import average_in_voxels
+from stylesplat.rendering.surface import SurfacePoints, average_in_voxels, depth_map, surface_points
 from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.visibility import in_view
-from stylesplat.rendering.weights import COVERED, coverage, geometry_only, pixels_in
-from stylesplat.scene.layers import UNSEEN
+from stylesplat.rendering.weights import (
+    COVERED,
+    Contributions,
+    contributions,
+    coverage,
+    geometry_only,
+    pixels_in,
+)
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.projection import project
 from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
-from stylesplat.stylization.surface import (
-    POOLED,
-    SURFACE_LENGTH,
-    UnpaintedView,
-    find_surface,
-    poisson_disk_sample,
-    project_to_planes,
-    unpainted_views,
-)
-from stylesplat.stylization.views import ObjectBox, Surface, per_view
+from stylesplat.stylization.views import ObjectBox, Surface, box_cameras, per_view
 from stylesplat.training.adam import Moments, adam_step
 
 SPACING = 1.1  # pixels between discs: what is wider shows soft strokes, what is finer noise
@@ -44,31 +43,26 @@ DISC_WIDE, DISC_FLAT = 0.75, 0.15  # deviations of a disc in its plane and acros
 SHOWN_LEAST = 0.3  # pixels of a disc in the view that shows most of it: less is hidden by others
 # Of a disc before it is fitted: more looks grainy, as a pixel shows a single disc
 CANVAS_OPACITY = 0.8
-CANVAS_HIDDEN = (
-    0.5,
-    0.9,
-)  # hidden part of a Gaussian's contribution from which it fades, and is gone
-# Coverage: where the object would lose more under a canvas, the canvas has a hole
-CANVAS_LOST = 0.2
-CANVAS_RIM = 3  # pixels along the object's outline that are no holes
-IN_HOLES = 0.05  # part of a Gaussian's contribution to a view that has to lie in holes
+# Hidden part of a Gaussian's contribution from which it fades, and is gone
+CANVAS_HIDDEN = (0.5, 0.9)
 CANVAS_FEW = 500  # pixels of all views that show no surface
 CANVAS_SPARE = 0.95  # share of the discs' maximum that is aimed at
 CUBE = 3.0  # pixels of the side of cubes that tell how many discs there will be
 PER_CUBE = 0.5  # discs, one side from each other: fox has .52, doll .45, a ball .37
 
-# An own Gaussian that shows through the canvas and is wider than so many spacings has a single
-# colour where strokes would be. Discs take its place, as far as so many of its deviations
-LARGE, REACH = 2.0, 2.0
-LARGE_SHOWN = 10.0  # pixels that it shows in some view; in the canvas's own there are 10 to one
-SPLIT_FAINT = 0.1  # opacity of the Gaussian at a place from which no disc is laid there
-SPLIT_SIDE = 64  # discs along a Gaussian at most: larger ones are too few to matter
-OVERLAP = 2.45  # discs of `DISC_WIDE` that cover a place, when they are as dense as they get
-
 CANVAS_STEPS = 18  # with 28 painted objects look the same
 CANVAS_RATES = {"opacities": 0.1, "scales": 0.03, "sh0": 0.05}  # of logits, logarithms and colours
 RAISED = 0.4  # colours at most: more is noise, with none what lies behind shines through
 CANVAS_LAST = 0.1  # rate of the last step, as a share of the first's
+
+
+class UnpaintedView(NamedTuple):
+    """What one camera sees of an object before a canvas is laid on it."""
+
+    camera: Cameras
+    linear: Contributions
+    """The contributions of the object's Gaussians."""
+    image: Float[Tensor, "H W 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +169,7 @@ def build_surfels(
     parents = own[torch.from_numpy(nearest).to(own)]
     opaque = points.new_full((len(rows),), CANVAS_OPACITY)
     discs = replace(
-        _discs(splats[parents], means, normals, spacing, opaque),
+        discs_at(splats[parents], means, normals, spacing, opaque),
         sh0=sh0_from_rgb(colors[rows])[:, None],
         shN=splats.shN[parents] * 0,
     )
@@ -183,7 +177,7 @@ def build_surfels(
     return fade_covered(Canvas(splats, mask, Splats.cat([splats, discs]), parents, views, spacing))
 
 
-def _discs(
+def discs_at(
     own: Splats,
     means: Float[Tensor, "D 3"],
     normals: Float[Tensor, "D 3"],
@@ -206,7 +200,145 @@ def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
     x, y, z = normals.unbind(1)
     quats = torch.stack([1 + z, -y, x, torch.zeros_like(z)], dim=1)
     quats[z < -0.999] = quats.new_tensor([0.0, 1.0, 0.0, 0.0])
-    return torch.nn.functional.normalize(quats, dim=1)
+    return F.normalize(quats, dim=1)
+
+
+SURFACE_VIEWS = 16  # with 12 places that few of them show stay bare
+SURFACE_LENGTH = 200.0  # longer side of the object in them, in pixels
+SURFACE_MARGIN = 8  # pixels around its box, where nothing is to show
+SURFACE_SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
+PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
+HOLE = 6.0  # pixels around a point without any inside the silhouettes: less is no hole
+SURFACE_BESIDE = 2.0  # pixels from its rim, where there are points already
+SURFACE_GRAZING = 0.25  # cosine below which depths are too uncertain
+POOLED = 0.6  # side of the cubes whose points are averaged, in distances of the samples
+SURFACE_PLANE = 16  # points that a plane is fitted to
+
+
+@torch.no_grad()
+def unpainted_views(
+    splats: Splats, mask: Bool[Tensor, " N"], boxes: Sequence[ObjectBox]
+) -> list[UnpaintedView]:
+    """Views of the whole object, `SURFACE_LENGTH` pixels long."""
+
+    def look(camera: Cameras) -> UnpaintedView:
+        camera = with_matrices_of(splats, camera)
+        linear = contributions(splats, camera, mask)
+        colors = colors_of(splats, linear.gaussians, camera.positions)
+        return UnpaintedView(camera, linear, linear.render(colors))
+
+    cameras = box_cameras(boxes, SURFACE_LENGTH, SURFACE_VIEWS, SURFACE_MARGIN)
+    return [*per_view(look, cameras, "looking at the object", splats.device)]
+
+
+@torch.no_grad()
+def find_surface(
+    splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[UnpaintedView]
+) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"], Float[Tensor, "P 3"], float]:
+    """Find an object's surface from rendered depths.
+
+    Returns:
+        The points, one for each pixel that shows it; their normals towards the camera that saw
+        them; their colours; the typical size of a pixel if the object is `SURFACE_LENGTH` pixels
+        long.
+    """
+    alone = geometry_only(splats[mask])
+
+    def look(view: UnpaintedView) -> tuple[SurfacePoints, Tensor]:
+        shown = depth_map(splats, view.camera, mask)
+        found = surface_points(shown, view.image, grazing=SURFACE_GRAZING)
+        return found, coverage(alone, view.camera)
+
+    found = per_view(look, views, "looking for the surface", splats.device)
+    parts, silhouettes = zip(*found, strict=True)
+    points, normals, colors, sizes, covered = map(torch.cat, zip(*parts, strict=True))
+    size = float(sizes.median())
+
+    def outside(points: Float[Tensor, "P 3"]) -> Bool[Tensor, " P"]:
+        """Which points lie beyond the silhouette of a view."""
+        found = torch.zeros(len(points), dtype=torch.bool, device=points.device)
+        for view, silhouette in zip(views, silhouettes, strict=True):
+            inside, there = _look_up(points, view.camera, silhouette)
+            found |= inside.masked_scatter(inside, there < COVERED)
+        return found
+
+    kept = project_into_silhouettes(points, normals, covered > SURFACE_SOLID, size, outside)
+    return points[kept], normals[kept], colors[kept], size
+
+
+def project_into_silhouettes(
+    points: Float[Tensor, "P 3"],
+    normals: Float[Tensor, "P 3"],
+    solid: Bool[Tensor, " P"],
+    size: float,
+    outside: Callable[[Float[Tensor, "Q 3"]], Bool[Tensor, " Q"]],
+) -> Bool[Tensor, " P"]:
+    """Find the surface's points; those outside move inwards, in place, where they fill a hole.
+
+    Depths are less exact than silhouettes: of a flat side that some views see along it, no point
+    may lie inside. What is not solid fills holes of what is, too. The size is that of a pixel.
+    """
+    beyond = outside(points)
+    kept = solid & ~beyond
+    if not kept.any():
+        return kept
+    spare, beyond = (~kept).nonzero()[:, 0], beyond.nonzero()[:, 0]
+    for _ in range(PULLS):
+        points[beyond] -= size * normals[beyond]
+        beyond = beyond[outside(points[beyond])]
+    spare = spare[~torch.isin(spare, beyond)]
+    places = points.double().cpu().numpy()
+    spares = places[spare.cpu().numpy()]
+    far, _ = KDTree(places[kept.cpu().numpy()]).query(spares, workers=-1)
+    far = torch.from_numpy(far).to(points) / size
+    amid = (far > HOLE).cpu().numpy()
+    near, _ = KDTree(spares[amid]).query(spares, workers=-1)
+    kept[spare] = (far > SURFACE_BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
+    return kept
+
+
+def _look_up(
+    points: Float[Tensor, "P 3"], camera: Cameras, values: Float[Tensor, "H W"]
+) -> tuple[Bool[Tensor, " P"], Float[Tensor, " L"]]:
+    """Which points project into a camera's image, and the values there."""
+    pixels, depths = project(points, camera)
+    size = torch.tensor(camera.size).to(pixels)
+    inside = ((pixels >= 0) & (pixels < size)).all(dim=1) & (depths > 0)
+    x, y = pixels[inside].long().unbind(1)
+    return inside, values[y, x]
+
+
+def project_to_planes(
+    points: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"], rows: Int[Tensor, " L"]
+) -> tuple[Float[Tensor, "L 3"], Float[Tensor, "L 3"]]:
+    """Some points moved onto the planes of their neighbours, and the normals of the planes."""
+    coordinates = points.double().cpu().numpy()
+    count = min(SURFACE_PLANE, len(points))
+    _, near = KDTree(coordinates).query(coordinates[rows.cpu().numpy()], k=count, workers=-1)
+    near = torch.from_numpy(near).to(rows).view(len(rows), -1)
+    smooth = F.normalize(normals[near].mean(dim=1), dim=1)
+    above = ((points[rows] - points[near].mean(dim=1)) * smooth).sum(dim=1, keepdim=True)
+    return points[rows] - above * smooth, smooth
+
+
+def poisson_disk_sample(
+    points: Float[Tensor, "P 3"], distance: float, *, seed: int
+) -> Int[Tensor, " L"]:
+    """Choose points of which no two are closer than a distance, as many as fit, in random order."""
+    places = points.double().cpu().numpy()
+    place_in_order = np.random.default_rng(seed).permutation(len(places))
+    tree = KDTree(places, compact_nodes=False, balanced_tree=False)  # is made sooner
+    pairs = tree.query_pairs(distance, output_type="ndarray")
+    turned = place_in_order[pairs[:, 0]] > place_in_order[pairs[:, 1]]
+    first, later = np.where(turned[:, None], pairs[:, ::-1], pairs).T
+    free = np.ones(len(places), bool)
+    while len(first):  # each round chooses the points that wait for no other
+        waiting = np.zeros_like(free)
+        waiting[later] = True
+        free[later[~waiting[first]]] = False
+        undecided = waiting[first] & free[first] & free[later]
+        first, later = first[undecided], later[undecided]
+    return torch.from_numpy(free.nonzero()[0]).to(points.device)
 
 
 @torch.no_grad()
@@ -227,75 +359,6 @@ def fade_covered(canvas: Canvas) -> Canvas:
     faded = torch.logit(torch.sigmoid(before.opacities) * (1 - fading), eps=1e-6)
     faded = torch.where(fading > 0, faded, before.opacities)
     return canvas.changed(opacities=torch.cat([faded, splats.opacities[count:]]))
-
-
-@torch.no_grad()
-def restore_in_holes(canvas: Canvas) -> Canvas:
-    """Give the Gaussians that show in holes between the discs their opacity back."""
-    faded, mask = geometry_only(canvas.splats), canvas.mask
-
-    def look(view: UnpaintedView) -> Tensor:
-        linear = view.linear
-        lost = linear.coverage - coverage(faded, view.camera, mask) > CANVAS_LOST
-        covered = (linear.coverage > COVERED).cpu().numpy().astype(np.uint8)
-        inner = torch.from_numpy(
-            cv2.erode(covered, np.ones((2 * CANVAS_RIM + 1, 2 * CANVAS_RIM + 1)))
-        )
-        inner = inner.to(lost)
-        masks = torch.stack([lost & inner, torch.ones_like(lost)], dim=-1)
-        in_holes, everywhere = linear.pixels_in(masks).unbind(dim=1)
-        return (in_holes > IN_HOLES * everywhere).nonzero()[:, 0]
-
-    found = per_view(look, canvas.views, "looking for holes of the canvas", faded.device)
-    rows = torch.cat([*found])
-    opacities = canvas.splats.opacities.clone()
-    opacities[rows] = canvas.before.opacities[rows]
-    return canvas.changed(opacities=opacities)
-
-
-@torch.no_grad()
-def split_large(canvas: Canvas, length: float, *, seed: int) -> tuple[Canvas, Int[Tensor, " N"]]:
-    """The canvas with discs in place of the large and flat Gaussians of the object that it shows.
-
-    Views show the object so many pixels long. Returns also of which Gaussian of the canvas each one
-    has the colour.
-    """
-    splats, count = canvas.splats, len(canvas.own)
-    everyone = torch.arange(len(splats), device=splats.device)
-    sizes, order = splats.scales[:count].exp().sort(dim=1, descending=True)
-    opacities = torch.sigmoid(splats.opacities[:count])
-    is_flat = sizes[:, 2] < sizes[:, 1] / 2
-    is_large = canvas.own & is_flat & (sizes[:, 1] > LARGE * canvas.spacing)
-    is_large &= opacities > SPLIT_FAINT
-    if not canvas.is_disc.any() or not is_large.any():
-        return canvas, everyone
-    rows = (is_large & (pixels_shown(canvas, length)[:count] > LARGE_SHOWN)).nonzero()[:, 0]
-    sides = (2 * REACH * sizes[rows, :2] / canvas.spacing).ceil().clamp(1, SPLIT_SIDE).long()
-    grids = sides.prod(dim=1)
-    which = torch.arange(len(rows), device=rows.device).repeat_interleave(grids)
-    number = torch.arange(len(which), device=rows.device) - (grids.cumsum(0) - grids)[which]
-    along = torch.stack([number % sides[which, 0], number // sides[which, 0]], dim=1)
-    places = REACH * (2 * (along + 0.5) / sides[which] - 1)  # in deviations
-    shown = opacities[rows][which] * (-places.square().sum(dim=1) / 2).exp()
-    kept = (shown > SPLIT_FAINT).nonzero()[:, 0]
-    which, places, shown = which[kept], places[kept], shown[kept]
-    turns = rotation_matrices(splats.quats[rows])
-    axes = turns.gather(2, order[rows][:, None].expand_as(turns))[which]
-    offsets = torch.einsum("dij,dj->di", axes[..., :2], places * sizes[rows[which], :2])
-    means = splats.means[rows[which]] + offsets
-    chosen = poisson_disk_sample(means, canvas.spacing, seed=seed)
-    parents = rows[which[chosen]]
-    opaque = (1 - (1 - shown[chosen]).clamp(min=1e-6) ** (1 / OVERLAP)).clamp(max=CANVAS_OPACITY)
-    normals = axes[chosen, :, 2]
-    discs = _discs(splats[parents], means[chosen], normals, canvas.spacing, opaque)
-    below = replace(splats, opacities=splats.opacities.index_fill(0, rows, UNSEEN))
-    split = replace(
-        canvas,
-        splats=Splats.cat([below, discs]),
-        parents=torch.cat([canvas.parents, parents]),
-    )
-    kept = ~split.is_disc | (pixels_shown(split, length) >= SHOWN_LEAST)
-    return split.select(kept), torch.cat([everyone, parents])[kept]
 
 
 @torch.no_grad()

@@ -6,8 +6,6 @@ from functools import cached_property, partial
 from itertools import chain
 from typing import NamedTuple
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -16,8 +14,6 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import Palette, build_palette
 from stylesplat.io.style_pictures import Picture, read_style
 from stylesplat.progress import say, task
-from stylesplat.rendering.visibility import VISIBLE_LARGE, in_view, visible
-from stylesplat.rendering.weights import coverage, geometry_only
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
@@ -30,7 +26,6 @@ from stylesplat.stylization.canvas import (
     build_surfels,
     drop_hidden,
     fit_surfels,
-    split_large,
 )
 from stylesplat.stylization.colors import (
     Colors,
@@ -49,21 +44,20 @@ from stylesplat.stylization.config import (
     StyleConfig,
     plain_settings,
 )
-from stylesplat.stylization.confine import reached_pixels, trim_surfels
 from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.form import FormSurvey, form_relief, survey_detail
 from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
 from stylesplat.stylization.painting import Painting, PaintSetup, check_paintings, paint_setup
 from stylesplat.stylization.paper import paint_as_published
-from stylesplat.stylization.reveal import reveal
 from stylesplat.stylization.style import KEPT_HUES, all_colors, large_shapes, style_pictures
+from stylesplat.stylization.trim import reveal, split_large, trim_surfels
 from stylesplat.stylization.views import (
     WHOLE_VIEWS,
     ObjectBox,
     ObjectView,
+    crop_scene,
     find_boxes,
     object_views,
-    per_view,
     require_boxes,
     stage_views,
     typical_length,
@@ -75,8 +69,6 @@ BLUR_VIEWS = 6  # of the whole object, that suffice between stages
 SHARPENED = 2.0  # form of the finer band, added before fine stages: coarser ones lose it
 PREVIEW_STEPS = 25  # on the object's own Gaussians: laying the canvas takes longer
 LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
-VISIBLE = 0.02  # share of some pixel: an object with less in a view is hidden, but for seams
-CROP_MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
 REPORT_EVERY = 10  # steps between two updates of the loss in the progress bar
 
 
@@ -415,55 +407,6 @@ def paint_layer(
     boxes = [*state.boxes, *find_boxes(part.splats, held_out, own.mask)]
     tidy_heap()  # copies of the whole scene follow
     return layer, boxes
-
-
-@torch.no_grad()
-def crop_scene(
-    setup: PaintSetup, painting: Painting
-) -> tuple[PaintSetup, Painting, Int[Tensor, " M"]]:
-    """Crop a large scene to the Gaussians and views that matter to an object.
-
-    Besides the object's Gaussians these are all that would show near it if it were not there: what
-    hides it, and what it hides. In views that hide the object some of these may be missing, so that
-    they are left out. A small scene stays whole, and one of which no view shows the object. The
-    crop's rows of the scene are returned, too.
-    """
-    splats, views = setup.splats, [*setup.all_cameras]
-    everything = setup, painting, torch.arange(len(splats), device=splats.device)
-    names = {*setup.all_cameras.names}
-    if len(splats) < VISIBLE_LARGE or len(names) < len(views):
-        return everything
-    bare, own = geometry_only(splats), painting.mask.nonzero()[:, 0]
-    others = replace(bare, opacities=bare.opacities.masked_fill(painting.mask, -torch.inf))
-    alone, square = bare[own], np.ones((2 * CROP_MARGIN + 1, 2 * CROP_MARGIN + 1), np.uint8)
-
-    def look(view: Cameras) -> Tensor | None:
-        """The Gaussians that would show near the object; None if it is hidden."""
-        near = reached_pixels(alone, view)
-        if not near.any():
-            return None
-        near = torch.from_numpy(cv2.dilate(near.cpu().numpy().astype(np.uint8), square))
-        rows = visible(in_view(others, view, near.bool().to(own.device)), view).rows
-        there = torch.cat([own, rows])
-        is_own = torch.arange(len(there), device=there.device) < len(own)
-        shares = coverage(bare[there], view, is_own)
-        return rows if (shares > VISIBLE).any() else None
-
-    kept, shown = painting.mask.clone(), set[str]()
-    found = per_view(look, views, "looking around the object", splats.device)
-    for view, rows in zip(views, found, strict=True):
-        if rows is not None:
-            kept[rows] = True
-            shown.update(view.names)
-    if shown.isdisjoint(setup.cameras.names):
-        return everything
-    rows = kept.nonzero()[:, 0]
-    cameras, all_cameras = (
-        each[[n for n, name in enumerate(each.names) if name in shown]]
-        for each in (setup.cameras, setup.all_cameras)
-    )
-    part = replace(setup, splats=splats[rows], cameras=cameras, all_cameras=all_cameras)
-    return part, painting.at(rows), rows
 
 
 def layer_of(state: PaintState, painting: Painting, parents: Int[Tensor, " M"]) -> Layer:
