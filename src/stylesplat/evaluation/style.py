@@ -77,6 +77,15 @@ def measure_painted(
     return measure_changes(base, styled, cameras, picked) | {"objects": objects}
 
 
+def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
+    """Metrics with one entry per number, and in it one per object."""
+    metrics = {name: value for name, value in measured.items() if name != "objects"}
+    for each, numbers in measured["objects"].items():
+        for name, value in numbers.items():
+            metrics.setdefault(name, {})[each] = value
+    return metrics
+
+
 @torch.no_grad()
 def measure_style(
     setup: PaintSetup,

@@ -100,9 +100,7 @@ class Canvas:
     def surface(self) -> Surface | None:
         """The object's surface as the discs sample it; None without discs."""
         discs = self.splats[self.is_disc]
-        if not len(discs):
-            return None
-        return discs.means, rotation_matrices(discs.quats)[:, :, 2]
+        return (discs.means, rotation_matrices(discs.quats)[:, :, 2]) if len(discs) else None
 
     def changed(self, **tensors: Tensor) -> "Canvas":
         return replace(self, splats=replace(self.splats, **tensors))

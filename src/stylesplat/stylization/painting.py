@@ -1,6 +1,6 @@
 """What is painted: objects and their styles, planned by a recipe, and what they have in common."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast, get_args
@@ -196,3 +196,33 @@ def load_network(
         )
     check_choice(features, "feature network", get_args(Network))
     return load_weights(cast("Network", features), path, depth=depth, download=download)
+
+
+def setup_maker(
+    paintings: Sequence[Painting],
+    cameras: Cameras,
+    held_out: Cameras | None,
+    max_memory: float,
+    device: torch.device,
+) -> Callable[[Splats, Painting], PaintSetup]:
+    """Returns a function that makes what painting on some splats needs.
+
+    Each network is loaded once, as deep as the paintings need it.
+    """
+    depths = dict[tuple[Network, Source | None], int]()
+    for each in paintings:
+        kind = each.features, each.weights
+        depths[kind] = max(each.config.block, depths.get(kind, 0))
+    networks = {kind: load_network(*kind, depth=depth) for kind, depth in depths.items()}
+
+    def setup_of(splats: Splats, painting: Painting) -> PaintSetup:
+        return paint_setup(
+            splats.to(device),
+            cameras,
+            networks[painting.features, painting.weights],
+            held_out=held_out,
+            max_memory=max_memory,
+            precision=painting.precision,
+        )
+
+    return setup_of

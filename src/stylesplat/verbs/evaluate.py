@@ -13,7 +13,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, count_noun, noun_repr
 from stylesplat.evaluation.changes import largest_stain, measure_changes
 from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
-from stylesplat.evaluation.style import measure_look, measure_style
+from stylesplat.evaluation.style import flat_metrics, measure_look, measure_style
 from stylesplat.evaluation.summary import metric_differences
 from stylesplat.figures.html_page import SceneColumn
 from stylesplat.figures.pictures import render_pictures
@@ -34,7 +34,6 @@ from stylesplat.stylization.style import Style, digest
 from stylesplat.stylization.views import ObjectBox, find_boxes
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.object_alone import OBJECTS_ALONE, cut_out_labels
-from stylesplat.verbs.stylize import flat_metrics
 
 EVALUATE_VIEWS = 4  # by default
 EVALUATE_VISIBLE = 8  # levels of 255 in a channel: smaller differences are hard to see

@@ -3,66 +3,34 @@
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.style import measure_painted
+from stylesplat.evaluation.style import flat_metrics, measure_painted
 from stylesplat.io.style_pictures import Picture
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
-from stylesplat.scene.layers import RELIEF_FORM, Layer, Source
+from stylesplat.scene.layers import RELIEF_FORM, Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import PaintState
 from stylesplat.stylization.config import Network, Precision
-from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.painter import check_visible, layer_of, paint_layer, paint_steps
 from stylesplat.stylization.painting import (
     MAX_MEMORY,
     Painting,
     PaintSetup,
-    load_network,
-    paint_setup,
     plan_paintings,
+    setup_maker,
 )
 from stylesplat.stylization.sculpture import sculpted, with_sculptures
 from stylesplat.stylization.style import Recipe, Style, as_recipe
 from stylesplat.stylization.views import ObjectBox
 from stylesplat.verbs.adjust import recolor
-
-SetupOf = Callable[[Splats, Painting], PaintSetup]
-
-
-def setup_maker(
-    scene: Scene, paintings: Sequence[Painting], max_memory: float, device: torch.device
-) -> SetupOf:
-    """Returns a function that makes what painting on some splats needs.
-
-    It loads each network once, as deep as the paintings need it.
-    """
-    training, held_out = scene.working_views()
-
-    @cache
-    def network(features: Network, weights: Source | None) -> FeatureNetwork:
-        same = [each for each in paintings if (each.features, each.weights) == (features, weights)]
-        return load_network(features, weights, depth=max(each.config.block for each in same))
-
-    def setup_of(splats: Splats, painting: Painting) -> PaintSetup:
-        return paint_setup(
-            splats.to(device),
-            training,
-            network(painting.features, painting.weights),
-            held_out=held_out,
-            max_memory=max_memory,
-            precision=painting.precision,
-        )
-
-    return setup_of
 
 
 @check_arguments
@@ -118,8 +86,8 @@ def stylize(
         )
     recipe = recipe.protecting((protect,) if isinstance(protect, str) else tuple(protect))
     paintings = plan_paintings(recipe, scene, features, weights)
-    torch_device = pick_device(device)
-    setup_of = setup_maker(scene, paintings, max_memory, torch_device)
+    training, held_out = scene.working_views()
+    setup_of = setup_maker(paintings, training, held_out, max_memory, pick_device(device))
     if len(paintings) > 1:  # so that no object is painted in vain
         for painting in paintings:
             below = scene.below(painting.name)
@@ -137,7 +105,7 @@ def stylize(
         below = scene.below(painting.name)
         setup = setup_of(below.splats, painting)
         own = painting.at(below.parents).to(setup.splats)
-        layer, surveys[painting.name] = paint_layer(setup, own, below.parents.to(torch_device))
+        layer, surveys[painting.name] = paint_layer(setup, own, below.parents.to(own.mask.device))
         precision = setup.precision_name
         scene = scene.with_layer(painting.record(layer, precision))
         seconds[painting.name] = time.perf_counter() - began
@@ -172,17 +140,8 @@ def _recolored(scene: Scene, recipe: Recipe, place: int) -> Scene:
     return scene
 
 
-def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
-    """Metrics with one entry per number, and in it one per object."""
-    metrics = {name: value for name, value in measured.items() if name != "objects"}
-    for each, numbers in measured["objects"].items():
-        for name, value in numbers.items():
-            metrics.setdefault(name, {})[each] = value
-    return metrics
-
-
 def _measure(
-    setup_of: SetupOf,
+    setup_of: Callable[[Splats, Painting], PaintSetup],
     paintings: Sequence[Painting],
     scene: Scene,
     surveys: Mapping[str, Sequence[ObjectBox]],
@@ -271,7 +230,8 @@ def stylize_live(
     """
     (painting,) = paintings = plan_paintings(as_recipe({name: style}), scene, features, weights)
     below = scene.below(name)
-    setup_of = setup_maker(scene, paintings, max_memory, pick_device(device))
+    training, held_out = scene.working_views()
+    setup_of = setup_maker(paintings, training, held_out, max_memory, pick_device(device))
     setup = setup_of(below.splats, painting)
     painting = painting.at(below.parents).to(setup.splats)
     for state in paint_steps(setup, painting, preview=True):
