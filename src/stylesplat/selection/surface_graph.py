@@ -40,10 +40,8 @@ GRAPH_PLANE = 0.15  # share of what shows from which a plane is background; the 
 # Share of the variance of normals that goes linearly with the place, from which a surface is
 # curved: .02 to .06 on tables and walls of four captures, .65 on the side of a cape
 PLANE_CURVED = 0.5
-PLANE_UPRIGHT, PLANE_ALONG = (
-    0.9,
-    0.8,
-)  # cosines of normals to a plane's that fit it, in candidates and planes
+# Cosines of normals to a plane's that fit it, in candidates and planes
+PLANE_UPRIGHT, PLANE_ALONG = 0.9, 0.8
 PLANE_SAMPLE, PLANE_TRIES = 4000, 200  # points and candidates to find a plane
 # Differences of colours (CIELAB) and normals that divide pieces of a surface, rounds of mean shift,
 # and how fast their connections weaken

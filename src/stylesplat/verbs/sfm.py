@@ -183,20 +183,8 @@ def sfm(
         >>> capture = ss.sfm("MyPhotos/", "MyPhotos-capture/")  # doctest: +SKIP
     """
     config = with_settings(SfmConfig(), settings)
-    if masks is not None and box is not None:
-        raise StyleSplatError(
-            "Masks and a box both say what to pose. Give one of them, --masks or --object."
-        )
-    if masks is not None:
-        check_mask_source(Path(masks))
     source, output = Path(source), Path(output).resolve()
-    refuse_other_than_photos(source)
-    if output.is_relative_to(source.resolve()):
-        raise StyleSplatError(f"{output} lies inside of {source}. Choose a folder outside of it.")
-    if source.resolve().is_relative_to(output):
-        raise StyleSplatError(
-            f"{source} lies inside of {output}, which would be replaced. Choose another folder."
-        )
+    _refuse_places(source, output, masks, box)
     work = progress_path(output) / "sfm"
     photos = work / "prepared"
     with locked_folder(output):
@@ -244,6 +232,25 @@ def sfm(
     for line in advices(report, known={"posed"}):
         say(line)
     return load(output)
+
+
+def _refuse_places(
+    source: Path, output: Path, masks: Path | str | None, box: Places | None
+) -> None:
+    """Raise the errors of `sfm` that are known before the work."""
+    if masks is not None and box is not None:
+        raise StyleSplatError(
+            "Masks and a box both say what to pose. Give one of them, --masks or --object."
+        )
+    if masks is not None:
+        check_mask_source(Path(masks))
+    refuse_other_than_photos(source)
+    if output.is_relative_to(source.resolve()):
+        raise StyleSplatError(f"{output} lies inside of {source}. Choose a folder outside of it.")
+    if source.resolve().is_relative_to(output):
+        raise StyleSplatError(
+            f"{source} lies inside of {output}, which would be replaced. Choose another folder."
+        )
 
 
 def _masks_of(

@@ -277,27 +277,32 @@ def write_sog(splats: Splats, path: Path | str) -> None:
         "quats": {"files": [add("quats.webp", quats)]},
         "sh0": {"codebook": color_codes, "files": [add("sh0.webp", colors)]},
     }
-    bands = splats.shN.shape[1]
-    if count and bands:
-        most = min(PALETTE, 2 ** int(math.log2(count)))
-        entries, labels = tree_kmeans(splats.shN.flatten(1).numpy(), most)
-        codebook = fit_codebook(entries)
-        texels = encode(entries, codebook).reshape(len(entries) * bands, 3)
-        width, height = PALETTE_COLUMNS * bands, math.ceil(len(entries) / PALETTE_COLUMNS)
-        choices = np.column_stack([labels & 255, labels >> 8]).astype(np.uint8)
-        about["shN"] = {
-            "count": len(entries),
-            "bands": splats.sh_degree,
-            "codebook": codebook,
-            "files": [
-                add("shN_centroids.webp", texels, width, height),
-                add("shN_labels.webp", choices),
-            ],
-        }
+    if count and splats.shN.shape[1]:
+        about["shN"] = _add_palette(splats, add)
     files[SOG_META] = strict_json(about).encode()
     with atomic_path(path) as draft, zipfile.ZipFile(draft, "w") as bundle:
         for name, content in files.items():
             bundle.writestr(zipfile.ZipInfo(name, ZIP_DATE), content)
+
+
+def _add_palette(splats: Splats, add: Callable[..., str]) -> dict[str, Any]:
+    """Make the pictures of the higher bands; what `meta.json` says of them."""
+    bands, most = splats.shN.shape[1], min(PALETTE, 2 ** int(math.log2(len(splats))))
+    entries, labels = tree_kmeans(splats.shN.flatten(1).numpy(), most)
+    codebook = fit_codebook(entries)
+    texels = encode(entries, codebook).reshape(len(entries) * bands, 3)
+    width, height = PALETTE_COLUMNS * bands, math.ceil(len(entries) / PALETTE_COLUMNS)
+    choices = np.column_stack([labels & 255, labels >> 8]).astype(np.uint8)
+    files = [
+        add("shN_centroids.webp", texels, width, height),
+        add("shN_labels.webp", choices),
+    ]
+    return {
+        "count": len(entries),
+        "bands": splats.sh_degree,
+        "codebook": codebook,
+        "files": files,
+    }
 
 
 def _folder_reader(path: Path) -> Reader:
