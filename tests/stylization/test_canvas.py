@@ -19,9 +19,9 @@ from stylesplat.stylization.canvas import (
     build_surfels,
     drop_hidden,
     fit_surfels,
+    layer_of,
 )
 from stylesplat.stylization.config import StyleConfig
-from stylesplat.stylization.painter import layer_of
 from stylesplat.stylization.painting import Painting
 from stylesplat.stylization.trim import LONG, align_to_strokes, trim_surfels
 from stylesplat.stylization.views import ObjectBox, find_boxes

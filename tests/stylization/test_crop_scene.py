@@ -6,11 +6,10 @@ import torch
 
 from balls import CAMERAS, FAST, ball, same
 from balls import STRIPED_SCENE as SCENE
-from stylesplat.stylization import views as cutting
+from stylesplat.stylization import painter as cutting
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.painter import paint_objects, paint_setup
+from stylesplat.stylization.painter import crop_scene, paint_objects, paint_setup
 from stylesplat.stylization.painting import Painting, PaintSetup
-from stylesplat.stylization.views import crop_scene
 
 BALL = ball(0)
 ELSEWHERE = 100  # Gaussians that no camera sees, before all others

@@ -17,12 +17,12 @@ from stylesplat.rendering.visibility import in_view, pixel_bounds, visible
 from stylesplat.rendering.weights import contributions, coverage
 from stylesplat.selection.shares import object_shares
 from stylesplat.stylization import canvas as fitting
-from stylesplat.stylization import views as cutting
+from stylesplat.stylization import painter as cutting
 from stylesplat.stylization.canvas import Canvas, build_surfels, fit_surfels, unpainted_views
 from stylesplat.stylization.features import FeatureNetwork
+from stylesplat.stylization.painter import crop_scene, find_boxes
 from stylesplat.stylization.painting import Painting, paint_setup
 from stylesplat.stylization.trim import trim_surfels
-from stylesplat.stylization.views import crop_scene, find_boxes
 
 LARGER = enlarged(CAMERAS[::4], 2)
 ELSEWHERE = 20  # Gaussians that no camera sees, before all others

@@ -7,7 +7,7 @@ take. The canvas hides them. They keep their positions, and undoing gives them b
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -32,9 +32,12 @@ from stylesplat.rendering.weights import (
     pixels_in,
 )
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.layers import Layer, appearance_only
 from stylesplat.scene.projection import project
 from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
+from stylesplat.stylization.config import plain_settings
+from stylesplat.stylization.painting import Painting, with_relief_form
 from stylesplat.stylization.views import ObjectBox, Surface, box_cameras, per_view
 from stylesplat.training.adam import Moments, adam_step
 
@@ -432,3 +435,49 @@ def fit_surfels(canvas: Canvas, *, seed: int) -> Canvas:
         for leaf in leaves.values():
             leaf.grad = None
     return canvas.changed(**{name: leaf.detach() for name, leaf in leaves.items()})
+
+
+LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
+
+
+def layer_of(state: PaintState, painting: Painting, parents: Int[Tensor, " M"]) -> Layer:
+    """The layer of an object that is being painted.
+
+    A row of the base stands for all Gaussians below that belong to it: its paint is their mean.
+    """
+    count, own = len(parents), painting.mask.nonzero()[:, 0]
+    before, after, canvas = state.canvas.before, state.splats.detach(), state.canvas
+    opacities = torch.sigmoid(before.opacities[own])
+    is_fading = after.opacities[own] != before.opacities[own]
+    factors = (torch.sigmoid(after.opacities[own]) / opacities).clamp(0, 1)
+    rows, members = parents[own].unique(return_inverse=True)
+    mean = partial(_group_means, members=members, weights=opacities.clamp(min=LEAST_WEIGHT))
+    return Layer(
+        object=painting.name,
+        rows=rows,
+        shares=torch.ones_like(rows, dtype=after.means.dtype),
+        sh0=mean(after.sh0[own]),
+        shN=mean(after.shN[own]),
+        opacity_factors=mean(torch.where(is_fading, factors, torch.ones_like(factors))),
+        surfels=appearance_only(after[count:]).map(torch.clone),  # without the rest's memory
+        surfels_sh0=canvas.splats.sh0[count:].clone(),
+        parents=parents[canvas.parents[count:]],
+        relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),
+        strength=painting.config.intensity,
+        form=painting.config.form,
+        settings=plain_settings(with_relief_form(painting.config)),
+    )
+
+
+def _group_means(
+    values: Float[Tensor, "O *_"], members: Int[Tensor, " O"], weights: Float[Tensor, " O"]
+) -> Float[Tensor, "R *_"]:
+    """The weighted means of groups of values; of a single value that value, to the bit."""
+    count = int(members.max()) + 1
+    shape = (-1, *(1,) * (values.dim() - 1))
+    sums = values.new_zeros(count, *values.shape[1:])
+    sums.index_add_(0, members, values * weights.view(shape))
+    total = weights.new_zeros(count).index_add_(0, members, weights)
+    means = sums / total.view(shape)
+    single = (members.bincount(minlength=count) == 1)[members]
+    return means.index_copy_(0, members[single], values[single])

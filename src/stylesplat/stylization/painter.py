@@ -6,6 +6,8 @@ from functools import cached_property, partial
 from itertools import chain
 from typing import NamedTuple
 
+import cv2
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -14,10 +16,12 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import Palette, build_palette
 from stylesplat.io.style_pictures import Picture, read_style
 from stylesplat.progress import say, task
+from stylesplat.rendering.visibility import VISIBLE_LARGE, in_view, visible
+from stylesplat.rendering.weights import coverage, geometry_only
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
-from stylesplat.scene.layers import RELIEF_FORM, Composed, Layer, appearance_only, compose
+from stylesplat.scene.layers import Composed, Layer, compose
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.shares import object_shares
 from stylesplat.stylization.canvas import (
@@ -26,6 +30,7 @@ from stylesplat.stylization.canvas import (
     build_surfels,
     drop_hidden,
     fit_surfels,
+    layer_of,
 )
 from stylesplat.stylization.colors import (
     Colors,
@@ -42,12 +47,17 @@ from stylesplat.stylization.config import (
     FINEST,
     Stage,
     StyleConfig,
-    plain_settings,
 )
 from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.form import FormSurvey, form_relief, survey_detail
 from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
-from stylesplat.stylization.painting import Painting, PaintSetup, check_paintings, paint_setup
+from stylesplat.stylization.painting import (
+    Painting,
+    PaintSetup,
+    check_paintings,
+    paint_setup,
+    with_relief_form,
+)
 from stylesplat.stylization.paper import paint_as_published
 from stylesplat.stylization.style import KEPT_HUES, all_colors, large_shapes, style_pictures
 from stylesplat.stylization.trim import reveal, split_large, trim_surfels
@@ -55,9 +65,10 @@ from stylesplat.stylization.views import (
     WHOLE_VIEWS,
     ObjectBox,
     ObjectView,
-    crop_scene,
     find_boxes,
     object_views,
+    per_view,
+    reached_pixels,
     require_boxes,
     stage_views,
     typical_length,
@@ -68,7 +79,6 @@ OWN_SHARE = 0.5  # share of a Gaussian that is the object's: one with less is no
 BLUR_VIEWS = 6  # of the whole object, that suffice between stages
 SHARPENED = 2.0  # form of the finer band, added before fine stages: coarser ones lose it
 PREVIEW_STEPS = 25  # on the object's own Gaussians: laying the canvas takes longer
-LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
 REPORT_EVERY = 10  # steps between two updates of the loss in the progress bar
 
 
@@ -144,11 +154,6 @@ def paint_steps(
     steps = sum(stage.steps for stage in [*previews, *stages])
     states = chain(*(paint_preview(subject, stage) for stage in previews), paint_object(subject))
     return (replace(state, step=n, steps=steps) for n, state in enumerate(states, start=1))
-
-
-def with_relief_form(config: StyleConfig) -> StyleConfig:
-    """The settings to paint with: a form above 1 changes the finished paint alone; see `sculpt`."""
-    return replace(config, form=min(config.form, RELIEF_FORM))
 
 
 def check_visible(setup: PaintSetup, painting: Painting) -> None:
@@ -409,44 +414,54 @@ def paint_layer(
     return layer, boxes
 
 
-def layer_of(state: PaintState, painting: Painting, parents: Int[Tensor, " M"]) -> Layer:
-    """The layer of an object that is being painted.
+CROP_VISIBLE = 0.02  # share of some pixel: an object with less in a view is hidden, but for seams
+CROP_MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
 
-    A row of the base stands for all Gaussians below that belong to it: its paint is their mean.
+
+@torch.no_grad()
+def crop_scene(
+    setup: PaintSetup, painting: Painting
+) -> tuple[PaintSetup, Painting, Int[Tensor, " M"]]:
+    """Crop a large scene to the Gaussians and views that matter to an object.
+
+    Besides the object's Gaussians these are all that would show near it if it were not there: what
+    hides it, and what it hides. In views that hide the object some of these may be missing, so that
+    they are left out. A small scene stays whole, and one of which no view shows the object. The
+    crop's rows of the scene are returned, too.
     """
-    count, own = len(parents), painting.mask.nonzero()[:, 0]
-    before, after, canvas = state.canvas.before, state.splats.detach(), state.canvas
-    opacities = torch.sigmoid(before.opacities[own])
-    is_fading = after.opacities[own] != before.opacities[own]
-    factors = (torch.sigmoid(after.opacities[own]) / opacities).clamp(0, 1)
-    rows, members = parents[own].unique(return_inverse=True)
-    mean = partial(_group_means, members=members, weights=opacities.clamp(min=LEAST_WEIGHT))
-    return Layer(
-        object=painting.name,
-        rows=rows,
-        shares=torch.ones_like(rows, dtype=after.means.dtype),
-        sh0=mean(after.sh0[own]),
-        shN=mean(after.shN[own]),
-        opacity_factors=mean(torch.where(is_fading, factors, torch.ones_like(factors))),
-        surfels=appearance_only(after[count:]).map(torch.clone),  # without the rest's memory
-        surfels_sh0=canvas.splats.sh0[count:].clone(),
-        parents=parents[canvas.parents[count:]],
-        relief=torch.cat([mean(state.relief[own]), state.relief[count:]]),
-        strength=painting.config.intensity,
-        form=painting.config.form,
-        settings=plain_settings(with_relief_form(painting.config)),
+    splats, views = setup.splats, [*setup.all_cameras]
+    everything = setup, painting, torch.arange(len(splats), device=splats.device)
+    names = {*setup.all_cameras.names}
+    if len(splats) < VISIBLE_LARGE or len(names) < len(views):
+        return everything
+    bare, own = geometry_only(splats), painting.mask.nonzero()[:, 0]
+    others = replace(bare, opacities=bare.opacities.masked_fill(painting.mask, -torch.inf))
+    alone, square = bare[own], np.ones((2 * CROP_MARGIN + 1, 2 * CROP_MARGIN + 1), np.uint8)
+
+    def look(view: Cameras) -> Tensor | None:
+        """The Gaussians that would show near the object; None if it is hidden."""
+        near = reached_pixels(alone, view)
+        if not near.any():
+            return None
+        near = torch.from_numpy(cv2.dilate(near.cpu().numpy().astype(np.uint8), square))
+        rows = visible(in_view(others, view, near.bool().to(own.device)), view).rows
+        there = torch.cat([own, rows])
+        is_own = torch.arange(len(there), device=there.device) < len(own)
+        shares = coverage(bare[there], view, is_own)
+        return rows if (shares > CROP_VISIBLE).any() else None
+
+    kept, shown = painting.mask.clone(), set[str]()
+    found = per_view(look, views, "looking around the object", splats.device)
+    for view, rows in zip(views, found, strict=True):
+        if rows is not None:
+            kept[rows] = True
+            shown.update(view.names)
+    if shown.isdisjoint(setup.cameras.names):
+        return everything
+    rows = kept.nonzero()[:, 0]
+    cameras, all_cameras = (
+        each[[n for n, name in enumerate(each.names) if name in shown]]
+        for each in (setup.cameras, setup.all_cameras)
     )
-
-
-def _group_means(
-    values: Float[Tensor, "O *_"], members: Int[Tensor, " O"], weights: Float[Tensor, " O"]
-) -> Float[Tensor, "R *_"]:
-    """The weighted means of groups of values; of a single value that value, to the bit."""
-    count = int(members.max()) + 1
-    shape = (-1, *(1,) * (values.dim() - 1))
-    sums = values.new_zeros(count, *values.shape[1:])
-    sums.index_add_(0, members, values * weights.view(shape))
-    total = weights.new_zeros(count).index_add_(0, members, weights)
-    means = sums / total.view(shape)
-    single = (members.bincount(minlength=count) == 1)[members]
-    return means.index_copy_(0, members[single], values[single])
+    part = replace(setup, splats=splats[rows], cameras=cameras, all_cameras=all_cameras)
+    return part, painting.at(rows), rows

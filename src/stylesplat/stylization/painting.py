@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.layers import Layer, Source
+from stylesplat.scene.layers import RELIEF_FORM, Layer, Source
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import GIB
 from stylesplat.scene.splats import Splats
@@ -182,6 +182,11 @@ def check_paintings(paintings: Sequence[Painting]) -> None:
                 f"{each.name} was given twice. Give it once; several pictures make one style: "
                 f"{each.name}=a.jpg,b.jpg."
             )
+
+
+def with_relief_form(config: StyleConfig) -> StyleConfig:
+    """The settings to paint with: a form above 1 changes the finished paint alone; see `sculpt`."""
+    return replace(config, form=min(config.form, RELIEF_FORM))
 
 
 def load_network(

@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import TypeVar
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -17,7 +15,6 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say, track
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.view_pool import map_views
-from stylesplat.rendering.visibility import VISIBLE_LARGE, in_view, visible
 from stylesplat.rendering.weights import (
     COVERED,
     Contributions,
@@ -357,59 +354,6 @@ def box_cameras(
     """At most `count` cameras cropped to boxes, in which the object is this long, in pixels."""
     zoom = length / typical_length(boxes)
     return [crop_to_box(box, zoom, (margin, margin))[0] for box in evenly_spaced(boxes, count)]
-
-
-CROP_VISIBLE = 0.02  # share of some pixel: an object with less in a view is hidden, but for seams
-CROP_MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussians grow by as much
-
-
-@torch.no_grad()
-def crop_scene(
-    setup: PaintSetup, painting: Painting
-) -> tuple[PaintSetup, Painting, Int[Tensor, " M"]]:
-    """Crop a large scene to the Gaussians and views that matter to an object.
-
-    Besides the object's Gaussians these are all that would show near it if it were not there: what
-    hides it, and what it hides. In views that hide the object some of these may be missing, so that
-    they are left out. A small scene stays whole, and one of which no view shows the object. The
-    crop's rows of the scene are returned, too.
-    """
-    splats, views = setup.splats, [*setup.all_cameras]
-    everything = setup, painting, torch.arange(len(splats), device=splats.device)
-    names = {*setup.all_cameras.names}
-    if len(splats) < VISIBLE_LARGE or len(names) < len(views):
-        return everything
-    bare, own = geometry_only(splats), painting.mask.nonzero()[:, 0]
-    others = replace(bare, opacities=bare.opacities.masked_fill(painting.mask, -torch.inf))
-    alone, square = bare[own], np.ones((2 * CROP_MARGIN + 1, 2 * CROP_MARGIN + 1), np.uint8)
-
-    def look(view: Cameras) -> Tensor | None:
-        """The Gaussians that would show near the object; None if it is hidden."""
-        near = reached_pixels(alone, view)
-        if not near.any():
-            return None
-        near = torch.from_numpy(cv2.dilate(near.cpu().numpy().astype(np.uint8), square))
-        rows = visible(in_view(others, view, near.bool().to(own.device)), view).rows
-        there = torch.cat([own, rows])
-        is_own = torch.arange(len(there), device=there.device) < len(own)
-        shares = coverage(bare[there], view, is_own)
-        return rows if (shares > CROP_VISIBLE).any() else None
-
-    kept, shown = painting.mask.clone(), set[str]()
-    found = per_view(look, views, "looking around the object", splats.device)
-    for view, rows in zip(views, found, strict=True):
-        if rows is not None:
-            kept[rows] = True
-            shown.update(view.names)
-    if shown.isdisjoint(setup.cameras.names):
-        return everything
-    rows = kept.nonzero()[:, 0]
-    cameras, all_cameras = (
-        each[[n for n, name in enumerate(each.names) if name in shown]]
-        for each in (setup.cameras, setup.all_cameras)
-    )
-    part = replace(setup, splats=splats[rows], cameras=cameras, all_cameras=all_cameras)
-    return part, painting.at(rows), rows
 
 
 def reached_pixels(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:

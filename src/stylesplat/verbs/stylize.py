@@ -17,9 +17,9 @@ from stylesplat.rendering.render import pick_device
 from stylesplat.scene.layers import RELIEF_FORM, Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.canvas import PaintState
+from stylesplat.stylization.canvas import PaintState, layer_of
 from stylesplat.stylization.config import Network, Precision
-from stylesplat.stylization.painter import check_visible, layer_of, paint_layer, paint_steps
+from stylesplat.stylization.painter import check_visible, paint_layer, paint_steps
 from stylesplat.stylization.painting import (
     MAX_MEMORY,
     Painting,
