@@ -25,11 +25,11 @@ def window_around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
 
 
 BAND = 0.06  # of the root of the mask's area: how far a contour may move
-MIN_BAND = 2.0  # pixels
+MIN_BAND = 2.0  # pixels: at least so far
 THIN = 2.0  # pixels from the contour, from which the middle of a leg is the object's for certain
-CONTOUR_EDGE = 8.0  # difference of colours, over which a connection drops to 1/e
+CONTOUR_EDGE = 8.0  # levels of colour (of 255) over which a connection drops to 1/e
 WEAKEST = 1e-5  # connection across the strongest edge
-TRUST = 0.005  # probability with which a walk ends at a pixel, over that of a step in plain colour
+TRUST = 0.005  # probability that a walk ends at a pixel, over that of a step in plain colour
 
 
 def move_to_edges(colors: ColorLevels, mask: Mask) -> Mask:

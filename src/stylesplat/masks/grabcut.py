@@ -14,18 +14,18 @@ from stylesplat.imaging.similarity import mask_iou
 from stylesplat.masks.contours import ColorLevels, window_around
 from stylesplat.scene.capture import Mask
 
-ITERATIONS = 5
+ITERATIONS = 5  # of fitting colours and cutting
 SEED = 0  # of OpenCV's clustering
-SURE, UNSURE = 0.9, 0.1  # probabilities beyond which colours do not matter
+SURE, UNSURE = 0.9, 0.1  # probabilities of the object beyond which colours do not matter
 CONTOUR_ERROR = 0.006  # of the image's diagonal, by which a contour may be wrong
-# Of the diagonal, around the object, that its background is learned from
-GRABCUT_SURROUNDINGS = 0.1
+GRABCUT_SURROUNDINGS = 0.1  # of the diagonal: how far around an object its background is learned
 MIN_PIXELS = 16  # with fewer, GrabCut cannot learn colours
 GRABCUT_CHROMA = 2.5  # levels per unit of CIELAB's a and b, which stay within 50 in photos
 EXTREMES = (1, 99)  # percentiles that inverse depth is stretched between
-STROKE_WIDTH = 3  # pixels
+STROKE_WIDTH = 3  # pixels of a photo of `DRAWN_BOX_SIZE`
 # GrabCut takes three channels, of lightness, a, b and inverse depth. Which tell an object from its
-# background differs: fur before a cream wall by the last three, a mouse on its mat by the first.
+# background differs: fur before a cream wall by the last three, a mouse on its mat by the first. By
+# the first set alone an object of a desk falls from an IoU of .58 to .20.
 GRABCUT_CHANNELS = ((0, 1, 2), (1, 2, 3), (0, 1, 3), (0, 2, 3))
 
 DrawnBox = tuple[float | int, float | int, float | int, float | int]

@@ -22,7 +22,7 @@ from stylesplat.scene.capture import BACKGROUND, Labels, OwnLabels, resize_label
 from stylesplat.scene.splats import Splats
 
 REPAIR_SIDE = 640  # pixels of a photo's longer side that suffice to tell what it shows
-REPAIR_SMALL = 5e-4  # of a photo: a smaller part is dropped
+SMALLEST_PART = 5e-4  # of a photo: a smaller part, or mask, is a fragment and is dropped
 REPAIR_FAINT = 1e-2  # pixels of a Gaussian in a part that do not matter
 # Grouping of parts
 REPAIR_SAME_IOU = 0.3  # of two groups of parts, in what both sides see, from which they are one
@@ -222,7 +222,7 @@ def _number_parts(labels: Labels, first: int) -> tuple[Labels, dict[int, int]]:
     ids = dict[int, int]()
     numbers = torch.zeros(labels.shape, dtype=torch.int32)  # half of what int64 takes
     for id, box, part in connected_parts(labels):
-        if part.sum() >= REPAIR_SMALL * labels.numel():
+        if part.sum() >= SMALLEST_PART * labels.numel():
             number = first + len(ids)
             numbers[box][part] = number
             ids[number] = id
@@ -307,7 +307,7 @@ def _apply_votes(labels: Labels, winner: Labels, certainty: Float[Tensor, "H W"]
             id
             for id, count in counts.items()
             if count >= SECOND_OBJECT * total
-            or count >= max(WHOLE_OBJECT * areas[id], REPAIR_SMALL * pixels)
+            or count >= max(WHOLE_OBJECT * areas[id], SMALLEST_PART * pixels)
         ]
         if len(large) > 1:
             known = part & torch.isin(winner[box], torch.tensor(large))
@@ -317,7 +317,7 @@ def _apply_votes(labels: Labels, winner: Labels, certainty: Float[Tensor, "H W"]
     for id in areas:
         there = (winner == id) & (certainty > 0.5)
         known, area = (there & (voted == id)).sum(), there.sum()
-        is_large = id != BACKGROUND and area >= REPAIR_SMALL * pixels
+        is_large = id != BACKGROUND and area >= SMALLEST_PART * pixels
         if is_large and known < REPAIR_LOST * area:
             voted[there & (voted == BACKGROUND)] = id
     return voted
@@ -344,7 +344,7 @@ def _renumber(maps: Sequence[OwnLabels]) -> list[OwnLabels]:
             sizes[id] = sizes.get(id, 0) + count
             shares.setdefault(id, []).append(count / labels.numel())
     views = min(2, len(maps))
-    seen = {id: sum(share >= REPAIR_SMALL for share in each) for id, each in shares.items()}
+    seen = {id: sum(share >= SMALLEST_PART for share in each) for id, each in shares.items()}
     objects = [id for id in sizes if id != BACKGROUND and seen[id] >= views]
     order = sorted(objects, key=lambda id: -sizes[id])
     new = dict.fromkeys(sizes, BACKGROUND) | {id: n for n, id in enumerate(order, start=1)}

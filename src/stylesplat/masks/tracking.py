@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.imaging.similarity import pairwise_iou
+from stylesplat.masks.repair import SMALLEST_PART
 from stylesplat.rendering.weights import PRIOR, label_pixels, render_argmax
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Labels, Mask
@@ -128,7 +129,6 @@ OTHER_SIZE = 10.0  # distance of photos of another size; the cameras' mean dista
 TRACK_SAME_IOU = 0.5  # of two masks of one object in one photo
 MIN_FREE = 0.5  # share of a mask that no better one may cover
 TRACK_LARGEST = 0.8  # of a photo: a larger mask is background; a close-up fills half of one
-TRACK_SMALLEST = 5e-4  # of a photo: a smaller mask is a fragment
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +290,7 @@ def _subtract_better(masks: Sequence[Mask], taken: Mask | None = None) -> list[M
     for mask in masks:
         free = mask if taken is None else mask & ~taken
         area, left = int(mask.sum()), int(free.sum())
-        if left >= max(TRACK_SMALLEST * mask.numel(), MIN_FREE * area, 1):
+        if left >= max(SMALLEST_PART * mask.numel(), MIN_FREE * area, 1):
             kept.append(free)
             taken = free if taken is None else taken | free
     return kept

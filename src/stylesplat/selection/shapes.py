@@ -70,7 +70,7 @@ def _span(splats: Splats, low: Tensor, high: Tensor) -> str:
     return f"from {start} to {end}"
 
 
-SHAPE_SLACK = 1e-6  # of a distance
+SHAPE_SLACK = 1e-6  # of a distance, by which a search goes farther: it leaves out its bound
 INSIDE = 0.9  # share of an object's solid centres that make up its extent; the rest may be strays
 
 
@@ -123,7 +123,7 @@ def within_distance(
     found = torch.zeros(len(points), dtype=torch.bool)
     if not len(others):
         return found.to(points.device)
-    bound = reach * (1 + SHAPE_SLACK)  # the search excludes its bound
+    bound = reach * (1 + SHAPE_SLACK)
     positions, targets = (each.detach().cpu().double() for each in (points, others))
     low, high = targets.amin(dim=0) - bound, targets.amax(dim=0) + bound
     rows = overlapping(positions, positions, low, high)
@@ -134,10 +134,8 @@ def within_distance(
 
 
 SHAPE_NEIGHBOURS = 12  # of a Gaussian, along which a selection spreads over a surface
-SPREAD_COLOR, SPREAD_BEND = (
-    0.1,
-    0.15,
-)  # differences of colour, and of 1 - |cosine| of normals, as far as a step
+# Differences of colour (0 to 1) and of 1 - |cosine| of normals, that double the length of a step
+SPREAD_COLOR, SPREAD_BEND = 0.1, 0.15
 
 
 @torch.no_grad()

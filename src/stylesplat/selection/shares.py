@@ -30,9 +30,8 @@ LABELLED = 0.25  # coverage from which a pixel is the object's if its label says
 # and reaches 1. Measured on the fox and the demo: .5 and .9 leave more smudges on the wall, .8 and
 # .97 eat into the fur.
 SHARE_OUTSIDE, SHARE_INSIDE = 0.6, 0.95
-# Pixels in all views; a Gaussian that contributes less takes its neighbours' part
-SHARE_UNSEEN = 0.02
-SHARE_NEIGHBOURS = 9
+UNSEEN_PIXELS = 0.02  # in all views together: a Gaussian with fewer goes with what is near it
+SHARE_NEIGHBOURS = 9  # of such a Gaussian
 
 
 @torch.no_grad()
@@ -69,8 +68,8 @@ def object_shares(
     found = map_views(look, views, splats.device)
     found = track(found, "finding contours", total=len(views))
     inside, everywhere = sum(found, splats.means.new_zeros(len(splats), 2)).unbind(dim=1)
-    parts = inside / everywhere.clamp(min=SHARE_UNSEEN)
-    seen, unseen = picked & (everywhere >= SHARE_UNSEEN), picked & (everywhere < SHARE_UNSEEN)
+    parts = inside / everywhere.clamp(min=UNSEEN_PIXELS)
+    seen, unseen = picked & (everywhere >= UNSEEN_PIXELS), picked & (everywhere < UNSEEN_PIXELS)
     if seen.any() and unseen.any():
         tree = KDTree(splats.means[seen].double().cpu().numpy())
         count = min(SHARE_NEIGHBOURS, int(seen.sum()))

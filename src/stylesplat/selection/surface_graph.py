@@ -24,12 +24,11 @@ from stylesplat.rendering.weights import geometry_only, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sequences import cached_while_alive
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.shares import small_views
+from stylesplat.selection.shares import UNSEEN_PIXELS, small_views
 
 # Edge of a patch in pixels of the sampled views, at the median distance. On the fox and the demo 4
 # to 9 give the same objects.
 PATCH = 5.0
-EDGE_MARGIN = 5  # pixels of the sampled views, the edge of a patch
 GRAPH_GRAZING = 0.15  # cosine of the angle to the view's ray below which depth is noise
 MIN_POINTS, MIN_PATCHES = 3, 8  # in a patch, and in connected patches; fewer are noise
 GRAPH_TOUCH = 1.8  # edges of a patch between the middles of two that touch
@@ -46,7 +45,6 @@ PLANE_SAMPLE, PLANE_TRIES = 4000, 200  # points and candidates to find a plane
 # Differences of colours (CIELAB) and normals that divide pieces of a surface, rounds of mean shift,
 # and how fast their connections weaken
 PIECE_SHADE, PIECE_BEND, PIECE_SHIFTS, PIECE_EDGES = 5.0, 0.7, 10, 6.0
-GRAPH_UNSEEN = 0.02  # pixels in all views; a Gaussian that contributes less is placed by its centre
 
 
 class NothingToPick(StyleSplatError):
@@ -124,14 +122,14 @@ def symmetric(
 @cached_while_alive  # more clicks on the same splat
 def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     """The graph over the surface of a splat on the CPU."""
-    bare = geometry_only(splats)
+    bare, margin = geometry_only(splats), int(PATCH)
     found, margins, sums = [], list[torch.Tensor](), torch.zeros(len(splats), 4)
     for camera in track(small_views(cameras), "finding the surface"):
         shown, (image, _) = depth_map(bare, camera), render(bare, camera, sh_degree=0)
         found.append(surface_points(shown, image.clamp(0, 1), grazing=GRAPH_GRAZING))
         valid = shown.reliable(GRAPH_GRAZING)
         inner = torch.zeros_like(valid)
-        inner[EDGE_MARGIN:-EDGE_MARGIN, EDGE_MARGIN:-EDGE_MARGIN] = True
+        inner[margin:-margin, margin:-margin] = True
         margins.append(~inner[valid])
         known = torch.cat([shown.points * valid[..., None], valid[..., None]], dim=-1)
         sums += pixels_in(bare, camera, [known])
@@ -157,10 +155,10 @@ def surface_of(splats: Splats, cameras: Cameras) -> SurfaceGraph:
     solid.eliminate_zeros()
     parts = connected_components(solid, directed=False)[1]
     lone = np.bincount(parts)[parts] < MIN_PATCHES
-    shown = sums[:, :3] / sums[:, 3:].clamp(min=GRAPH_UNSEEN)
+    shown = sums[:, :3] / sums[:, 3:].clamp(min=UNSEEN_PIXELS)
     off = (shown - splats.means).norm(dim=1)
     reach = splats.scales.exp().amax(dim=1) + GRAPH_TOUCH * edge
-    seen = ((sums[:, 3] > GRAPH_UNSEEN) & (off < reach)).numpy()  # not through what hides it
+    seen = ((sums[:, 3] > UNSEEN_PIXELS) & (off < reach)).numpy()  # not through what hides it
     places = torch.where(torch.from_numpy(seen)[:, None], shown, splats.means).double().numpy()
     owners = np.asarray(tree.query(places, workers=-1)[1])
     for plane in planes:  # what an object hides of a plane is not the object's

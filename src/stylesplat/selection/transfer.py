@@ -24,7 +24,7 @@ DEGREE = 3  # of the splats of scenes
 # Largest differences between two Gaussians that may be the same; rounding of formats is smaller
 TRANSFER_NEAR = 0.002  # of the splat's extent, for positions
 TRANSFER_SIZES = 0.35  # for logarithms of standard deviations
-OPACITIES = 0.06
+TRANSFER_OPACITIES = 0.06  # for opacities, 0 to 1
 TRANSFER_NEIGHBOURS = 8  # compared with each Gaussian: densification leaves copies in one place
 UNMOVED = 0.9  # share of Gaussians in their old place, above which no motion is estimated
 TRANSFER_LEAST = 16  # matches that are not chance
@@ -115,7 +115,7 @@ def _features(splats: Splats, frame: Frame, reach: float) -> Numbers:
     """Positions, scales and opacities in units of the tolerated differences."""
     means = frame.place(splats.means.double()) / reach
     sizes = (splats.scales.double().sort(dim=1).values + np.log(frame.scale)) / TRANSFER_SIZES
-    opacities = torch.sigmoid(splats.opacities.double())[:, None] / OPACITIES
+    opacities = torch.sigmoid(splats.opacities.double())[:, None] / TRANSFER_OPACITIES
     return torch.cat([means, sizes, opacities], dim=1).numpy()
 
 

@@ -33,10 +33,8 @@ STROKES_LOST, STRONG = 0.4, 0.1  # share of strokes that gives way, and the cont
 TONE_ROOM = 1.2
 BEYOND = 0.25  # slope of tones beyond these
 TONES = 0.02, 0.98  # quantiles of the paint's luminance that are its darkest and brightest
-SCULPTURE_MEAN, SCULPTURE_NEAR = (
-    0.03,
-    0.015,
-)  # deviations of windows, in lengths: of means, of strokes and form
+# Deviations of windows, in lengths: of means, of strokes and form
+SCULPTURE_MEAN, SCULPTURE_NEAR = 0.03, 0.015
 
 
 def with_sculptures(scene: Scene) -> Scene:
