@@ -1,9 +1,9 @@
 """Ctrl-C and SIGTERM set a flag, which `raise_if_interrupted` raises where nothing is half done.
 
 So no signal lands in an import, in numba's compiler or in a library. All long work calls
-`raise_if_interrupted`:
-`progress` does at every advance, `wait_until` while it waits. A second signal ends the process at
-once. That is safe, because all output is written beside its place and then renamed.
+`raise_if_interrupted`: `progress` does at every advance, `wait_until` while it waits. A second
+signal ends the process at once. That is safe, because all output is written beside its place and
+then renamed.
 """
 
 import os

@@ -9,7 +9,7 @@ from torch import Tensor
 from balls import SPLATS
 from scenes import randn
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import OUTLIER_FEWEST, inliers, pick
+from stylesplat.selection.labels import MEMBER_FEWEST, inliers, pick
 
 FIRST = torch.arange(200, 280)  # Gaussians of the ball 3; the table's come before
 HOLE = FIRST[::10]
@@ -45,7 +45,7 @@ def test_far_points_are_dropped_and_the_object_stays():
     assert keep[:500].float().mean() > 0.95  # 2 standard deviations of a normal law leave out 2%
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, OUTLIER_FEWEST - 1])
+@pytest.mark.parametrize("count", [0, 1, 2, MEMBER_FEWEST - 1])
 def test_small_sets_are_kept_whole(count: int):
     assert inliers(randn(count, 3) ** 5).all()
 

@@ -197,8 +197,7 @@ def _refuse_edited(scene: Scene, folder: Path) -> None:
         way = shell_command("import", "MOVED.ply", "--like", folder, "-o", "OTHER")
         raise StyleSplatError(
             f"{folder / SCENE_SPLATS} is not what {BASE} and the layers show: it was edited, or "
-            "belongs "
-            f"to another scene. Move it out of the folder, then `{way}`."
+            f"belongs to another scene. Move it out of the folder, then `{way}`."
         )
 
 
@@ -228,9 +227,8 @@ def _read_info(path: Path) -> tuple[_Info, dict[str, Any]]:
     content = read_json(path, most=MAX_JSON)
     if content.pop("version", None) not in (1, SCENE_VERSION):
         raise StyleSplatError(
-            f"{path} is not of version 1 or {SCENE_VERSION}. Read it with the StyleSplat that "
-            "made it, "
-            "or train again."
+            f"{path} is not of version 1 or {SCENE_VERSION}. Read it with the StyleSplat that made "
+            "it, or train again."
         )
     declared = convert_checked(content, _Info, f"Cannot read {path}", SCENE_AGAIN)
     settings = content.pop("settings", {})

@@ -165,7 +165,7 @@ OUTLIER_NEIGHBOURS = 20  # a floating clump of a dozen Gaussians must not confir
 # Standard deviations. Measured on eight objects of two scenes: 2 takes away most of what floats
 # for 1% of the object's own visible area at most (a thin plaque: 2%); 0.5 takes a fifth of it.
 MEMBER_SPREAD = 2.0
-OUTLIER_FEWEST = 20  # fewer have no meaningful mean distance
+MEMBER_FEWEST = 20  # fewer have no meaningful mean distance
 
 
 def inliers(
@@ -175,9 +175,8 @@ def inliers(
 ) -> Bool[Tensor, " N"]:
     """Which points lie about as close to their neighbours as the others do.
 
-    A point is dropped when the logarithm of its mean distance to its nearest neighbours exceeds
-    the mean of all points by `MEMBER_SPREAD` standard deviations. Densities in a splat span
-    orders of
+    A point is dropped when the logarithm of its mean distance to its nearest neighbours exceeds the
+    mean of all points by `MEMBER_SPREAD` standard deviations. Densities in a splat span orders of
     magnitude; the logarithm makes them roughly normal and keeps a few distant floaters from
     inflating the deviation they are judged by. (PCL and Open3D use the plain distance.) Large
     Gaussians have far neighbours wherever they lie: `reaches` protects them.
@@ -190,7 +189,7 @@ def inliers(
         True for the points to keep; sets of fewer than 20 are kept whole.
     """
     keep = torch.ones(len(points), dtype=torch.bool, device=points.device)
-    if len(points) < OUTLIER_FEWEST:
+    if len(points) < MEMBER_FEWEST:
         return keep
     neighbours = min(OUTLIER_NEIGHBOURS, len(points) // 2)
     positions = points.detach().cpu().double().numpy()
