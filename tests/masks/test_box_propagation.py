@@ -94,7 +94,7 @@ def test_legs_grow_to_their_ends(monkeypatch: pytest.MonkeyPatch):
     body = box(600, [-0.4, -0.4, 0], [0.4, 0.4, 0.5])
     toy = cloud(torch.cat([body, leg]), sigma=0.06, opacity=6.0)
     shown = toy.means[:, 2] > -0.6
-    monkeypatch.setattr(box_propagation, "pick_in_boxes", lambda *_: shown)
+    monkeypatch.setattr(box_propagation, "pick_in_boxes", lambda *_: (shown, torch.inf))
     found = propagate_boxes(toy, LARGE, photographed(toy, LARGE), [(0, (20.0, 10.0, 76.0, 68.0))])
     for row, mask in enumerate(found):
         truth, picked = (coverage(toy, LARGE[row], of) > 0.5 for of in (shown | True, shown))
@@ -106,7 +106,7 @@ def test_legs_grow_to_their_ends(monkeypatch: pytest.MonkeyPatch):
 def test_what_is_thin_does_not_vanish(monkeypatch: pytest.MonkeyPatch):
     heights = torch.linspace(-0.5, 0.5, 60)
     rod = cloud(torch.stack([0 * heights, 0 * heights, heights], dim=1), sigma=0.03, opacity=6.0)
-    monkeypatch.setattr(box_propagation, "pick_in_boxes", lambda *_: heights > -0.2)
+    monkeypatch.setattr(box_propagation, "pick_in_boxes", lambda *_: (heights > -0.2, torch.inf))
     found = propagate_boxes(rod, LARGE, photographed(rod, LARGE), [(0, (44.0, 20.0, 52.0, 60.0))])
     for row, mask in enumerate(found):
         assert mask_iou(mask, coverage(rod, LARGE[row], heights > -0.2) > 0.5) > 0.9

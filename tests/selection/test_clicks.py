@@ -16,7 +16,6 @@ from stylesplat.masks.box_propagation import pick_in_boxes
 from stylesplat.options import PickSize
 from stylesplat.progress import Observer, Task, observed
 from stylesplat.rendering.weights import coverage
-from stylesplat.scene.capture import Mask
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.selection.surface_cut import pick_masked
@@ -120,18 +119,15 @@ def test_a_masked_object_is_completed_and_ends_where_it_leans():
     assert agreement(masked(BARE, OF == 2), 2) > 0.7
 
 
-def no_masks() -> list[Mask]:
-    return [torch.zeros(*size[::-1], dtype=torch.bool) for size in VIEWS.sizes.tolist()]
-
-
 def test_a_box_decides_where_its_cut_misses_half_of_the_object():
     both, half = (
         coverage(BARE.splats, VIEWS[0], each) > 0.5 for each in ((OF == 0) | (OF == 1), OF == 0)
     )
     (top, left), (bottom, right) = (edge.tolist() for edge in both.nonzero().aminmax(dim=0))
-    drawn = [(0, (left, top, right + 1, bottom + 1))]
-    found = pick_in_boxes(BARE.splats, VIEWS, drawn, {0: half}, no_masks)
-    assert isinstance(found, torch.Tensor) and agreement(found, 0, 1) > 0.7
+    drawn = torch.zeros_like(both)
+    drawn[top : bottom + 1, left : right + 1] = True
+    found, _ = pick_in_boxes(BARE.splats, VIEWS, {0: drawn}, {0: half})
+    assert agreement(found, 0, 1) > 0.7
 
 
 def test_what_fails_in_one_pick_is_no_worse_pick():
@@ -147,9 +143,10 @@ def test_what_fails_in_one_pick_is_no_worse_pick():
     _, x, y = at(CENTRES[0])
     cut = torch.zeros(*VIEWS[0].size[::-1], dtype=torch.bool)
     cut[int(y) - 8 : int(y) + 8, int(x) - 8 : int(x) + 8] = True
-    box = int(x) - 10.0, int(y) - 10.0, int(x) + 10.0, int(y) + 10.0
+    drawn = torch.zeros_like(cut)
+    drawn[int(y) - 10 : int(y) + 10, int(x) - 10 : int(x) + 10] = True
     with observed(Stopping()), pytest.raises(StyleSplatError, match="stopped while"):
-        pick_in_boxes(splats, VIEWS, [(0, box)], {0: cut}, no_masks)
+        pick_in_boxes(splats, VIEWS, {0: drawn}, {0: cut})
 
 
 def test_picking_keeps_no_splat_alive():

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import repeat
 
 import numpy as np
@@ -46,53 +46,48 @@ BOX_WEIGHT = 2.0  # of the IoU with a box, which a person drew, beside that with
 MOSTLY = 0.5  # share of a Gaussian's pixels in masks, from which they show it
 
 
+BoxMasks = Mapping[int, Mask]
+"""By row of a view what is inside of the box there."""
+
+
 def pick_in_boxes(
+    splats: Splats, cameras: Cameras, boxes: BoxMasks, cuts: Mapping[int, Mask]
+) -> tuple[Bool[Tensor, " N"], float]:
+    """The Gaussians of an object that boxes hold, as GrabCut's `cuts` do, and how well they agree.
+
+    The splat is on the CPU.
+    """
+    picks = [*_candidates(splats, cameras, boxes, cuts)]
+    scores = [agreement(splats, cameras, boxes, cuts, pick) for pick in picks]
+    best = max(scores)
+    return picks[scores.index(best)], best
+
+
+def agreement(
     splats: Splats,
     cameras: Cameras,
-    boxes: Sequence[tuple[int, DrawnBox]],
+    boxes: BoxMasks,
     cuts: Mapping[int, Mask],
-    spread: Callable[[], Sequence[Mask]],
-) -> Bool[Tensor, " N"] | Sequence[Mask]:
-    """The Gaussians of an object that boxes, by row of view, hold, as GrabCut's `cuts` do.
-
-    If no pick agrees with boxes and cuts as well as the Gaussians do that show in the cuts, masks
-    are made for every view by `spread`, and returned if they agree better than all picks.
-    """
-    box_masks = {row: torch.from_numpy(pixels_inside(box, cameras[row].size)) for row, box in boxes}
-    on_cpu = splats.to("cpu")
-
-    def score(picked: Bool[Tensor, " N"]) -> float:
-        """Agreement with boxes and cuts, doubled if all outlines are an object's."""
-        agreement = 0.0
-        for row, box in box_masks.items():
-            shown = coverage(on_cpu, cameras[row], picked) > COVERED
-            agreement += BOX_WEIGHT * mask_iou(_bounding_box(shown), box)
-            agreement += mask_iou(shown, cuts[row])
-        return agreement * (1 + occluding_share(on_cpu, cameras, picked))
-
-    def score_masks(masks: Mapping[int, Mask]) -> float:
-        return score(lift_masks(on_cpu, cameras, masks).picked(MOSTLY))
-
-    picks = [*_candidates(on_cpu, cameras, box_masks, cuts)]
-    scores = [score(pick) for pick in picks]
-    best = picks[scores.index(max(scores))].to(splats.device)
-    if score_masks(cuts) <= max(scores):
-        return best
-    masks = spread()
-    return masks if score_masks(dict(enumerate(masks))) > max(scores) else best
+    picked: Bool[Tensor, " N"],
+) -> float:
+    """Agreement of Gaussians with boxes and cuts, doubled if all outlines are an object's."""
+    found = 0.0
+    for row, box in boxes.items():
+        shown = coverage(splats, cameras[row], picked) > COVERED
+        found += BOX_WEIGHT * mask_iou(_bounding_box(shown), box)
+        found += mask_iou(shown, cuts[row])
+    return found * (1 + occluding_share(splats, cameras, picked))
 
 
 def _candidates(
-    splats: Splats, cameras: Cameras, box_masks: Mapping[int, Mask], cuts: Mapping[int, Mask]
+    splats: Splats, cameras: Cameras, boxes: BoxMasks, cuts: Mapping[int, Mask]
 ) -> Iterator[Bool[Tensor, " N"]]:
     """All there is, what cuts show, completed on the surface, and what clicks into them pick."""
     yield torch.ones(len(splats), dtype=torch.bool)  # photos may be cut out to the object
     with suppress(NothingToPick):  # hardly any Gaussian shows
-        yield pick_masked(
-            splats, cameras, [(row, cuts[row], ~box) for row, box in box_masks.items()]
-        )
+        yield pick_masked(splats, cameras, [(row, cuts[row], ~box) for row, box in boxes.items()])
     with suppress(NothingToPick):
-        clicks = [(cameras[row], _deepest_pixel(cuts[row])) for row in box_masks]
+        clicks = [(cameras[row], _deepest_pixel(cuts[row])) for row in boxes]
         yield pick_clicked(splats, cameras, clicks)
 
 
@@ -228,11 +223,19 @@ def propagate_boxes(
         cuts[row] = cut_box(images.with_depth(row), box, cameras.names[row], drawn)
     known = {row: mask for row, (_, mask) in cuts.items()}
     channels = cuts[boxes[0][0]][0]
-    spread = partial(_spread_masks, splats, cameras, images, known, channels, name)
-    found = pick_in_boxes(splats, cameras, boxes, known, spread)
-    if isinstance(found, Tensor):
-        return _masks_at_edges(splats, cameras, images, found, name)
-    return [*found]
+    on_cpu = splats.to("cpu")
+    box_masks = {row: torch.from_numpy(pixels_inside(box, cameras[row].size)) for row, box in boxes}
+    picked, best = pick_in_boxes(on_cpu, cameras, box_masks, known)
+
+    def agrees_better(masks: Mapping[int, Mask]) -> bool:
+        lifted = lift_masks(on_cpu, cameras, masks).picked(MOSTLY)
+        return agreement(on_cpu, cameras, box_masks, known, lifted) > best
+
+    if agrees_better(known):
+        masks = _spread_masks(splats, cameras, images, known, channels, name)
+        if agrees_better(dict(enumerate(masks))):
+            return masks
+    return _masks_at_edges(splats, cameras, images, picked.to(splats.device), name)
 
 
 def _spread_masks(
