@@ -15,7 +15,7 @@ from stylesplat.figures.pictures import label_colors
 from stylesplat.figures.sheets import (
     BELOW,
     OUTLINE,
-    PHOTO_COLUMNS,
+    PREVIEW_COLUMNS,
     RIM,
     SHEET_PANEL,
     THICKNESS,
@@ -143,7 +143,7 @@ def masked(cameras: Cameras = CAMERAS, *, without: tuple[int, ...] = ()) -> Capt
 
 def photo(page: torch.Tensor, number: int) -> torch.Tensor:
     width, height = CAMERAS.size
-    line, column = divmod(number, PHOTO_COLUMNS)
+    line, column = divmod(number, PREVIEW_COLUMNS)
     left, top = (
         GRID_MARGIN + column * (width + GRID_MARGIN),
         GRID_MARGIN + line * (height + GRID_MARGIN),
