@@ -8,9 +8,9 @@ from torch import Tensor
 
 from still_life.photos import dome_cameras
 from stylesplat.figures.capture_picture import (
-    BLURRED,
+    BLURRED_RED,
     CAPTURE_PANEL,
-    COVERED,
+    COVERED_GREEN,
     UNCOVERED,
     WEAK,
     capture_picture,
@@ -75,7 +75,7 @@ def test_points_from_above_and_from_the_side():
 @pytest.mark.parametrize(("rows", "gap"), [(range(48), False), (range(8), True)])
 def test_sides_that_are_covered(rows: range, gap: bool):
     above, _ = drawn(photos_of(DOME[[*rows]]))
-    assert like(above, COVERED).sum() > 300
+    assert like(above, COVERED_GREEN).sum() > 300
     assert (like(above, UNCOVERED, 30).sum() > 20) == gap
 
 
@@ -83,6 +83,6 @@ def test_photos_at_fault_stand_out():
     capture = photos_of(DOME)
     fine = check(capture)
     none, _ = drawn(capture, fine)
-    assert not like(none, BLURRED, 30).any() and not like(none, WEAK, 30).any()
+    assert not like(none, BLURRED_RED, 30).any() and not like(none, WEAK, 30).any()
     some, _ = drawn(capture, replace(fine, blurred=("003.jpg",), weak=("020.jpg", "003.jpg")))
-    assert like(some, BLURRED, 30).sum() > 20 and like(some, WEAK, 30).sum() > 20
+    assert like(some, BLURRED_RED, 30).sum() > 20 and like(some, WEAK, 30).sum() > 20

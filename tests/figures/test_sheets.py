@@ -14,11 +14,11 @@ from stylesplat.figures.grid import CAPTION, CARD, GRID_CELL, GRID_MARGIN
 from stylesplat.figures.pictures import label_colors
 from stylesplat.figures.sheets import (
     BELOW,
-    OUTLINE,
+    OUTLINE_COLOR,
+    OUTLINE_WIDTH,
     PREVIEW_COLUMNS,
     RIM,
     SHEET_PANEL,
-    THICKNESS,
     TINT,
     before_after,
     beside_photo,
@@ -111,7 +111,7 @@ def test_a_selection_has_its_colour_and_an_outline_and_all_else_is_grey():
     )
     for number in range(3):
         view = panel(picture, number)
-        outline = colored(view, OUTLINE)
+        outline = colored(view, OUTLINE_COLOR)
         spread = view.amax(dim=-1) - view.amin(dim=-1)
         vivid = (spread > 90) & ~outline
         assert vivid.sum() > 400 and outline.sum() > 100
@@ -119,7 +119,7 @@ def test_a_selection_has_its_colour_and_an_outline_and_all_else_is_grey():
         assert 0.3 < (spread < 20).float().mean() < 0.98
         line, ball = outline.nonzero(), vivid.nonzero()
         gaps = torch.cat([ball.amin(dim=0) - line.amin(dim=0), line.amax(dim=0) - ball.amax(dim=0)])
-        assert -THICKNESS <= gaps.min() and gaps.max() < 20, "a tenth of its width, where it fades"
+        assert -OUTLINE_WIDTH <= gaps.min() and gaps.max() < 20, "a tenth of its width: it fades"
 
 
 def test_blue_is_what_takes_no_paint():
@@ -165,7 +165,7 @@ def test_the_lower_rims_are_of_views_that_differ_and_of_places_where_objects_end
     capture = replace(capture, photos=[torch.full((72, 96, 3), GREY, dtype=torch.uint8)] * 8)
     page = draw_contact_contours(capture, {3: "red", 7: "green"}).float()
     assert page.shape[1] == 3 * RIM + 4 * GRID_MARGIN
-    outlined = (page - torch.tensor([*OUTLINE])).abs().amax(dim=-1) == 0
+    outlined = (page - torch.tensor([*OUTLINE_COLOR])).abs().amax(dim=-1) == 0
     for row in range(2):
         for column in range(3):
             left, top = (

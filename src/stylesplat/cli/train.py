@@ -39,10 +39,10 @@ from stylesplat.training.config import (
 
 TRAIN_BUSY = 1.5  # processes that want to run, for each core: others take a third of the time
 GOOD, FAIR = 27.0, 22.0  # dB of photos held out: sharp as photos are; soft, with objects in place
-ENOUGH = TrainConfig.steps  # shorter runs gain most by more steps
+ENOUGH_STEPS = TrainConfig.steps  # shorter runs gain most by more steps
 # dB by which photos trained on may be closer than those held out. The fox, of 50 photos, has a gap
 # of 2; of 13 photos one of 7.6, where five times the steps gain 0.8 dB, and the other photos 4
-GAP = 4.0
+OVERFIT_GAP = 4.0
 TRAIN_FEW = 40  # photos, from which on poses are a likelier fault than their number
 FINISHES = "`--finish` makes the scene of what there is."
 
@@ -205,14 +205,14 @@ def judge(
     if psnr >= GOOD:
         return "good", ""
     worth = "fair" if psnr >= FAIR else "poor"
-    if trained - psnr >= GAP:
+    if trained - psnr >= OVERFIT_GAP:
         fact = f"the photos trained on are matched to {trained:.1f} dB, so training is not at fault"
         if photos < TRAIN_FEW:
             return worth, f"{fact}. Take photos from between these {photos}."
         remedy = "" if config.refine_poses else "`--refine-poses` mends inexact poses; "
         return worth, f"{fact}. {remedy}`{check}` says what is wrong with the photos."
-    if metrics["steps"] < ENOUGH:
-        return worth, f"the run was short. Train longer, up to --steps {ENOUGH}."
+    if metrics["steps"] < ENOUGH_STEPS:
+        return worth, f"the run was short. Train longer, up to --steps {ENOUGH_STEPS}."
     if metrics["gaussians"] >= config.max_gaussians:
         more = 2 * config.max_gaussians
         return worth, f"it used all Gaussians that it may. Allow more: --max-gaussians {more}."

@@ -20,10 +20,10 @@ CAPTURE_PANEL = 720  # pixels along a side of a panel
 OVERSAMPLING = 2  # panels are drawn larger by this, for smooth lines
 GROUND = (238, 239, 240)
 # The axes of the two panels to the right and upwards, in the working frame (y is down)
-ABOVE, SIDE = ((1.0, 0, 0), (0, 0, 1.0)), ((0, 0, 1.0), (0, -1.0, 0))
+FROM_ABOVE, FROM_SIDE = ((1.0, 0, 0), (0, 0, 1.0)), ((0, 0, 1.0), (0, -1.0, 0))
 FIRST, LAST = (96, 44, 168), (0, 158, 190)  # cameras by their order
-BLURRED, WEAK = (214, 40, 40), (240, 145, 20)
-COVERED, UNCOVERED = (20, 140, 70), (205, 85, 60)
+BLURRED_RED, WEAK = (214, 40, 40), (240, 145, 20)
+COVERED_GREEN, UNCOVERED = (20, 140, 70), (205, 85, 60)
 DASH = math.radians(3)  # length of a dash along a gap, and of the space between two
 CAPTURE_MAX_POINTS = 60_000
 POINTS_SHOWN = (0.04, 0.96)  # quantiles of the points that fit in; others may lie outside
@@ -76,13 +76,13 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
     centre, units = _extent(capture, report, placed, covered + gaps)
     side = CAPTURE_PANEL * OVERSAMPLING
     images = []
-    for axes in (ABOVE, SIDE):
+    for axes in (FROM_ABOVE, FROM_SIDE):
         image = Image.new("RGB", (side, side), GROUND)
         panel = _Panel(torch.tensor(axes).double(), centre, side / units, image)
         panel.draw_points(placed, colors[some])
-        if axes == ABOVE:
+        if axes == FROM_ABOVE:
             for arc in covered:
-                panel.draw_line(arc, COVERED, 3)
+                panel.draw_line(arc, COVERED_GREEN, 3)
             for arc in gaps:
                 for start in range(0, len(arc) - 1, 2):
                     panel.draw_line(arc[start : start + 2], UNCOVERED, 2)
@@ -103,9 +103,9 @@ def capture_picture(capture: Capture, report: CaptureReport) -> UInt8[Tensor, "H
         f"Each panel is {units / report.frame.scale:.3g} units wide",
     )
     key = [("first photo", FIRST), ("last photo", LAST)]
-    key += [(f"blurred ({len(report.blurred)})", BLURRED)] if report.blurred else []
+    key += [(f"blurred ({len(report.blurred)})", BLURRED_RED)] if report.blurred else []
     key += [(f"hardly connected ({len(report.weak)})", WEAK)] if report.weak else []
-    key += [("covered sides", COVERED)]
+    key += [("covered sides", COVERED_GREEN)]
     key += [("not covered", UNCOVERED)] if coverage.arc < 360 else []
     return add_legend(draw_grid([Row([*zip(images, captions, strict=True)])]), key)
 
@@ -146,7 +146,7 @@ def _camera_lines(
     for row, name in enumerate(cameras.names):
         share = row / max(len(cameras) - 1, 1)
         color = tuple(round((1 - share) * a + share * b) for a, b in zip(FIRST, LAST, strict=True))
-        color = BLURRED if name in report.blurred else WEAK if name in report.weak else color
+        color = BLURRED_RED if name in report.blurred else WEAK if name in report.weak else color
         width, height = cameras.sizes[row].tolist()
         corners = [(0.0, 0.0, 1.0), (width, 0.0, 1.0), (width, height, 1.0), (0.0, height, 1.0)]
         rays = torch.tensor(corners).double() @ torch.linalg.inv(cameras.Ks[row].double()).T

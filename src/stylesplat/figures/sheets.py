@@ -42,7 +42,7 @@ SHEET_SURVEY_VIEWS = 24  # views searched for the best ones of each object
 SHEET_PANEL = 480  # pixels along the longer side of a view of a selection
 DIM = 0.55  # of the brightness of what is not selected
 SHEET_LEFT_OUT = (0.1, 0.35, 1.0)  # the colour of what is selected but takes no paint
-OUTLINE, THICKNESS = (255, 200, 0), 2
+OUTLINE_COLOR, OUTLINE_WIDTH = (255, 200, 0), 2
 SHEET_SPECK = 5  # pixels: narrower parts have no outline, which would cover them
 ROOM = 3.0  # length of a panel in lengths of the object, unless the view is shorter
 MIN_ROOM = 1 / 6  # of the view, which a panel shows at least, so that the place is recognised
@@ -166,7 +166,7 @@ def _lower_rim(capture: Capture, row: int, id: int) -> UInt8[Tensor, "S S 3"]:
     picture = cv2.warpAffine(photo, place, size, borderValue=CARD)
     found = cv2.warpAffine(mask, place, size, flags=cv2.INTER_NEAREST)
     contours = cv2.findContours(found, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
-    return torch.from_numpy(cv2.drawContours(picture, contours, -1, OUTLINE, 1))
+    return torch.from_numpy(cv2.drawContours(picture, contours, -1, OUTLINE_COLOR, 1))
 
 
 @torch.no_grad()
@@ -255,7 +255,9 @@ def _panel(
     edges, _ = cv2.findContours(
         cv2.medianBlur(mask, SHEET_SPECK), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
     )
-    return torch.from_numpy(cv2.drawContours(panel, edges, -1, OUTLINE, THICKNESS, cv2.LINE_AA))
+    return torch.from_numpy(
+        cv2.drawContours(panel, edges, -1, OUTLINE_COLOR, OUTLINE_WIDTH, cv2.LINE_AA)
+    )
 
 
 def _render(splats: Splats, camera: Cameras) -> UInt8[Tensor, "H W 3"]:

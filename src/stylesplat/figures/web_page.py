@@ -37,7 +37,7 @@ from stylesplat.scene.virtual_cameras import first_view
 ENTRIES = 256  # as many as a byte can name; the first is all zeros
 WEB_SAMPLE = 20_000  # rows that a palette is made from
 WEB_ROUNDS = 6  # of k-means; more change little
-MIDDLE, STEPS = 128, 127  # the byte of 0, and how many there are on each side
+ZERO_BYTE, STEPS = 128, 127  # the byte of 0, and how many there are on each side
 
 Bytes = UInt8[Tensor, "E D"]
 WEB_SMALLEST = -12.0  # logarithm of a standard deviation; smaller ones are drawn as this
@@ -58,13 +58,13 @@ def palette_of(values: Float[Tensor, "M D"]) -> tuple[Bytes, float, Int[Tensor, 
         centres, _ = kmeans(sample, ENTRIES - 1, rounds=WEB_ROUNDS)
         entries[1 : 1 + len(centres)] = centres
     strongest = float(np.abs(entries).max()) or 1.0
-    palette = torch.from_numpy(entries / strongest * STEPS + MIDDLE).round().byte()
+    palette = torch.from_numpy(entries / strongest * STEPS + ZERO_BYTE).round().byte()
     nearest = torch.from_numpy(vq(values.numpy(), palette_values(palette, strongest).numpy())[0])
     return palette, strongest, nearest.long()
 
 
 def palette_values(palette: Bytes, strongest: float) -> Float[Tensor, "E D"]:
-    return (palette.float() - MIDDLE) / STEPS * strongest
+    return (palette.float() - ZERO_BYTE) / STEPS * strongest
 
 
 @dataclass(frozen=True)

@@ -196,7 +196,7 @@ def _matrix_sqrt(matrix: Tensor) -> Tensor:
 
 COLOR_POINTS = 2000  # whose colours are compared
 COLOR_ROUNDS = 8  # of taking photos' and points' medians in turn
-DARK, BRIGHT = 0.05, 0.98  # colours beyond say nothing about a gain
+GAIN_DARK, GAIN_BRIGHT = 0.05, 0.98  # colours beyond say nothing about a gain
 COLOR_FEWEST = 30  # points by which a photo's gain is estimated
 
 
@@ -230,6 +230,6 @@ def _log_colors(
     x, y = project(points[rows], camera)[0].long().unbind(dim=1)
     height, width, _ = photo.shape
     colors = photo[y.clamp(max=height - 1), x.clamp(max=width - 1)]
-    usable = (colors > DARK).all(dim=1) & (colors < BRIGHT).all(dim=1)
+    usable = (colors > GAIN_DARK).all(dim=1) & (colors < GAIN_BRIGHT).all(dim=1)
     logs[rows[usable]] = colors[usable].log()
     return logs

@@ -99,7 +99,7 @@ def _refuse_faulty(cameras: Cameras, what: str, remedy: str) -> None:
         raise StyleSplatError(f"{what}: {fault}. {remedy}")
 
 
-FPS, SECONDS = 30.0, 6.0  # unless a file says otherwise
+PATH_FPS, SECONDS = 30.0, 6.0  # unless a file says otherwise
 READ_MANUAL = "The manual's section on `render` says what a path is."
 
 FrameSide = Annotated[float, Meta(ge=2, le=16384)]  # some programs write 1080.0
@@ -124,7 +124,7 @@ class _Nerfstudio(msgspec.Struct):
     render_width: FrameSide
     render_height: FrameSide
     camera_type: Literal["perspective"] = "perspective"
-    fps: Rate = FPS
+    fps: Rate = PATH_FPS
 
 
 class _Key(msgspec.Struct, forbid_unknown_fields=True):
@@ -140,7 +140,7 @@ class _Key(msgspec.Struct, forbid_unknown_fields=True):
 class _Keys(msgspec.Struct, forbid_unknown_fields=True):
     keyframes: Annotated[list[_Key], Meta(min_length=2, max_length=10_000)]
     seconds: Annotated[float, Meta(gt=0, le=MOST_FRAMES)] = SECONDS
-    fps: Rate = FPS
+    fps: Rate = PATH_FPS
     closed: bool = False
 
 

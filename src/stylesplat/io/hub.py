@@ -78,7 +78,7 @@ def _read_range(url: str, begin: int, end: int, bar: Task | None = None) -> byte
 CONFIG = "config.json"
 # No pickled weights, which can run code, and no copies for other programs
 FILES = ["*.json", "*.txt", "model*.safetensors"]
-WEIGHTS, INDEX = "model.safetensors", "model.safetensors.index.json"  # in one file or several
+WEIGHTS_FILE, INDEX = "model.safetensors", "model.safetensors.index.json"  # in one file or several
 PROCESSORS = ("processor_config.json", "preprocessor_config.json")  # either suffices
 TOKENIZERS = (("tokenizer.json",), ("vocab.txt",), ("vocab.json", "merges.txt"))  # any
 LINE_SPEED = 1e8  # bits a second, for a duration that users can scale to their line
@@ -172,9 +172,9 @@ def _is_whole(folder: Path) -> bool:
     """Whether a download came to its end: the hub's cache does not say."""
     needed = [((CONFIG,),), tuple((name,) for name in PROCESSORS)]
     try:
-        if not (folder / WEIGHTS).is_file():
+        if not (folder / WEIGHTS_FILE).is_file():
             shards = read_json(folder / INDEX).get("weight_map", {})
-            needed += [(tuple({*shards.values()}) or (WEIGHTS,),)]
+            needed += [(tuple({*shards.values()}) or (WEIGHTS_FILE,),)]
         if _reads_text(read_json(folder / CONFIG)):
             needed += [TOKENIZERS]
     except StyleSplatError:  # a file is missing or damaged

@@ -26,8 +26,8 @@ from stylesplat.io.kinds import CAMERAS, SCENE, find_capture, wrong_kind_error
 from stylesplat.io.layers import LAYERS, STACK, read_layers, write_layers
 from stylesplat.io.splats.splat_ply import pad_bands, read_splat_ply, splat_fault, write_splat_ply
 from stylesplat.io.tensors import (
+    CLASSIFIER_IDS,
     IDENTITIES,
-    IDS,
     PICKED,
     TENSOR_CLASSIFIER,
     Declared,
@@ -58,7 +58,7 @@ VERSION_1_FILES = tuple(  # what version 1 held of paintings
 IDENTITY_TENSORS = {
     "identities": IDENTITIES,
     **TENSOR_CLASSIFIER,
-    "ids": IDS,
+    "ids": CLASSIFIER_IDS,
     "confidence": Declared(("N",), low=0, high=1.001, optional=True),  # a share, and rounding
 }
 CONTENT = (SCENE, SCENE_SPLATS, BASE, STACK, IDENTITY_FILE, CAMERAS, OBJECTS, PICKS)

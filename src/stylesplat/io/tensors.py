@@ -47,7 +47,7 @@ GAUSSIANS = {
 }
 IDENTITIES = Declared(("N", IDENTITY_SIZE))
 TENSOR_CLASSIFIER = {"weight": Declared(("K", IDENTITY_SIZE)), "bias": Declared(("K",))}
-IDS = Declared(("K",), torch.int64, low=0, high=MAX_ID, unique=True)
+CLASSIFIER_IDS = Declared(("K",), torch.int64, low=0, high=MAX_ID, unique=True)
 PICKED = Declared(("N",), torch.bool)
 
 

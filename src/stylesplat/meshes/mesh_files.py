@@ -10,7 +10,7 @@ from PIL import Image
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.io.splats.gltf import HALF_TURN, VERTICES, half_turned_node
-from stylesplat.io.splats.gltf_file import FLOAT, GLB_VERSION, glb_head, padded_json
+from stylesplat.io.splats.gltf_file import GL_FLOAT, GLB_VERSION, glb_head, padded_json
 from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.scene.world_offset import ORIGIN, Offset
 
@@ -85,7 +85,7 @@ def _glb(mesh: TexturedMesh, offset: Offset) -> bytes:
     accessors = [
         {
             "bufferView": number,
-            "componentType": INTEGERS if kind == "SCALAR" else FLOAT,
+            "componentType": INTEGERS if kind == "SCALAR" else GL_FLOAT,
             "count": len(array),
             "type": kind,
         }

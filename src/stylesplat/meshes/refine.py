@@ -33,7 +33,7 @@ REFINE_RIM = 4  # pixels within which the mesh has to end, for a vertex to be at
 LEAST_TURN = 0.7  # cosine between a face before and after
 TINY_MOVE = 1e-5  # of the extent: shorter moves are none
 STAY = 5e-4  # variance of colours that moving by an edge has to save: plain parts stay
-COMMON, MESH_EVEN = 4, 5  # edges over which costs, and shifts, are averaged
+COST_RINGS, SHIFT_RINGS = 4, 5  # edges over which costs, and shifts, are averaged
 OUTLINES = 3  # edges over which gaps at outlines, and shifts for them, are averaged
 FACING, FEW = 0.3, 0.1  # weights of views that show a vertex from the front, and of no shift
 
@@ -71,12 +71,12 @@ def _moved(surface: FusedSurface, splats: Splats, views: MeshViews, step: float)
     )
     around = neighbor_mean_matrix(edges, len(vertices))
     costs, weights = (to_corners @ each.T for each in found)  # [V, L]
-    for _ in range(COMMON):
+    for _ in range(COST_RINGS):
         costs, weights = around @ costs, around @ weights
     variances = costs / np.maximum(weights, 1e-6) + STAY * np.square(step * np.array(OFFSETS))
     shifts = offsets[variances.argmin(axis=1)]
     shifts[weights.min(axis=1) < 1e-3] = 0
-    return _shifted(surface, shifts, around, MESH_EVEN)
+    return _shifted(surface, shifts, around, SHIFT_RINGS)
 
 
 def _moved_to_outlines(

@@ -44,7 +44,7 @@ VOXELS = (48, 320)  # at least and at most: 320 take 1 GB
 TRUNCATION = 4.0  # voxels
 FUSION_LEAST_COSINE = 0.15  # below which depths are too uncertain
 FUSION_SMOOTHING = 0.7  # voxels
-FAINT, SOLID = 0.1, 0.5  # coverage that shows, and the share of what shows that has to be opaque
+MESH_FAINT, SOLID = 0.1, 0.5  # coverage that shows, and the share of it that has to be opaque
 FUSION_NEAR = 0.02  # of the extent, and a voxel at least: so near to a depth the surface is seen
 LEAST_SEEN = 0.05  # weight of the depths at a vertex: less is a guess
 OPEN = 0.3  # share of the surface: where more is a guess, it is left open
@@ -150,7 +150,7 @@ def fuse_depths(splats: Splats, views: MeshViews, voxels: int, name: str) -> Fus
         edges = np.where(shown, inside if trusted else 0, -outside)
         certain = trusted & (found.cosines > FUSION_LEAST_COSINE)
         cosines = torch.where(certain, found.cosines, 0.0).numpy()
-        visible, solid = (int((found.coverage > least).sum()) for least in (FAINT, COVERED))
+        visible, solid = (int((found.coverage > least).sum()) for least in (MESH_FAINT, COVERED))
         return row, found.depths, cosines, edges, visible, solid
 
     every = [*per_view(look, range(len(views.cameras)), "looking for the surface")]

@@ -20,7 +20,7 @@ from stylesplat.scene.sequences import GIB, Cache, Lazy, evenly_spaced
 from stylesplat.scene.world_offset import ORIGIN, Offset
 
 BACKGROUND = 0  # the label id that means 'no object'
-FEW = 2**16  # ids below which counting them is faster than sorting the pixels
+FEW_IDS = 2**16  # ids below which counting them is faster than sorting the pixels
 ALL = 0.999  # share of a pixel that counts as all of it, as sums are rounded
 MAX_ID = 2**24 - 1  # what three bytes hold, as in RGB-coded label maps
 
@@ -33,7 +33,7 @@ def ids_of(labels: OwnLabels | None) -> set[int]:
     """The ids that occur in a label map, background included; none if there is no map."""
     if labels is None or labels.numel() == 0:
         return set()
-    if 0 <= int(labels.min()) and int(labels.max()) < FEW:
+    if 0 <= int(labels.min()) and int(labels.max()) < FEW_IDS:
         return {*labels.flatten().bincount().nonzero()[:, 0].tolist()}
     return {*labels.unique().tolist()}
 

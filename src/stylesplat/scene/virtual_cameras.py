@@ -259,7 +259,7 @@ VIRTUAL_EVEN = 1e-3
 UP = torch.tensor([0.0, 0.0, 1.0]).double()  # where it is not known
 VIRTUAL_WINDOW = (1600, 1200)  # pixels that all content fits into at the start
 ORBIT_FOCAL = 1450.0  # pixels: 45 degrees from the top to the bottom
-FRAMES = "orbit_{:04d}.png"
+FRAME_NAME = "orbit_{:04d}.png"
 MIN_DISTANCE = 0.1  # to what the first camera looks at, should the middle lie behind it
 
 
@@ -281,7 +281,7 @@ def orbit_cameras(cameras: Cameras, count: int, focus: Float[Tensor, "3"] | None
     height = local[:, 2].mean() + SWAY * local[:, 2].std(correction=0) * phase.sin()
     path = torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), height], dim=-1)
     K, size = median_lens(cameras)
-    return cameras_of(look_at(focus + path @ axes, focus, axes[2]), K, size, names=FRAMES)
+    return cameras_of(look_at(focus + path @ axes, focus, axes[2]), K, size, names=FRAME_NAME)
 
 
 def zoom_to_content(path: Cameras, content: Content) -> Cameras:
@@ -313,7 +313,7 @@ def orbit_around(content: Content, views: Cameras, count: int) -> Cameras:
     distance = camera_distance(content, sights, focal)
     focal = min(focal_at(content.outline, sight, distance) for sight in sights)
     viewmats = torch.cat([sight.viewmats(distance) for sight in sights])
-    return cameras_of(viewmats, centred_K(focal, size), size, names=FRAMES)
+    return cameras_of(viewmats, centred_K(focal, size), size, names=FRAME_NAME)
 
 
 def turned_view(
@@ -332,7 +332,7 @@ def turned_view(
     cross = torch.linalg.cross(torch.eye(3).double(), axis.expand(3, 3))
     turns[:, :3, :3] = torch.matrix_exp(angles[:, None, None] * cross)
     viewmats = view.viewmats.double() @ pivot[0] @ turns @ pivot[1]
-    return cameras_of(viewmats, view.Ks, view.size, names=FRAMES)
+    return cameras_of(viewmats, view.Ks, view.size, names=FRAME_NAME)
 
 
 def _phases(count: int) -> Float[Tensor, " M"]:

@@ -43,11 +43,11 @@ PLAIN_RIM = 0.7
 SAME_LEVEL = 1.5  # grey levels: the variation that JPEG gives to one colour
 
 # Displacement
-MAX_CORNERS, QUALITY, CORNER_DISTANCE = 200, 0.01, 8  # of cv2.goodFeaturesToTrack
-WINDOW, LEVELS = (15, 15), 4  # of the Lucas-Kanade tracker
+MAX_CORNERS, MIN_QUALITY, CORNER_DISTANCE = 200, 0.01, 8  # of cv2.goodFeaturesToTrack
+FLOW_WINDOW, FLOW_LEVELS = (15, 15), 4  # of the Lucas-Kanade tracker
 ROUND_TRIP = 1.0  # pixels by which a corner tracked there and back may be off
 MIN_TRACKED = 0.3  # share of corners; with fewer the displacement is unknown
-MEAN, DEVIATION = 128.0, 50.0  # grey levels after normalization
+GREY_MEAN, DEVIATION = 128.0, 50.0  # grey levels after normalization
 # Of the corners: on an orbit the middle stands still while the rest moves, and few may be wrong
 QUANTILE = 0.9
 
@@ -110,7 +110,7 @@ class CornerTracker:
 
     def __init__(self, grey: UInt8[np.ndarray, "h w"]) -> None:
         self.grey = _normalized(grey)
-        self.corners = cv2.goodFeaturesToTrack(self.grey, MAX_CORNERS, QUALITY, CORNER_DISTANCE)
+        self.corners = cv2.goodFeaturesToTrack(self.grey, MAX_CORNERS, MIN_QUALITY, CORNER_DISTANCE)
 
     def displacement(self, grey: UInt8[np.ndarray, "h w"]) -> float | None:
         """How far most corners move, in longer sides; None if too few could be tracked."""
@@ -153,7 +153,7 @@ def _normalized(grey: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
     """The picture with a fixed mean and contrast, so that the tracker ignores exposure."""
     mean, deviation = cv2.meanStdDev(grey)
     gain = DEVIATION / max(1.0, float(deviation[0, 0]))
-    return cv2.convertScaleAbs(np.maximum(0, grey * gain + (MEAN - float(mean[0, 0]) * gain)))
+    return cv2.convertScaleAbs(np.maximum(0, grey * gain + (GREY_MEAN - float(mean[0, 0]) * gain)))
 
 
 def _track_corners(
@@ -162,7 +162,7 @@ def _track_corners(
     corners: Float[np.ndarray, "P 1 2"],
 ) -> tuple[Float[np.ndarray, "P 1 2"], np.ndarray]:
     moved, found, _ = cv2.calcOpticalFlowPyrLK(
-        grey, other, corners, np.empty_like(corners), winSize=WINDOW, maxLevel=LEVELS
+        grey, other, corners, np.empty_like(corners), winSize=FLOW_WINDOW, maxLevel=FLOW_LEVELS
     )
     return moved, found[:, 0] > 0
 

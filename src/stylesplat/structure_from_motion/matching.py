@@ -20,7 +20,7 @@ CONSECUTIVE = 10  # photos that each is matched with of those after it; then 16,
 ORBIT_NEIGHBOURS = 5  # photos before and after that each is matched with on a turntable
 # Image retrieval after Wu, Towards Linear-Time Incremental Structure from Motion, 2013. With 128
 # features 97 of 100 of fox's most similar pairs do match; twice as many features change nothing
-LARGEST, DESCRIPTOR = 128, 128
+LARGEST_FEATS, DESCRIPTOR = 128, 128
 MAX_RATIO = 0.8  # of the angles to the best and the second-best match, as COLMAP has it
 # COLMAP's configurations of pairs that one homography explains: something flat, or a camera that
 # only turned
@@ -135,13 +135,13 @@ def _largest_features(workspace: Workspace, file: str) -> Float[Tensor, "L 128"]
     with workspace.open_database() as database:
         image = database.read_image_with_name(file)
         if image is None:  # COLMAP could not read it
-            return torch.zeros(LARGEST, DESCRIPTOR)
+            return torch.zeros(LARGEST_FEATS, DESCRIPTOR)
         shapes = database.read_keypoints(image.image_id)
         descriptors = database.read_descriptors(image.image_id).data
     areas = np.abs(shapes[:, 2] * shapes[:, 5] - shapes[:, 3] * shapes[:, 4])
-    order = np.argsort(-areas, kind="stable")[:LARGEST]
+    order = np.argsort(-areas, kind="stable")[:LARGEST_FEATS]
     feats = normalize(torch.from_numpy(descriptors[order].astype(np.float32)), dim=1)
-    return pad(feats, (0, 0, 0, LARGEST - len(feats)))
+    return pad(feats, (0, 0, 0, LARGEST_FEATS - len(feats)))
 
 
 def _count_matches(

@@ -21,7 +21,7 @@ from stylesplat.io.files import resolve_within
 from stylesplat.io.images import decode, image_sizes
 from stylesplat.structure_from_motion.workspace import Workspace, mask_file, numbered_files
 
-STILL, MOVED = 0.003, 0.01  # displacements of matches, in longer sides of the photo
+STILL_MATCH, MOVED_MATCH = 0.003, 0.01  # displacements of matches, in longer sides of the photo
 MIN_MATCHES = 15  # of each motion, COLMAP's least number for a geometry of two photos
 # Deviation of the still matches, in longer sides: the centre of an orbit has less
 FEATURE_SPREAD = 0.1
@@ -79,14 +79,14 @@ def _moving_as_one(
     """Where the first photo shows what moves; nowhere if nothing does or nothing stays."""
     here, there = (places[photo][rows[:, side]] for side, photo in enumerate(pair))
     moved = np.linalg.norm(here - there, axis=1) / sides[pair[0]]
-    still, moving = moved < STILL, moved > MOVED
+    still, moving = moved < STILL_MATCH, moved > MOVED_MATCH
     nowhere = here[:0]
     if min(still.sum(), moving.sum()) < MIN_MATCHES:
         return nowhere
     if here[still].std(axis=0).max() < FEATURE_SPREAD * sides[pair[0]]:
         return nowhere
     cv2.setRNGSeed(0)
-    error = STILL * sides[pair[0]]
+    error = STILL_MATCH * sides[pair[0]]
     _, fits = cv2.findFundamentalMat(here[moving], there[moving], cv2.FM_RANSAC, error)
     if fits is None or fits.sum() < max(MIN_MATCHES, MIN_FITTING * len(fits)):
         return nowhere
@@ -141,7 +141,7 @@ def _still_features(
     counts = [np.zeros((len(each), 2)) for each in places]
     for pair, rows in matches.items():
         here, there = (places[photo][rows[:, side]] for side, photo in enumerate(pair))
-        still = np.linalg.norm(here - there, axis=1) < STILL * sides[pair[0]]
+        still = np.linalg.norm(here - there, axis=1) < STILL_MATCH * sides[pair[0]]
         for side, photo in enumerate(pair):
             np.add.at(counts[photo], rows[:, side], np.c_[still, np.ones(len(rows))])
     return [(each[:, 0] >= 2) & (2 * each[:, 0] > each[:, 1]) for each in counts]

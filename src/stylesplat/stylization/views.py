@@ -37,9 +37,7 @@ MIN_CELLS = 16  # views with fewer features of the object are skipped
 VISITS = 5  # steps per view at least: preparing a view takes as long as a step
 VISITS_OF_WINDOWS = 2  # fewer, as it takes many windows to cover the object
 WINDOW_PLACES = 4096  # of a surface, which windows are to show
-WINDOW_FACING = (
-    0.5  # of the largest cosine at which a view sees a place, from which it is shown there
-)
+WINDOW_FACING = 0.5  # of the largest cosine at which a view sees a place, from which it shows it
 SIGHT_CELLS = 32  # of a view's longer side, in each of which the nearest place hides farther ones
 WHOLE_VIEWS = 8  # of the whole object, which tell its colours and its form
 WHOLE_LENGTH = 240.0  # longer side of the object in them at most, in pixels

@@ -38,7 +38,7 @@ ALONE_SIDE, ALONE_PHOTOS = 160, 24  # pixels of the longer side of the photos th
 ALONE_MARGIN = 5  # pixels around an object
 ALONE_FEWEST = 4  # photos that show a pixel without the object
 SURROUNDINGS = 0.8  # share of what is beside the object whose colour stays
-RIM = 0.003  # of the longer side: masks are as exact, and pixels there mix both
+ALONE_RIM = 0.003  # of the longer side: masks are as exact, and pixels there mix both
 
 
 @torch.no_grad()
@@ -73,8 +73,8 @@ def outline_moving_object(capture: Capture) -> list[Mask] | None:
 def object_alone(capture: Capture) -> Capture | None:
     """The photos with all transparent but their objects, if the surroundings stay as they turn.
 
-    What is within `RIM` of an outline is left out of training. None if the surroundings are those
-    of the poses, if a photo has no label map or none has an object, and for cut-outs.
+    What is within `ALONE_RIM` of an outline is left out of training. None if the surroundings are
+    those of the poses, if a photo has no label map or none has an object, and for cut-outs.
     """
     if capture.alphas is not None or not _stands_still_around(capture):
         return None
@@ -90,7 +90,7 @@ def cut_out_labels(capture: Capture) -> Capture:
         labels = capture.labels(row)
         assert labels is not None
         shown = labels != BACKGROUND
-        width = 2 * max(1, round(RIM * max(shown.shape))) + 1
+        width = 2 * max(1, round(ALONE_RIM * max(shown.shape))) + 1
         inside = apply_disc(shown, cv2.MORPH_ERODE, width)
         near = apply_disc(shown, cv2.MORPH_DILATE, width)
         valid, given = inside | ~near, capture.valid(row)

@@ -201,7 +201,7 @@ def _number(text: str) -> float:
 
 
 # Binary: lengths of the records (src/colmap/scene/reconstruction_io_binary.cc)
-COUNT, COUNT_32 = struct.Struct("<Q"), struct.Struct("<I")
+COUNT_64, COUNT_32 = struct.Struct("<Q"), struct.Struct("<I")
 CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters, float64
 IMAGE = struct.Struct("<I7dI")  # id, pose, camera id; then the name, ended by a zero byte
 POINT2D = 2 * 8 + 8  # x, y, point id
@@ -232,8 +232,8 @@ def binary_records(path: Path) -> Iterator[bytes]:
     with open_binary(path) as file:
         try:
             with mmap(file.fileno(), 0, access=ACCESS_READ) as content:
-                start = COUNT.size
-                for _ in range(COUNT.unpack_from(content)[0]):
+                start = COUNT_64.size
+                for _ in range(COUNT_64.unpack_from(content)[0]):
                     end = _end_of_record(path.stem, content, start)
                     if end > len(content):  # perhaps by more than an offset can be
                         raise damaged
@@ -246,7 +246,7 @@ def binary_records(path: Path) -> Iterator[bytes]:
 
 
 def _end_of_record(kind: str, content: mmap, at: int) -> int:
-    count = COUNT  # of the list at the end of a record
+    count = COUNT_64  # of the list at the end of a record
     match kind:
         case "cameras":
             _, model, width, height = CAMERA.unpack_from(content, at)
@@ -297,4 +297,4 @@ def _unpack_point(record: bytes) -> PointRow:
 
 
 def _unpack_track(record: bytes) -> list[int]:
-    return np.frombuffer(record, "<u4", offset=POINT3D.size + COUNT.size)[::2].tolist()
+    return np.frombuffer(record, "<u4", offset=POINT3D.size + COUNT_64.size)[::2].tolist()

@@ -18,6 +18,7 @@ from stylesplat.io.captures.lens import Lens
 from stylesplat.io.files import is_there
 from stylesplat.io.json_yaml import JSON_MAX_NAME
 from stylesplat.io.ply import read_ply_table
+from stylesplat.io.splats.splat_ply import RGB, SH0
 from stylesplat.progress import say
 from stylesplat.scene.cameras import are_rigid
 from stylesplat.scene.splats import rgb_from_sh0
@@ -185,9 +186,7 @@ def leaves(name: str) -> bool:
 
 
 XYZ = ("x", "y", "z")
-RGB = ("red", "green", "blue")
 OTHER_RGB = (("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
-SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")  # of a file of splats
 POSED_GREY = 128
 DEEP = 257  # 16-bit colours over 8-bit ones
 

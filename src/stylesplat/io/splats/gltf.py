@@ -26,7 +26,7 @@ from stylesplat.io.atomic import atomic_path
 from stylesplat.io.splats.gltf_file import (
     BYTE,
     DISPLAYED,
-    FLOAT,
+    GL_FLOAT,
     GLB_KINDS,
     GLB_VERSION,
     SHORT,
@@ -64,7 +64,7 @@ VERSION_INSIDE = 2  # of SPZ, which the extension is named after
 GLTF_TOLERANCE = 1e-3  # of a rotation times its transpose; files round to about six digits
 EXACT_WITHIN = 1e-6  # of quarter turns and of scale 1, which are then taken as exact
 GLTF_POINTS = 0  # the mode of a primitive that is drawn as points
-KINDS_OF = {torch.float32: FLOAT, torch.uint16: SHORT, torch.uint8: BYTE}
+KINDS_OF = {torch.float32: GL_FLOAT, torch.uint16: SHORT, torch.uint8: BYTE}
 VERTICES = 34962  # the target of a view that holds attributes
 MAX_SIZE = 2**32 - 1  # bytes of a GLB
 

@@ -59,8 +59,9 @@ ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # of every entry, so that the same splats make
 WEBP_HEADER = 2**12  # bytes at the start of a WebP picture, which name the kind of its pixels
 SOG_MAX_SIDE = 2**14 - 1  # of a WebP picture
 ZIP = (b"PK\3\4", b"PK\5\6")  # the second of an empty one
-ANTIALIASED = "antialiased"
-MODELS = ("default", ANTIALIASED, "2dgs")  # of splat-transform; flat scales are what makes the last
+SOG_ANTIALIASED = "antialiased"
+# Of splat-transform; flat scales are what makes the last
+MODELS = ("default", SOG_ANTIALIASED, "2dgs")
 Reader = Callable[[str], bytes]
 """Reads a file of the SOG by its name."""
 SogTexels = UInt8[np.ndarray, "M D"]
@@ -137,7 +138,7 @@ def read_sog(path: Path | str) -> Splats:
     files = {name: member(name) for part in parts if part for name in part.files}
     if meta.model not in (None, *MODELS):
         say(f"{path} is of the model {shorten(str(meta.model))!r}, which is unknown: left out.")
-    marked = meta.antialias is True or meta.model == ANTIALIASED
+    marked = meta.antialias is True or meta.model == SOG_ANTIALIASED
     return replace(_decode(meta, files, path), antialiased=marked)
 
 
@@ -271,7 +272,7 @@ def write_sog(splats: Splats, path: Path | str) -> None:
         "version": SOG_VERSION,
         "asset": {"generator": "StyleSplat"},
         "count": count,
-        **({"antialias": True, "model": ANTIALIASED} if splats.antialiased else {}),
+        **({"antialias": True, "model": SOG_ANTIALIASED} if splats.antialiased else {}),
         "means": {"mins": low, "maxs": high, "files": means_files},
         "scales": {"codebook": scale_codes, "files": [add("scales.webp", scales)]},
         "quats": {"files": [add("quats.webp", quats)]},

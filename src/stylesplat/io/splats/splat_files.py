@@ -62,7 +62,7 @@ CONTENT_FORMATS: dict[str, Format] = {  # by what a name ends in
 }
 JSONS = (".gltf", SOG_META)  # names of formats that are JSON
 CONTENT_HEAD = 1 << 12  # bytes that are looked at
-ROWS = 64  # of a .splat
+SPLAT_ROWS = 64  # of a .splat
 CONTENT_ROUNDING = 0.1  # of the length of a quaternion whose components are bytes
 MAX_CHARACTER = 4  # bytes of one in UTF-8, of which the last may be cut
 CONTENT_SHOWN = 40  # characters of a text in a message
@@ -176,7 +176,7 @@ def _members(path: Path) -> list[str]:
 
 def _has_splat_rows(path: Path) -> bool:
     """Whether a file can be a .splat: places, sizes and unit quaternions are where they should."""
-    content = read_bytes(path, first=ROWS * DOT_SPLAT_ROW.itemsize)
+    content = read_bytes(path, first=SPLAT_ROWS * DOT_SPLAT_ROW.itemsize)
     if path.stat().st_size % DOT_SPLAT_ROW.itemsize or not content:
         return False
     rows = np.frombuffer(content, DOT_SPLAT_ROW)

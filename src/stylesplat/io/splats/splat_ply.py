@@ -28,7 +28,7 @@ REST, RGB = "f_rest_", ("red", "green", "blue")
 FILTER = "filter_3D"  # Mip-Splatting's: the standard deviation of a blur of each Gaussian
 HARMLESS = ("alpha", STATE, *LABEL_NAMES)  # beside plain colours; what `import --labels` reads
 SPLAT_PLY_HALF = 2  # bytes
-THICKNESS = 1e-6  # of 2D Gaussians, as 2DGS' authors have it
+THICKNESS_2D = 1e-6  # of 2D Gaussians, as 2DGS' authors have it
 PLAIN, ANTIALIASED, TWO_D = "default", "mip", "2dgs"  # modes of Brush and splat-transform
 MARK = f"SplatRenderMode: {ANTIALIASED}"
 RENDER_MODE = re.compile(r"SplatRenderMode\s*[:=]?\s*(\S+)", re.IGNORECASE)
@@ -73,7 +73,7 @@ def parse_splat_ply(path: Path | str) -> Splats:
     if SH0[0] not in names:
         sh0[:] = sh0_from_rgb(_plain_colors(table))[:, None]
     if SCALES[2] not in names:
-        scales[:, 2] = math.log(THICKNESS)
+        scales[:, 2] = math.log(THICKNESS_2D)
         say(f"{path} has no {SCALES[2]}: its Gaussians are flat, as those of 2DGS.")
     if FILTER in names:
         splats = _filtered(splats, torch.from_numpy(np.array(table[FILTER], np.float64)))

@@ -44,7 +44,7 @@ SPZ_EXTENSIONS = 2**20  # bytes that may follow the Gaussians
 SPZ_LARGEST_RATIO = 200  # of compression: real files reach 20, zeros 1000
 HALVES, SMALLEST_THREE, TABLES = 1, 3, 4  # versions of half floats, good rotations, tables
 DEGREES = range(5)  # of colour that a file may have
-ANTIALIASED, EXTENDED = 1, 2  # flags
+FLAG_ANTIALIASED, FLAG_EXTENDED = 1, 2
 FLAGS = 14  # their byte
 # The record of SPZ_ADOBE_coordinate_system, and the axes of its numbers from 1 on. Letters count:
 # Niantic's library of July 2026 turns LFD, RFD, LBU and RBU by half about x from what theirs say
@@ -100,9 +100,9 @@ def unpack_spz(content: bytes, path: Path | str) -> tuple[Splats, str]:
         shN=to_floats(bands[:, : 3 * BANDS[degree]]).sub_(128).div_(128).unflatten(1, (-1, 3))
         if degree
         else torch.zeros(count, 0, 3),
-        antialiased=bool(header.flags & ANTIALIASED),
+        antialiased=bool(header.flags & FLAG_ANTIALIASED),
     )
-    return splats, _axes(records, path) if header.flags & EXTENDED else OWN_AXES
+    return splats, _axes(records, path) if header.flags & FLAG_EXTENDED else OWN_AXES
 
 
 def write_spz(splats: Splats, path: Path | str, *, version: int = SPZ_VERSIONS[0]) -> None:
@@ -138,7 +138,7 @@ def pack_spz(splats: Splats, path: Path, *, version: int = SPZ_VERSIONS[0]) -> b
 
 def _marked(content: bytes) -> bytes:
     """An SPZ file, without compression, that says that its splats are anti-aliased."""
-    return content[:FLAGS] + bytes([content[FLAGS] | ANTIALIASED]) + content[FLAGS + 1 :]
+    return content[:FLAGS] + bytes([content[FLAGS] | FLAG_ANTIALIASED]) + content[FLAGS + 1 :]
 
 
 def _of_version_2(unpacked: bytes, splats: Splats) -> bytes:
