@@ -383,7 +383,7 @@ class Tab:
         self.page.evaluate(f"{found}.value = {value}; {found}.dispatchEvent({event})")
 
     def text(self) -> str:
-        return self.page.evaluate("document.body.innerText") or ""
+        return self.page.evaluate("document.body?.innerText") or ""
 
     def picture(self) -> np.ndarray:
         """The exact picture that the page shows, without what lies over it."""

@@ -225,6 +225,26 @@ def test_a_reload_keeps_the_view_and_a_double_click_frames_what_it_hits(
     until(lambda: tab.page.evaluate(place) != before, "a step ahead")
 
 
+def test_a_page_goes_on_after_a_restart_once_the_new_address_was_opened(
+    opened: StudioServer, tab: Tab
+):
+    assert tab.page.evaluate("location.href") == f"http://127.0.0.1:{opened.server.port}/"
+    tab.page.evaluate("studio.camera.zoom(0.5) || studio.moved()")
+    tab.wait_until_idle()
+    distance = tab.page.evaluate("(window.isOld = true) && studio.camera.distance")
+    opened.close()
+    again = studio(opened.session.folder, port=opened.server.port, block=False, device="cpu")
+    try:
+        assert again.server.port == opened.server.port
+        until(lambda: "was started anew" in tab.text(), "a word about the restart")
+        assert tab.page.evaluate(f"fetch({again.url!r}).then((answer) => answer.ok)")
+        until(lambda: tab.page.evaluate("Boolean(window.studio) && !window.isOld"), "the page")
+        assert "was started anew" not in tab.text()
+        assert tab.page.evaluate("studio.camera.distance") == distance
+    finally:
+        again.close()
+
+
 def test_two_fingers_move_the_camera_whatever_the_tool(opened: StudioServer, tmp_path: Path):
     with studio_tab(size=(390, 760), downloads=tmp_path) as tab:
         tab.page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)

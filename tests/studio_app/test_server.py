@@ -66,10 +66,12 @@ def test_without_the_token_nobody_gets_a_page_or_a_scene(viewer: StudioServer):
     for cookie in ("", "stylesplat-token=wrong", f"stylesplat-token-{port}=wrong"):
         assert answer(viewer, "/socket", Cookie=cookie, **WEBSOCKET)[0] == 403
     status, headers = answer(viewer, f"/?token={token}")
-    assert status == 200 and "default-src 'none'" in headers["Content-Security-Policy"]
+    assert status == 200 and headers["Refresh"] == "0; url=/", "the token leaves the address bar"
+    assert headers["Content-Length"] == "0"
     own = headers["Set-Cookie"].partition(";")[0]
     assert "HttpOnly" in headers["Set-Cookie"] and "SameSite=Strict" in headers["Set-Cookie"]
-    assert answer(viewer, "/page/main.js", Cookie=own)[0] == 200
+    status, headers = answer(viewer, "/page/main.js", Cookie=own)
+    assert status == 200 and "default-src 'none'" in headers["Content-Security-Policy"]
     assert answer(viewer, "/socket", Cookie=own, **WEBSOCKET)[0] == 101
     other = own.replace(f"{port}=", "8080=")
     assert answer(viewer, "/", Cookie=other)[0] == 403, "of a server at another port"
@@ -81,11 +83,20 @@ def test_other_sites_are_refused_even_with_the_token(viewer: StudioServer):
     for host in (f"127.0.0.1:{viewer.server.port}", "localhost:9000"):  # the near end of a tunnel
         own = {"Host": host, "Origin": f"http://{host}", **WEBSOCKET}
         assert answer(viewer, path, **own)[0] == 101
+        secure = own | {"Origin": f"https://{host}", "X-Forwarded-Proto": "https"}
+        assert answer(viewer, path, **secure)[0] == 101, "behind a server that encrypts"
         for origin in ("http://evil.example", "http://localhost:9001", "null"):
             assert answer(viewer, path, **own | {"Origin": origin})[0] == 403
     rebound = {"Host": "evil.example", "Origin": "http://evil.example", **WEBSOCKET}
     assert answer(viewer, path, **rebound)[0] == 403
     assert answer(viewer, path, Host="")[0] in (400, 403)
+    page = f"/?token={viewer.server.token}"
+    for host in ("localhost; script-src *", "127.0.0.1:1 'unsafe-eval'", "[::1", "evil.example"):
+        assert answer(viewer, page, Host=host)[0] in (400, 403), host
+    secure = {"Host": "[::1]:9000", "X-Forwarded-Proto": "https"}
+    status, headers = answer(viewer, page, **secure)
+    assert status == 200 and headers["Set-Cookie"].endswith("; Secure")
+    assert "wss://[::1]:9000;" in headers["Content-Security-Policy"]
 
 
 @pytest.mark.parametrize("path", ["/page/../server.py", "/page/%2e%2e/server.py", "/page/none.js"])
@@ -253,4 +264,4 @@ def test_the_page_names_no_other_server():
     page = Path(__file__).parents[2] / "src/stylesplat/studio_app/page"
     for file in page.iterdir():
         if file.is_file() and file.suffix != ".svg":
-            assert "://" not in file.read_text().replace("ws://${location.host}", ""), file.name
+            assert "://" not in file.read_text(), file.name

@@ -3,6 +3,8 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import pytest
 import torch
@@ -140,8 +142,17 @@ def test_where_nothing_can_be_written_save_says_so_and_all_else_works(
 def test_the_user_is_warned_of_the_network(folder: Path, said: list[str]):
     studio(folder, port=0, block=False).close()
     assert not said
-    studio(folder, port=0, host="0.0.0.0", block=False).close()
-    assert "0.0.0.0 is open to the network" in said[0]
+    opened = studio(folder, port=0, host="0.0.0.0", block=False)
+    try:
+        assert "0.0.0.0 is open to the network" in said[-1] and str(folder) in said[-1]
+        assert "//0.0.0.0" not in opened.url
+        with urlopen(opened.url, timeout=LIMIT) as answer:
+            assert answer.status == 200, "the address that is printed works"
+        elsewhere = Request(opened.url, headers={"Host": "evil.example"})
+        with pytest.raises(HTTPError, match="403"):
+            urlopen(elsewhere, timeout=LIMIT)
+    finally:
+        opened.close()
 
 
 def test_what_cannot_be_opened_is_told_before_anything_is_served(tmp_path: Path, folder: Path):

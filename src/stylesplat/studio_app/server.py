@@ -1,13 +1,7 @@
-"""The server of the studio's page: who may ask, the socket, files in and out.
-
-Other accounts of this machine reach its ports as well, and any site can make a browser send
-requests to it: under a name of its own that it lets point here (DNS rebinding), and over
-websockets. Browsers send neither the cookie with the token.
-"""
+"""The server of the studio's page: the page, the socket, files in and out."""
 
 import asyncio
 import errno
-import hmac
 import re
 import secrets
 import socket
@@ -28,76 +22,21 @@ from stylesplat.progress import write_lines
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.gallery import GALLERY_PICTURE, MOST_BYTES, too_large
+from stylesplat.studio_app.guard import Guard, reachable_address
 
 if TYPE_CHECKING:
-    from starlette.requests import HTTPConnection, Request
+    from starlette.requests import Request
     from starlette.responses import Response
-    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+    from starlette.types import ASGIApp
     from starlette.websockets import WebSocket
 
-SERVER_ADDRESS = "127.0.0.1"  # a splat may show somebody's home: never offer it to the network
-LOOPBACK = (SERVER_ADDRESS, "localhost", "[::1]")
-REFUSAL = "This server needs a token. Open the address that its terminal shows.\n"
-COOKIE = "stylesplat-token"
 SERVER_LARGEST = 2**20  # bytes of a message from a page
 SERVER_PAGE = Path(__file__).with_name("page")
 add_type("text/javascript", ".js")  # of some systems it is plain text, which no browser runs
-POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self'"
-    "; connect-src 'self' ws://{}; form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
-)
 PORTS = 100  # that are tried, one after the other
 STOP_SECONDS = 10.0
 BUSY_AFTER = 0.15  # seconds after which a page is told what it waits for
 WARM_UP_AFTER = 2.0  # seconds after a browser has connected, in which its first picture is made
-
-
-class Guard:
-    """Refuses everything without the token, and what other sites ask for."""
-
-    def __init__(self, app: "ASGIApp", token: str, *, local: bool) -> None:
-        self._app, self._token, self._local = app, token, local
-
-    async def __call__(self, scope: "Scope", receive: "Receive", send: "Send") -> None:
-        from starlette.datastructures import MutableHeaders
-        from starlette.requests import HTTPConnection
-        from starlette.responses import PlainTextResponse
-        from starlette.websockets import WebSocketClose
-
-        asked = HTTPConnection(scope)
-        host = asked.headers.get("host", "")
-        # One cookie for each port: browsers send a machine's cookies to all its servers
-        cookie = f"{COOKIE}-{host.rpartition(':')[2].strip(']')}"
-        if not self._is_ours(asked) or not self._has_token(asked, cookie):
-            is_socket = scope["type"] == "websocket"
-            refuse = WebSocketClose(1008) if is_socket else PlainTextResponse(REFUSAL, 403)
-            await refuse(scope, receive, send)
-            return
-
-        async def with_headers(message: "Message") -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                value = f"{cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
-                headers.append("set-cookie", value)
-                headers["content-security-policy"] = POLICY.format(host)
-                headers["x-content-type-options"] = "nosniff"
-                headers["referrer-policy"] = "no-referrer"
-                headers["cache-control"] = "no-cache"
-            await send(message)
-
-        await self._app(scope, receive, with_headers)
-
-    def _is_ours(self, asked: "HTTPConnection") -> bool:
-        hosts, origins = (asked.headers.getlist(name) for name in ("host", "origin"))
-        if len(hosts) != 1 or origins not in ([], [f"http://{hosts[0]}"]):
-            return False
-        name = hosts[0].rpartition(":")[0] or hosts[0]
-        return not self._local or name in LOOPBACK
-
-    def _has_token(self, asked: "HTTPConnection", cookie: str) -> bool:
-        """Whether a request has the token: in its address, or in a cookie of an earlier one."""
-        given = [*asked.query_params.getlist("token"), asked.cookies.get(cookie, "")]
-        return any(hmac.compare_digest(each.encode(), self._token.encode()) for each in given)
 
 
 class _Client:
@@ -155,7 +94,7 @@ class PageServer:
         listening = _listening_socket(host, port)
         self.port = listening.getsockname()[1]
         config = uvicorn.Config(
-            Guard(self._app(), self.token, local=host in LOOPBACK),
+            Guard(self._app(), self.token, host),
             lifespan="off",
             ws="websockets-sansio",
             ws_max_size=SERVER_LARGEST,
@@ -176,7 +115,7 @@ class PageServer:
         self._thread = threading.Thread(target=run, name="studio server", daemon=True)
         self._thread.start()
         started.wait(STOP_SECONDS)
-        self.url = f"http://{host}:{self.port}/?token={self.token}"
+        self.url = f"http://{reachable_address(host)}:{self.port}/?token={self.token}"
         write_lines(f"{self.title}: {self.url}")
 
     def stop(self) -> None:

@@ -20,7 +20,8 @@ from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.files import SceneStore
 from stylesplat.studio_app.gallery import Gallery
-from stylesplat.studio_app.server import SERVER_ADDRESS, PageServer
+from stylesplat.studio_app.guard import LOOPBACK, SERVER_ADDRESS
+from stylesplat.studio_app.server import PageServer
 from stylesplat.studio_app.session import Session
 
 AUTOSAVE_SECONDS = 60.0
@@ -115,8 +116,11 @@ def studio(
     server = PageServer("StyleSplat studio", Actions(session, gallery, store, **options))
     server.start(host, port)
     opened = StudioServer(server, store)
-    if host != SERVER_ADDRESS:
-        say(f"{host} is open to the network: anybody with the token sees and changes the scene.")
+    if host not in LOOPBACK:
+        say(
+            f"{host} is open to the network: whoever has this address sees, changes, saves and "
+            f"downloads {scene.path}. The connection is not encrypted."
+        )
     if block:
         _block(opened.close)
     return opened

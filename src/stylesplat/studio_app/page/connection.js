@@ -7,7 +7,7 @@ export const state = signal(null);
 export const progress = signal({ what: "" });
 export const notes = signal([]);
 export const online = signal(true);
-export const renewed = signal(false); // whether the studio was started anew, under another address
+export const renewed = signal(false); // whether the studio was started anew: until its address is opened in this browser
 export const busy = signal(""); // what takes long just now
 export const newest = signal(null); // the title of the style picture that was added last
 
@@ -66,10 +66,11 @@ function receive({ data }) {
 }
 
 export function connect(opened) {
-  socket = new WebSocket(`ws://${location.host}/socket`);
+  socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/socket`);
   socket.binaryType = "arraybuffer";
   socket.onmessage = receive;
   socket.onopen = () => {
+    if (renewed.value) location.reload(); // it may be another scene
     online.value = true;
     tries = 0;
     heard = performance.now();
@@ -78,8 +79,8 @@ export function connect(opened) {
   socket.onclose = async () => {
     online.value = false;
     busy.value = "";
-    if ((renewed.value = await isRefused())) return;
-    setTimeout(() => connect(opened), Math.min(PATIENCE, 1000 * 2 ** tries++));
+    renewed.value = await isRefused();
+    setTimeout(() => connect(opened), Math.min(renewed.value ? SILENT : PATIENCE, 1000 * 2 ** tries++));
   };
 }
 

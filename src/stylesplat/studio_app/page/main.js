@@ -84,7 +84,7 @@ function Progress() {
 }
 
 const Notes = () => html`<div class="notes" role="status" aria-live="polite">
-  ${!online.value && html`<p class="failure">${renewed.value ? "The studio was started anew. Open the address that it printed." : "The studio does not answer. What you do now is not done; trying again."}</p>`}
+  ${!online.value && html`<p class="failure">${renewed.value ? "The studio was started anew. Open the address that it printed; this page then goes on, too." : "The studio does not answer. What you do now is not done; trying again."}</p>`}
   ${notes.value.map((each) => html`<p key=${each.number} class=${each.failure ? "failure" : ""}><span>${each.text}</span>
     <${Button} small icon="close" label="Dismiss" onClick=${() => dismiss(each.number)} /></p>`)}</div>`;
 
