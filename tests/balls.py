@@ -272,7 +272,7 @@ def layer_of(scene: Scene, name: str) -> Layer:
 
 def own_rows(scene: Scene, name: str) -> torch.Tensor:
     """The Gaussians of a scene that belong to what a layer covers."""
-    return scene.to_splats(layer_of(scene, name).mask(len(scene.base)))
+    return scene.to_splats(layer_of(scene, name).covered(len(scene.base)))
 
 
 def assert_same_layers(one: Scene, other: Scene) -> None:

@@ -10,7 +10,7 @@ from stylesplat.scene.layers import Composed, Layer
 from stylesplat.scene.layers import compose as compose_whole
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.splats import SH_C0, Classifier, Splats
+from stylesplat.scene.splats import LUMA, SH_C0, Classifier, Splats
 
 COUNT = 60
 ROWS = torch.arange(COUNT)
@@ -114,6 +114,39 @@ def test_a_layer_above_treats_canvases_as_their_parents():
     assert torch.equal(canvas.sh0[covered], above.sh0[FOX.parents[covered] - 10])
     assert (canvas.opacities[covered] < -15).all()
     assert_equal(canvas[~covered], compose(BASE, [FOX])[COUNT:][~covered])
+
+
+def test_a_mask_is_a_strength_of_each_row_and_its_surfels():
+    """To the bit where it is 0, and where it is 1."""
+    mask = torch.ones(20).index_fill(0, ROWS[:7], 0.0).index_fill(0, ROWS[7:12], 0.4)
+    found = compose(BASE, [replace(FOX, mask=mask), POT])
+    for strength, own in ((0.0, mask == 0), (1.0, mask == 1)):
+        wanted = compose(BASE, [replace(FOX, strength=max(strength, 1e-9)), POT])
+        rows = own.nonzero()[:, 0]
+        assert_equal(found[rows], wanted[rows] if strength else BASE[rows])
+        rows = COUNT + own[FOX.parents].nonzero()[:, 0]
+        assert len(rows)
+        assert torch.equal(found.opacities[rows], wanted.opacities[rows])
+    part = compose(BASE, [replace(FOX, strength=0.4), POT])
+    rows = torch.cat([ROWS[7:12], COUNT + (mask[FOX.parents] == 0.4).nonzero()[:, 0]])
+    for name in ("sh0", "opacities"):
+        one, other = (getattr(each, name)[rows] for each in (found, part))
+        torch.testing.assert_close(one, other)
+    assert_equal(compose(BASE, [replace(FOX, mask=torch.ones(20)), POT]), compose(BASE, [FOX, POT]))
+    assert_equal(found[ROWS[20:]], compose(BASE, [FOX, POT])[ROWS[20:]])
+
+
+def test_blends_change_the_luminosity_alone_or_all_else():
+    paint = replace(FOX, shares=torch.ones(20))
+    luma = torch.tensor(LUMA)
+    rows = torch.cat([ROWS[:20], torch.arange(COUNT, COUNT + 30)])
+    normal = compose(BASE, [paint]).sh0[rows, 0]
+    under = torch.cat([BASE.sh0[:20], FOX.surfels_sh0])[:, 0]
+    for blend, of_luma, of_rest in (("luminosity", normal, under), ("colour", under, normal)):
+        found = compose(BASE, [replace(paint, blend=blend)]).sh0[rows, 0]
+        torch.testing.assert_close(found @ luma, of_luma @ luma)
+        gray = [(each - (each @ luma)[:, None]) for each in (found, of_rest)]
+        torch.testing.assert_close(*gray)
 
 
 def test_form_adds_relief_to_the_paint():

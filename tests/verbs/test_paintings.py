@@ -29,7 +29,7 @@ from stylesplat.rendering.weights import coverage
 from stylesplat.scene.scene import Scene
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject
-from stylesplat.verbs.adjust import adjust
+from stylesplat.verbs.adjust import adjust, recolor
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.objects import rename
 from stylesplat.verbs.select import select
@@ -81,11 +81,24 @@ def test_a_recipe_makes_again_what_took_several_runs(
     wave, night = pictures
     draft = {"quality": "draft", "measured": False}
     scene = painted(scene_folder.open(trained), "green", (night, wave), seed=4, **draft)
+    mask = torch.linspace(0, 1, len(scene.layers[0].rows))
+    scene = scene.with_layer(replace(scene.layers[0], mask=mask))
     scene = painted(scene, "3", Path("material:jade"), intensity=0.8, steps=2, **draft)
+    scene = recolor(scene, "3", hue=40.0)
+    recoloring = scene.layers[-1]
+    scene = scene.with_layer(replace(recoloring, mask=torch.full(recoloring.rows.shape, 0.5)))
+    scene = painted(scene, "green/2", night, **draft)
+    scene = scene.with_layer(replace(scene.layers[-1], blend="luminosity"))
     scene = adjust(scene, 0.5, objects="green")
     assert scene.painted_objects == ("green", "3")
-    assert [each.strength for each in scene.layers] == [0.5, 0.8]
+    assert [each.name for each in scene.layers] == ["green", "3", "3/recolor", "green/2"]
+    assert [each.strength for each in scene.layers] == [0.5, 0.8, 1.0, 0.6]
     assert_made_again(scene, trained, tmp_path)
+    assert [each.blend for each in scene_folder.open(tmp_path / "again").layers][-1] == "luminosity"
+    restyled = painted(scene, "green", night, **draft).layers[0].mask
+    assert restyled is not None and torch.equal(restyled, mask), "it outlives other paint"
+    with pytest.raises(StyleSplatError, match="No layer can be called 'green/recolor'"):
+        stylize(scene, {"green/recolor": wave})
 
 
 @pytest.mark.skipif(not VGG19.is_file(), reason="needs the developers' weights")

@@ -181,7 +181,7 @@ def largest_stain(
     cameras = after.cameras.downscale(after.downscale)
     ids = {name: whole_ids(before, name) for name in names}
     layers = {layer.object: layer for layer in after.layers}
-    picks = {name: layers[name].mask(len(base)).to(device) for name in names}
+    picks = {name: layers[name].covered(len(base)).to(device) for name in names}
     beside = dict(islice(_beside(base, cameras, capture, ids, picks), STAIN_VIEWS))
     if not beside:
         return {}

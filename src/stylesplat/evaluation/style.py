@@ -10,14 +10,14 @@ from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.changes import measure_changes, view_consistency
-from stylesplat.imaging.color import LUMA, cells, distinct, lab_from_rgb, nearest_colors, thinned
+from stylesplat.imaging.color import cells, distinct, lab_from_rgb, nearest_colors, thinned
 from stylesplat.imaging.similarity import ssim_map
 from stylesplat.progress import say
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sequences import evenly_spaced
-from stylesplat.scene.splats import Splats
+from stylesplat.scene.splats import LUMA, Splats
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.matching import nnfm_loss
 from stylesplat.stylization.optimize import target_features

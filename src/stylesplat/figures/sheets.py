@@ -180,7 +180,7 @@ def before_after(
     """
     require_painted(scene)
     base = scene.base.to(pick_device(device))
-    masks = [layer.mask(len(base)) for layer in scene.layers]
+    masks = [layer.covered(len(base)) for layer in scene.layers]
     picked = torch.stack(masks).any(dim=0).to(base.device)
     found = find_views(base, scene.cameras, picked, count=SEARCHED_VIEWS)
     if not found:

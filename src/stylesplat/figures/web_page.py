@@ -216,7 +216,7 @@ def start_of(splats: Splats, cameras: Cameras | None) -> dict[str, Any]:
 
 def _objects(scene: Scene) -> Iterator[dict[str, Any]]:
     """What objects are called, and where they are."""
-    painted = {layer.object: layer.mask(len(scene.base)) for layer in scene.layers}
+    painted = {layer.object: layer.covered(len(scene.base)) for layer in scene.layers}
     named = {name: each.mask for name, each in scene.objects.items()}
     for name, mask in {**painted, **named}.items():
         if mask.any():

@@ -12,11 +12,10 @@ from torch.nn import functional as F
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import is_in_image, project
 from stylesplat.scene.sequences import evenly_spaced
-from stylesplat.scene.splats import Splats, map_bands
+from stylesplat.scene.splats import LUMA, Splats, map_bands
 
 TO_XYZ = ((0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.0721750))
 TO_XYZ += ((0.0193339, 0.1191920, 0.9503041),)  # sRGB, IEC 61966-2-1
-LUMA = (0.2126, 0.7152, 0.0722)  # Rec. 709: how bright red, green and blue are
 D65 = (0.95047, 1.0, 1.08883)
 LOWEST, RANGE = -128.0, 256.0  # L, a and b of all sRGB colours lie well within
 COLOR_PIXELS = 2**14  # of a picture that stand for all

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import msgspec
 import torch
+from jaxtyping import Float
 from msgspec import Meta
 from torch import Tensor
 
@@ -17,7 +18,7 @@ from stylesplat.io.json_yaml import FilePath, convert_checked, read_json_as, wri
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import GAUSSIANS, Declared, read_tensors, write_tensors
 from stylesplat.options import MAX_INTENSITY
-from stylesplat.scene.layers import Layer, LayerKind, Source, recoloring
+from stylesplat.scene.layers import LABEL, Blend, Layer, LayerKind, Source, recoloring
 from stylesplat.scene.objects import check_name_or_id
 from stylesplat.scene.splats import Splats
 
@@ -32,7 +33,8 @@ UNIT = {"low": 0.0, "high": 1.0}
 SCULPTURE = ("sculpture", "canvas_sculpture")
 SURFELS = ("means", "quats", "scales", "opacities", "sh0", "shN")  # `canvas_*` in the file
 # What `layers.json` has of a layer as it is
-LAYER_PLAIN = ("object", "kind", "strength", "form", "visible", "settings", "features", "precision")
+LAYER_PLAIN = ("object", "kind", "label", "blend", "strength", "form", "visible", "settings")
+LAYER_PLAIN += ("features", "precision")
 LAYER_AGAIN = "Style the scene again."
 Word = Annotated[str, Meta(max_length=128, pattern=r"\A[\x20-\x7e]*\Z")]
 Intensity = Annotated[float, Meta(ge=0, le=MAX_INTENSITY)]
@@ -47,6 +49,8 @@ class _Layer(msgspec.Struct):
     file: Annotated[str, Meta(pattern=LAYER_FILE)]
     object: str
     kind: LayerKind = "paint"
+    label: Annotated[str, Meta(pattern=LABEL)] = ""
+    blend: Blend = "normal"
     strength: Intensity = 1.0
     form: Intensity = 0.0
     visible: bool = True
@@ -103,9 +107,9 @@ def read_layers(folder: Path, count: int) -> tuple[Layer, ...]:
             convert_checked(
                 entry.settings.get("form", 0.0), Intensity, "form is wrong", LAYER_AGAIN
             )
-        names = [(entry.object, entry.kind) for entry in stack.layers]
+        names = [(entry.object, entry.kind, entry.label) for entry in stack.layers]
         if len({*names}) < len(names):
-            raise StyleSplatError(f"an object has two layers of a kind. {LAYER_AGAIN}")
+            raise StyleSplatError(f"an object has two layers of a name. {LAYER_AGAIN}")
     return tuple(_read(folder / LAYERS / entry.file, entry, count) for entry in stack.layers)
 
 
@@ -121,7 +125,8 @@ def recipe_of(layers: Sequence[Layer]) -> dict[str, Any]:
     `intensity` and `form` are the values of now. A recolouring is an entry of its own.
     """
     shared = dict(next((each.settings for each in layers if each.color_map is None), {}))
-    return {"objects": [_recipe_entry(layer, shared) for layer in layers], "settings": shared}
+    objects = [_recipe_entry(number, layer, shared) for number, layer in enumerate(layers)]
+    return {"objects": objects, "settings": shared}
 
 
 def as_tuple(values: Any) -> tuple[Any, ...]:
@@ -131,16 +136,19 @@ def as_tuple(values: Any) -> tuple[Any, ...]:
     return tuple(values) if isinstance(values, list | tuple) else (values,)
 
 
-def _recipe_entry(layer: Layer, shared: Mapping[str, Any]) -> dict[str, Any]:
+def _recipe_entry(number: int, layer: Layer, shared: Mapping[str, Any]) -> dict[str, Any]:
     weights = layer.weights
     paths, digests = ([getattr(s, name) for s in layer.styles] for name in ("path", "sha256"))
     intensity = layer.strength if layer.visible else 0.0
+    shown = {} if layer.blend == "normal" else {"blend": layer.blend}
+    if layer.mask is not None:
+        shown["mask"] = f"{LAYERS}/{file_name(number, layer)}"
     if layer.color_map is not None:
         picture = {"match": paths[0], "sha256": digests[0]} if paths else {}
         recolor = {**layer.settings, **picture}
-        return {"name": layer.object, "recolor": recolor, "intensity": intensity}
+        return {"name": layer.object, "recolor": recolor, "intensity": intensity, **shown}
     entry = {
-        "name": layer.object,
+        "name": layer.name,
         "style": paths[0] if len(paths) == 1 else paths,
         "sha256": digests[0] if len(digests) == 1 else digests,
         "intensity": intensity,
@@ -149,13 +157,14 @@ def _recipe_entry(layer: Layer, shared: Mapping[str, Any]) -> dict[str, Any]:
         "features": layer.features,
         "weights": weights and weights.path,
         "weights_sha256": weights and weights.sha256,
+        **shown,
     }
     return entry | ({"precision": layer.precision} if layer.precision else {})
 
 
 def _identity(layer: Layer) -> tuple[int, ...]:
     """Equal for two layers only if their files have the same content."""
-    own = layer.rows, layer.sh0, layer.relief, layer.parents, layer.sculpture
+    own = layer.rows, layer.sh0, layer.relief, layer.parents, layer.sculpture, layer.mask
     return tuple(id(tensor) for tensor in own)
 
 
@@ -170,8 +179,9 @@ def _entry(number: int, layer: Layer) -> dict[str, Any]:
 
 def _tensors(layer: Layer) -> dict[str, Tensor]:
     """The content of a layer's file; higher bands that are all 0 are left out."""
+    mask = {} if layer.mask is None else {"mask": layer.mask}
     if layer.color_map is not None:
-        return {"rows": layer.rows, "shares": layer.shares, "color_map": layer.color_map}
+        return {"rows": layer.rows, "shares": layer.shares, "color_map": layer.color_map, **mask}
     counts = [len(layer.rows), len(layer.parents)]
     own, new = layer.relief.split(counts)
     sculpture = {}
@@ -193,13 +203,16 @@ def _tensors(layer: Layer) -> dict[str, Tensor]:
         "canvas_before": layer.surfels_sh0,
         **{f"canvas_{name}": every[name] for name in SURFELS},
         **sculpture,
+        **mask,
     }
 
 
 def _declared(count: int, kind: LayerKind) -> dict[str, Declared]:
     index = Declared(("R",), torch.int64, low=0, high=count - 1)
     row = Declared(("R",))
-    covered = {"rows": replace(index, unique=True), "shares": replace(row, **UNIT)}
+    share = replace(row, **UNIT)
+    mask = replace(share, optional=True)
+    covered = {"rows": replace(index, unique=True), "shares": share, "mask": mask}
     if kind == "recolour":
         return covered | {"color_map": Declared((3, 4))}
     shapes = {name: each.shape[1:] for name, each in GAUSSIANS.items()}
@@ -227,7 +240,9 @@ def _declared(count: int, kind: LayerKind) -> dict[str, Declared]:
 def _read(path: Path, entry: _Layer, count: int) -> Layer:
     tensors = read_tensors(path, _declared(count, entry.kind), N=count)
     if entry.kind == "recolour":
-        columns = {n: getattr(entry, n) for n in ("strength", "visible", "settings")}
+        columns = {
+            n: getattr(entry, n) for n in ("label", "blend", "strength", "visible", "settings")
+        }
         styles = tuple(map(_source, entry.styles))
         return recoloring(entry.object, **tensors, **columns, styles=styles)
     for name in ("shN", "canvas_shN"):
@@ -249,9 +264,18 @@ def _read(path: Path, entry: _Layer, count: int) -> Layer:
         surfels_sh0=tensors["canvas_before"],
         relief=torch.cat([tensors["relief"], tensors["canvas_relief"]]),
         sculpture=torch.cat(sculpture) if sculpture else None,
+        mask=tensors.get("mask"),
         styles=tuple(map(_source, entry.styles)),
         weights=entry.weights and _source(entry.weights),
     )
+
+
+def read_mask(path: Path, count: int, kind: LayerKind) -> Float[Tensor, " B"]:
+    """The mask in the file of a layer, for all rows of a base of `count` Gaussians."""
+    tensors = read_tensors(path, _declared(count, kind), N=count)
+    if "mask" not in tensors:
+        raise StyleSplatError(f"{path} holds no mask. Leave `mask` out of the recipe.")
+    return torch.ones(count).index_copy(0, tensors["rows"], tensors["mask"])
 
 
 def _source(each: _Source) -> Source:

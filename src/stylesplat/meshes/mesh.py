@@ -68,6 +68,11 @@ def _refuse_repainting(paint: tuple[Layer, Splats] | None, name: str) -> None:
             f"{name} is not painted, so that there is nothing to repaint. Style it first, or leave "
             "--repaint out."
         )
+    if paint[0].mask is not None or paint[0].blend != "normal":
+        raise StyleSplatError(
+            f"Cannot repaint {name}: its paint has a mask or a blend, which are lost in a texture. "
+            "Leave --repaint out."
+        )
     files = [source.path for source in paint[0].styles]
     there = (file and picture_file(file).is_file() for file in files)
     if not files or not all(there):

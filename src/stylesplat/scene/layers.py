@@ -4,6 +4,7 @@
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,12 +15,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.errors import count_noun, join_names, noun_repr
-from stylesplat.scene.splats import SH_C0, Splats, map_bands
+from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr, shorten
+from stylesplat.scene.objects import check_name_or_id
+from stylesplat.scene.splats import LUMA, SH_C0, Splats, map_bands
 
 UNSEEN = -16.0  # logit of an opacity that no picture shows
 THROUGH = 0.003  # transmittance of all surfels, which makes the visible strength linear
 LayerKind = Literal["paint", "recolour"]
+Blend = Literal["normal", "luminosity", "colour"]
 RELIEF_FORM, MOST_FORM = 1.0, 1.5  # up to the first relief shows, from there on sculpture
 RECOLOR = "/recolor"  # after an object's name, in which there is no slash: its recolouring
 
@@ -70,6 +73,12 @@ class Layer:
     """Whether the layer is shown."""
     kind: LayerKind = "paint"
     """The kind of the layer."""
+    label: str = ""
+    """What tells the layer from others of its object; empty for the first."""
+    blend: Blend = "normal"
+    """What of the colours it changes: all, the luminosity alone, or all but the luminosity."""
+    mask: Float[Tensor, " R"] | None = None
+    """How much of the layer each row shows, 0 to 1, and the surfels that belong to it."""
     styles: tuple[Source, ...] = ()
     """The pictures whose style the object has."""
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -100,8 +109,9 @@ class Layer:
 
     @property
     def name(self) -> str:
-        """The layer's own name: the object's, with "/recolor" behind it for a recolouring."""
-        return self.object if self.color_map is None else f"{self.object}{RECOLOR}"
+        """The layer's own name: the object's, with a label behind it ("/recolor")."""
+        label = self.label or ("" if self.color_map is None else RECOLOR[1:])
+        return f"{self.object}/{label}" if label else self.object
 
     @property
     def is_shown(self) -> bool:
@@ -115,10 +125,43 @@ class Layer:
         moved = {n: t.to(device) for n, t in vars(self).items() if isinstance(t, Tensor)}
         return replace(self, **moved, surfels=self.surfels.to(device))
 
-    def mask(self, count: int) -> Bool[Tensor, " B"]:
+    def whole_mask(self, count: int) -> Float[Tensor, " B"]:
+        """The mask for all rows of a base of `count` Gaussians: 1 where there is none."""
+        whole = torch.ones(count, device=self.rows.device)
+        return whole if self.mask is None else whole.index_copy(0, self.rows, self.mask)
+
+    def covered(self, count: int) -> Bool[Tensor, " B"]:
         """The rows that the layer covers, of a base of `count` Gaussians."""
         covered = torch.zeros(count, dtype=torch.bool, device=self.rows.device)
         return covered.index_fill(0, self.rows, True)
+
+
+def shown_like(layer: Layer, other: Layer | None, count: int) -> Layer:
+    """A layer with the blend and the mask of another on a base of `count` Gaussians, if any."""
+    if other is None:
+        return layer
+    mask = None if other.mask is None else other.whole_mask(count)[layer.rows.cpu()]
+    return replace(layer, blend=other.blend, mask=mask)
+
+
+LABEL = r"\A(?!recolor\Z)[\w .-]{0,40}\Z"
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """The object and the label of a layer's name."""
+    object, _, label = name.partition("/")
+    return object, label
+
+
+def check_layer_name(name: str) -> None:
+    """Refuse a name that no layer of paint can have."""
+    object, label = split_name(name)
+    check_name_or_id(object)
+    if not re.match(LABEL, label) or (not label and "/" in name):
+        raise StyleSplatError(
+            f"No layer can be called {shorten(name)!r}: behind the slash come up to 40 letters and "
+            "digits, as in vase/2. Choose another name."
+        )
 
 
 def recoloring(
@@ -171,6 +214,7 @@ def layer_subset(
         parents=torch.where(parents < 0, rows[0] if len(rows) else 0, parents),
         relief=layer.relief[of_either],
         sculpture=None if layer.sculpture is None else layer.sculpture[of_either],
+        mask=None if layer.mask is None else layer.mask[own],
     )
 
 
@@ -197,7 +241,8 @@ def compose(base: Splats, layers: Sequence[Layer], known: Composed | None = None
     Colours of the covered rows are interpolated towards the layer's by strength times share, and
     extrapolated above 1. Renders are linear in the colours, so that they blend likewise, wherever
     no colour is clamped. The surfels fade in with the strength; from strength 0.5 on, the rows that
-    they hide fade out. Layers that are hidden or of strength 0 change nothing, to the bit.
+    they hide fade out. A mask lowers the strength row by row. Layers that are hidden or of strength
+    0 change nothing, to the bit.
     """
     if known is None or not known.is_below(base, layers):
         known = Composed(base, (), base, torch.arange(len(base), device=base.device))
@@ -216,35 +261,50 @@ def _covered(splats: Splats, parents: Int[Tensor, " M"], layer: Layer, count: in
     entries = entry[parents]
     rows = (entries >= 0).nonzero()[:, 0]
     entries = entries[rows]
-    weights = (layer.strength * layer.shares)[entries, None, None]
+    shares = layer.shares if layer.mask is None else layer.shares * layer.mask
+    weights = (layer.strength * shares)[entries, None, None]
+    under = splats.sh0[rows], splats.shN[rows]
     if layer.color_map is not None:
-        under = splats.sh0[rows], splats.shN[rows]
-        mapped = map_bands(*under, layer.color_map)
-        bands = (torch.lerp(*pair, weights) for pair in zip(under, mapped, strict=True))
-        return splats.with_rows(rows, dict(zip(("sh0", "shN"), bands, strict=True)))
-    paint = layer.sh0 + _form(layer)[: len(layer.rows), None, None]
-    factors = layer.opacity_factors[entries]
-    return splats.with_rows(
-        rows,
-        {
-            "sh0": torch.lerp(splats.sh0[rows], paint[entries], weights),
-            "shN": torch.lerp(splats.shN[rows], layer.shN[entries], weights),
-            "opacities": _faded(splats.opacities[rows], factors, layer.strength),
-        },
-    )
+        paint = map_bands(*under, layer.color_map)
+    else:
+        sh0 = layer.sh0 + _form(layer)[: len(layer.rows), None, None]
+        paint = sh0[entries], layer.shN[entries]
+    paint = (_blended(layer.blend, *pair) for pair in zip(paint, under, strict=True))
+    bands = (torch.lerp(*pair, weights) for pair in zip(under, paint, strict=True))
+    changed = dict[str, Tensor](zip(("sh0", "shN"), bands, strict=True))
+    if layer.color_map is None:
+        factors, strength = layer.opacity_factors[entries], layer.strength
+        strengths = strength if layer.mask is None else strength * layer.mask[entries].double()
+        changed["opacities"] = _faded(splats.opacities[rows], factors, strengths)
+    return splats.with_rows(rows, changed)
+
+
+def _blended(
+    blend: Blend, paint: Float[Tensor, "*R 3"], under: Float[Tensor, "*R 3"]
+) -> Float[Tensor, "*R 3"]:
+    """Bands of paint with the luminosity, or the colour, of those below."""
+    if blend == "normal":
+        return paint
+    brighter = ((under - paint) @ paint.new_tensor(LUMA))[..., None]
+    return paint + brighter if blend == "colour" else under - brighter
 
 
 def _with_surfels(splats: Splats, base: Splats, layer: Layer) -> Splats:
     surfels, parents = layer.surfels, layer.parents
     if not len(surfels):
         return splats
+    strengths: float | Tensor = layer.strength
+    if layer.mask is not None:
+        strengths = strengths * layer.whole_mask(len(base)).double()[parents]
     farther = max(layer.strength, 1.0)
     paint = surfels.sh0 + _form(layer)[len(layer.rows) :, None, None]
+    paint = _blended(layer.blend, paint, layer.surfels_sh0)
+    shN = _blended(layer.blend, surfels.shN, torch.zeros_like(surfels.shN))
     surfels = replace(
         surfels,
         sh0=torch.lerp(layer.surfels_sh0, paint, torch.full_like(paint, farther)),
-        shN=surfels.shN * farther,
-        opacities=_appeared(surfels.opacities, layer.strength),
+        shN=shN * farther,
+        opacities=_appeared(surfels.opacities, strengths),
         identities=None if base.identities is None else base.identities[parents],
         confidence=None if base.confidence is None else base.confidence[parents],
         antialiased=base.antialiased,
@@ -262,24 +322,33 @@ def _form(layer: Layer) -> Float[Tensor, " L"]:
 
 
 def _faded(
-    opacities: Float[Tensor, " R"], factors: Float[Tensor, " R"], strength: float
+    opacities: Float[Tensor, " R"],
+    factors: Float[Tensor, " R"],
+    strength: float | Float[Tensor, " R"],
 ) -> Float[Tensor, " R"]:
     """The opacities of the rows that a layer hides; exact where nothing fades."""
-    share = max(0.0, 2 * min(strength, 1.0) - 1)
+    strength = torch.as_tensor(strength, dtype=torch.float64, device=opacities.device)
+    share = (2 * strength.clamp(max=1.0) - 1).clamp(min=0.0)
     hidden = torch.sigmoid(opacities.double()) * factors
     # Logarithms of transmittances, in float64: float32 differs in the last bit by the row
     start, end = -F.softplus(opacities.double()), torch.log1p(-hidden)
-    mixed = _opacity(torch.lerp(start, end, torch.full_like(start, share)))
+    mixed = _opacity(torch.lerp(start, end, share.expand_as(start)))
     stays = (factors == 1) | (share == 0)
     return torch.where(stays, opacities, mixed.to(opacities))
 
 
-def _appeared(opacities: Float[Tensor, " C"], strength: float) -> Float[Tensor, " C"]:
+def _appeared(
+    opacities: Float[Tensor, " C"], strength: float | Float[Tensor, " C"]
+) -> Float[Tensor, " C"]:
     """The opacities of surfels; exact at full strength.
 
     Logarithms of transmittances add up along a ray, so that the strength is right also where
     several discs overlap.
     """
+    if isinstance(strength, Tensor):
+        share = torch.log1p(-strength.clamp(max=1 - THROUGH)) / math.log(THROUGH)
+        appeared = _opacity(-F.softplus(opacities.double()) * share).to(opacities)
+        return torch.where(strength < 1, appeared, opacities)
     if strength >= 1:
         return opacities
     share = min(1.0, math.log(1 - strength) / math.log(THROUGH))

@@ -99,6 +99,10 @@ class Scene:
         """The rows of the base of whose Gaussians in `splats` more than half are in a mask."""
         return self.to_base(2 * mask.int() - 1) > 0
 
+    def layer(self, name: str) -> Layer | None:
+        """The layer of a name, if there is one."""
+        return next((each for each in self.layers if each.name == name), None)
+
     def below(self, name: str) -> "Scene":
         """The scene under the layer of a name; under a new layer, which goes on top, all of it."""
         names = [each.name for each in self.layers]

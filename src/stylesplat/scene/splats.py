@@ -10,6 +10,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, count_noun, noun_repr
 from stylesplat.scene.world_offset import ORIGIN, Offset, from_world, to_world
 
+LUMA = (0.2126, 0.7152, 0.0722)  # Rec. 709: how bright red, green and blue are
 SH_C0 = 0.28209479177387814  # sqrt(1 / 4 pi): value of the constant band of colour
 SH_C1 = 0.4886025119029199
 SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)

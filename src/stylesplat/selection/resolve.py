@@ -147,7 +147,7 @@ def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, "
         if name in scene.objects:
             found[name] = scene.objects[name].mask
         elif name in layers:
-            found[name] = layers[name].mask(len(scene.base))
+            found[name] = layers[name].covered(len(scene.base))
         elif is_id(name) and scene.base.classifier is not None:
             (ids[name],) = resolve_ids(scene.base, object_id=int(name), folder=scene.path)
         else:

@@ -191,7 +191,7 @@ def _objects(
 
 def _is_edited(scene: Scene, splats: Splats, rows: Int[Tensor, " M"]) -> bool:
     """Whether colours of painted Gaussians were edited; reports that."""
-    painted = torch.stack([layer.mask(len(scene.base)) for layer in scene.layers]).any(dim=0)
+    painted = torch.stack([layer.covered(len(scene.base)) for layer in scene.layers]).any(dim=0)
     mine = (rows >= 0) & scene.to_splats(painted)[rows.clamp(min=0)]
     if not mine.any():
         return True

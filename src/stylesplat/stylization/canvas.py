@@ -32,7 +32,7 @@ from stylesplat.rendering.weights import (
     pixels_in,
 )
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.layers import Layer, appearance_only
+from stylesplat.scene.layers import Layer, appearance_only, split_name
 from stylesplat.scene.projection import project
 from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
@@ -452,8 +452,10 @@ def layer_of(state: PaintState, painting: Painting, parents: Int[Tensor, " M"]) 
     factors = (torch.sigmoid(after.opacities[own]) / opacities).clamp(0, 1)
     rows, members = parents[own].unique(return_inverse=True)
     mean = partial(_group_means, members=members, weights=opacities.clamp(min=LEAST_WEIGHT))
+    object, label = split_name(painting.name)
     return Layer(
-        object=painting.name,
+        object=object,
+        label=label,
         rows=rows,
         shares=torch.ones_like(rows, dtype=after.means.dtype),
         sh0=mean(after.sh0[own]),

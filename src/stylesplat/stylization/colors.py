@@ -9,13 +9,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.imaging.color import LUMA, Palette, color_map, tone_curve, transform_rgb
+from stylesplat.imaging.color import Palette, color_map, tone_curve, transform_rgb
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.sequences import evenly_spaced
-from stylesplat.scene.splats import SH_C0, Splats, map_bands, rgb_from_sh0, sh0_from_rgb
+from stylesplat.scene.splats import LUMA, SH_C0, Splats, map_bands, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.config import RecolorConfig, parse_color
 from stylesplat.stylization.views import PaintView, total_weights
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.layers import RELIEF_FORM, Layer, Source
+from stylesplat.scene.layers import RELIEF_FORM, Layer, Source, check_layer_name, split_name
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import GIB
 from stylesplat.scene.splats import Splats
@@ -29,6 +29,7 @@ class Painting:
     """One object to paint and the style that it is to have."""
 
     name: str
+    """The name of its layer: the object's, or with a label behind it ("vase/2")."""
     mask: Bool[Tensor, " N"]
     images: tuple[Float[Tensor, "_ _ 3"], ...]
     """The style images, colours in 0..1; each feature takes the best match of all."""
@@ -127,11 +128,14 @@ def plan_paintings(
     Their masks are of the scene's base.
     """
     protects = [name for each in recipe.objects for name in each.style.config.protect]
-    masks = find_objects(scene, [*(each.name for each in recipe.objects), *protects])
+    for each in recipe.objects:
+        check_layer_name(each.name)
+    objects = {each.name: split_name(each.name)[0] for each in recipe.objects}
+    masks = find_objects(scene, [*objects.values(), *protects])
     paintings = list[Painting]()
     for each in recipe.objects:
         own, config = each.features or each.style.network, each.style.config
-        mask, protected = masks[each.name].cpu(), None
+        mask, protected = masks[objects[each.name]].cpu(), None
         if config.protect:
             protected = torch.stack([masks[name].cpu() for name in config.protect]).any(dim=0)
             mask = mask & ~protected

@@ -12,8 +12,7 @@ from stylesplat.io.kinds import kind_of
 from stylesplat.io.layers import RECIPE, Intensity, as_tuple
 from stylesplat.io.style_pictures import is_material, picture_file
 from stylesplat.options import check_arguments, convert_settings, options_of, with_settings
-from stylesplat.scene.layers import Source
-from stylesplat.scene.objects import check_name_or_id
+from stylesplat.scene.layers import Blend, Source, check_layer_name
 from stylesplat.stylization.config import (
     STYLE_PRESETS,
     Network,
@@ -47,6 +46,8 @@ OBJECT_KEYS = {  # and of one
     "intensity": Strength,
     "form": Strength,
     "precision": Precision | None,
+    "blend": Blend,
+    "mask": str,
 }
 
 
@@ -126,7 +127,7 @@ def _named_entries(objects: dict[str, Any] | list[Any] | None) -> list[tuple[str
         pairs = [(str(entry.pop("name", "")), entry) for entry in entries]
     known = set[tuple[str, bool]]()
     for name, entry in pairs:
-        check_name_or_id(name)
+        check_layer_name(name)
         if not isinstance(entry, dict):
             raise StyleSplatError(f"{name} must be KEY: VALUE. Write {name}: {{style: IMAGE}}.")
         if (name, "recolor" in entry) in known:
@@ -153,18 +154,28 @@ def _styled_object(
         intensity=own.get("intensity"),
         form=own.get("form"),
         precision=own.get("precision"),
+        blend=own.get("blend", "normal"),
+        mask=folder / own["mask"] if "mask" in own else None,
     )
 
 
 def _recolored_object(
     name: str, entry: dict[str, Any], place: int, folder: Path
 ) -> RecoloredObject:
-    own = convert_settings(entry, {"recolor": dict, "intensity": float})
+    keys = {"recolor": dict, "intensity": float, "blend": Blend, "mask": str}
+    own = convert_settings(entry, keys)
     settings = dict(own["recolor"])
     digests = as_tuple(settings.pop("sha256", None))
     if "match" in settings:
         (settings["match"],) = _pictures((settings["match"],), digests, folder)
-    return RecoloredObject(name, recolor_config(settings), own.get("intensity", 1.0), place)
+    return RecoloredObject(
+        name,
+        recolor_config(settings),
+        own.get("intensity", 1.0),
+        place,
+        own.get("blend", "normal"),
+        folder / own["mask"] if "mask" in own else None,
+    )
 
 
 def _pictures(files: tuple[Any, ...], digests: tuple[Any, ...], folder: Path) -> list[Path]:

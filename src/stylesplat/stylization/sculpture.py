@@ -47,11 +47,11 @@ def with_sculptures(scene: Scene) -> Scene:
 
 def sculpted(below: Scene, layer: Layer) -> Layer:
     """A layer of paint with its sculpture, on what lies below it."""
-    own = layer.mask(len(below.base))[below.parents]
+    own = layer.covered(len(below.base))[below.parents]
     boxes = find_boxes(below.splats, below.cameras, own)
     if not boxes:
         return replace(layer, sculpture=torch.zeros_like(layer.relief))
-    plain = replace(layer, strength=1.0, form=RELIEF_FORM, sculpture=None, visible=True)
+    plain = replace(layer, strength=1.0, form=RELIEF_FORM, sculpture=None, visible=True, mask=None)
     painted = below.with_layers([*below.layers, plain]).splats
     covered, new = own.nonzero()[:, 0], torch.arange(len(below.splats), len(painted))
     added = sculpt(below.splats, own, painted, torch.cat([covered, new]), boxes)

@@ -17,7 +17,7 @@ from stylesplat.imaging.color import color_map, transform_rgb
 from stylesplat.io.files import read_bytes
 from stylesplat.io.style_pictures import Picture, is_material, picture_file, read_style, resize
 from stylesplat.options import with_settings
-from stylesplat.scene.layers import Source
+from stylesplat.scene.layers import Blend, Source
 from stylesplat.stylization.config import (
     NETWORKS,
     STYLE_PRESETS,
@@ -193,7 +193,10 @@ class Style:
 
 @dataclass(frozen=True)
 class StyledObject:
-    """One object of a recipe, by a name that `select` gave, or a label id."""
+    """One object of a recipe, by a name that `select` gave, or a label id.
+
+    With a slash and a label behind it (`vase/2`) it is another layer of paint on that object.
+    """
 
     name: str
     style: Style
@@ -207,6 +210,10 @@ class StyledObject:
     """How much form it is to show in the end; None for the style's."""
     precision: Precision | None = None
     """Of the features; None takes what is fastest on the machine."""
+    blend: Blend = "normal"
+    """What of the colours below it changes."""
+    mask: Path | None = None
+    """The file of a layer with the mask to show it through."""
 
 
 @dataclass(frozen=True)
@@ -218,6 +225,10 @@ class RecoloredObject:
     strength: float = 1.0
     place: int = 0
     """How many of the recipe's objects are painted before."""
+    blend: Blend = "normal"
+    """What of the colours below it changes."""
+    mask: Path | None = None
+    """The file of a layer with the mask to show it through."""
 
 
 @dataclass(frozen=True)

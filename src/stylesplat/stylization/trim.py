@@ -19,7 +19,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from stylesplat.imaging.color import LUMA
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.surface import front_depth
@@ -37,7 +36,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import UNSEEN
 from stylesplat.scene.projection import crop, depths_of
 from stylesplat.scene.sequences import evenly_spaced
-from stylesplat.scene.splats import Splats, rgb_from_sh0
+from stylesplat.scene.splats import LUMA, Splats, rgb_from_sh0
 from stylesplat.selection.shapes import robust_diameter
 from stylesplat.stylization.canvas import (
     CANVAS_OPACITY,

@@ -8,7 +8,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.style_pictures import read_style, resize
 from stylesplat.options import check_arguments, check_intensity
 from stylesplat.progress import say
-from stylesplat.scene.layers import RECOLOR, recoloring
+from stylesplat.scene.layers import RECOLOR, recoloring, shown_like
 from stylesplat.scene.objects import check_name_or_id
 from stylesplat.scene.scene import Scene, named_layers, require_painted, strengths_of
 from stylesplat.selection.resolve import background_of, find_object
@@ -129,6 +129,7 @@ def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) 
     picture = None
     if config.match:
         picture = all_colors([resize(read_style(config.match), PICTURE_SIDE)])
+    known = scene.layer(own)
     layer = recoloring(
         name,
         mask.nonzero()[:, 0].cpu(),
@@ -137,4 +138,4 @@ def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) 
         styles=(source_of(config.match),) if config.match else (),
         settings={key: value for key, value in config.changed.items() if key != "match"},
     )
-    return scene.with_layer(layer)
+    return scene.with_layer(shown_like(layer, known, len(scene.base)))

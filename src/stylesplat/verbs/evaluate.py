@@ -212,7 +212,7 @@ def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
     base = scene.base.to(styled.device)
     training, held_out = scene.working_views()
     cameras = held_out or training
-    picks = {each.object: each.mask(len(base)).to(base.device) for each in scene.layers}
+    picks = {each.object: each.covered(len(base)).to(base.device) for each in scene.layers}
     objects = {}
     for layer in scene.layers:
         if layer.color_map is not None:
@@ -221,7 +221,7 @@ def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
         boxes, views = find_boxes(base, cameras, picked), cameras
         if not boxes and held_out:
             boxes, views = find_boxes(base, training, picked), training
-        objects[layer.object] = {
+        objects[layer.name] = {
             **_closeness(layer, picked, base, styled, views, boxes),
             **measure_look(base, styled, views, picked, boxes=boxes),
         }

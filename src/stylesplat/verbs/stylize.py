@@ -10,11 +10,12 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.style import flat_metrics, measure_painted
+from stylesplat.io.layers import read_mask
 from stylesplat.io.style_pictures import Picture
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
-from stylesplat.scene.layers import RELIEF_FORM, Layer
+from stylesplat.scene.layers import RECOLOR, RELIEF_FORM, Layer, shown_like
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import PaintState, layer_of
@@ -28,7 +29,13 @@ from stylesplat.stylization.painting import (
     setup_maker,
 )
 from stylesplat.stylization.sculpture import sculpted, with_sculptures
-from stylesplat.stylization.style import Recipe, Style, as_recipe
+from stylesplat.stylization.style import (
+    Recipe,
+    RecoloredObject,
+    Style,
+    StyledObject,
+    as_recipe,
+)
 from stylesplat.stylization.views import ObjectBox
 from stylesplat.verbs.adjust import recolor
 
@@ -98,6 +105,7 @@ def stylize(
     if anew:
         say(f"Painting {', '.join(anew)} anew, from the colours before.")
     seconds, precision = dict[str, float](), ""
+    entries = {each.name: each for each in recipe.objects}
     surveys = dict[str, Sequence[ObjectBox]]()
     for number, painting in enumerate(paintings):
         scene = _recolored(scene, recipe, number)
@@ -107,7 +115,9 @@ def stylize(
         own = painting.at(below.parents).to(setup.splats)
         layer, surveys[painting.name] = paint_layer(setup, own, below.parents.to(own.mask.device))
         precision = setup.precision_name
-        scene = scene.with_layer(painting.record(layer, precision))
+        layer = painting.record(layer, precision)
+        layer = shown_like(layer, scene.layer(painting.name), len(scene.base))
+        scene = _as_in(scene.with_layer(layer), painting.name, entries[painting.name])
         seconds[painting.name] = time.perf_counter() - began
     scene = _recolored(scene, recipe, len(paintings))
     strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
@@ -137,7 +147,18 @@ def _recolored(scene: Scene, recipe: Recipe, place: int) -> Scene:
     for each in recipe.recolors:
         if each.place == place:
             scene = recolor(scene, each.name, strength=each.strength, **each.config.changed)
+            scene = _as_in(scene, f"{each.name}{RECOLOR}", each)
     return scene
+
+
+def _as_in(scene: Scene, name: str, entry: StyledObject | RecoloredObject) -> Scene:
+    """The scene whose layer of a name has the blend and the mask of a recipe."""
+    if entry.blend == "normal" and entry.mask is None:
+        return scene
+    layer = scene.layer(name)
+    assert layer is not None  # it was made just now
+    mask = entry.mask and read_mask(entry.mask, len(scene.base), layer.kind)[layer.rows]
+    return scene.with_layer(replace(layer, blend=entry.blend, mask=mask))
 
 
 def _measure(
@@ -181,7 +202,9 @@ class Live:
         if self.finished is not None:
             return self.finished
         parents = self.below.parents.to(self.state.splats.device)
-        return self.painting.record(layer_of(self.state, self.painting, parents), self.precision)
+        layer = layer_of(self.state, self.painting, parents)
+        layer = self.painting.record(layer, self.precision)
+        return shown_like(layer, self.before.layer(self.painting.name), len(self.before.base))
 
     @property
     def splats(self) -> Splats:
