@@ -26,8 +26,8 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.resolve import find_object
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import Actions
-from stylesplat.studio_app.edits import pick_names
 from stylesplat.studio_app.pictures import camera_of, most_visible
+from stylesplat.studio_app.selecting import pick_names
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
@@ -139,24 +139,27 @@ def test_picks(page: Page):
     page.act("pick_names", names=["3"], how="away")
     assert page.names() == ["7"]
     page.act("pick_drawn", points=[place("7")], shape="brush", radius=0.05)
-    assert page.names() == ["object 1"]
+    assert page.names() == [] and not page.session.state.scene.objects, "it has no name"
     glow = page.pictures["picked"][1]
-    page.act("pick_at", place=place("3"), how="add", radius=0.3)
-    assert page.names() == ["object 1"] and page.pictures["picked"][1] != glow
-    page.act("rename_picked", name="both")
-    assert page.names() == ["both"]
+    state = page.act("pick_at", place=place("3"), how="add", radius=0.3)
+    assert page.pictures["picked"][1] != glow and state.selection is not None
+    assert state.undo == "Added to the selection" and state.selection.count > 40
+    page.act("name_selection", name="both")
+    assert page.names() == ["both"] and page.actions.state_message().selection is None
     page.act("pick_at", place=place("7"), reach=1.0)
-    scene = page.session.state.scene
-    found, ball = (find_object(scene, name) for name in ("object 1", "7"))
+    state, selection = page.session.state, page.session.state.selection
+    assert selection is not None
+    found, ball = selection.weights >= 128, find_object(state.scene, "7")
     assert (found & ball).sum() > 0.9 * found.sum() > 30, "of the ball that was clicked"
-    page.act("forget_picked")
     page.act("pick_names", names=[])
-    page.act("pick_box", low=(-1.2, -0.5, 0.05), high=(-0.2, 0.5, 0.8))
-    assert page.names() == ["object 1"]
+    assert page.act("pick_box", low=(-1.2, -0.5, 0.05), high=(-0.2, 0.5, 0.8)).selection
     for share in (0.05, -0.05):
         page.act("resize_picked", share=share)
-    page.act("forget_picked")
-    assert page.names() == [] and not page.said
+    state = page.act("feather_picked", share=0.2)
+    assert state.selection is not None and state.selection.soft
+    page.act("invert_picked")
+    page.act("pick_names", names=[])
+    assert page.names() == [] and not page.said and [*page.session.state.scene.objects] == ["both"]
     page.act("unite_picked")
     assert "Nothing is picked" in page.said[-1]
 
@@ -203,6 +206,35 @@ def test_layers_have_strength_form_order_and_locks(page: Page):
     assert not state.layers and torch.equal(page.session.state.scene.splats.sh0, before.splats.sh0)
     page.act("adjust_layer", name="3", strength=0.3)
     assert "not painted" in page.said[-1]
+
+
+def test_a_selection_becomes_an_object_by_paint_which_fades_with_its_border(page: Page):
+    """In one step of undo, to the bit; a selection that cannot be painted stays one."""
+    before = page.session.state.scene
+    page.act("pick_names", names=["3"])
+    page.act("feather_picked", share=0.3)
+    selection = page.session.state.selection
+    assert selection is not None and selection.is_soft
+    own = Style(next(iter(page.actions.gallery.pictures.values())).path, config=QUICK)
+    page.session.ask(lambda: page.actions.queue.paint_selection(own, "stripes"))
+    assert page.session.worker.wait_until_idle()
+    (layer,) = page.session.state.scene.layers
+    assert layer.object == "painted part" and page.names() == ["painted part"]
+    assert layer.mask is not None
+    assert torch.equal(layer.mask, (selection.weights / 255)[layer.rows])
+    page.act("step", rows=-1)
+    assert page.session.state.scene.splats is before.splats
+    assert page.session.state.selection is selection and not page.session.state.scene.objects
+    state = page.act("recolor", names=[], setting="hue", value=90)
+    assert [each.name for each in state.layers] == ["recoloured part/recolor"]
+    mask = page.session.state.scene.layers[0].mask
+    assert mask is not None and 0 < mask.min() < mask.max() == 1
+    page.act("step", rows=-1)
+    page.act("pick_drawn", points=[place("7")], shape="brush", radius=0.02)
+    page.session.ask(lambda: page.actions.queue.paint_selection(own, "stripes"))
+    assert page.session.worker.wait_until_idle()
+    assert "too few for a texture" in page.said[-1] and not page.session.state.scene.objects
+    assert page.session.state.selection is not None
 
 
 def test_colours_change_at_once_and_undo_names_them(page: Page):

@@ -14,10 +14,10 @@ from browser import QUICK, Tab, needs_chromium, studio_tab, until
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.weights import coverage
-from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.edits import recolor_objects
 from stylesplat.studio_app.gallery import MOST_BYTES
+from stylesplat.studio_app.history import Selected
 from stylesplat.studio_app.pictures import camera_of
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.stylization.style import Style
@@ -179,17 +179,16 @@ def test_an_object_and_a_part_of_a_picture_are_chosen_by_keyboard(opened: Studio
 def test_another_click_on_the_surface_takes_another_size(opened: StudioServer, tab: Tab):
     session, at = opened.session, tab.middle_of("7")
     pressed = "document.querySelector('.options [aria-pressed=true]').innerText"
-    found = list[SceneObject]()
+    found = list[Selected]()
 
     def pick(size: str) -> None:
         def is_new() -> bool:
-            objects = session.state.scene.objects
-            return [*objects] == ["object 1"] and all(
-                objects["object 1"] is not each for each in found
-            )
+            now = session.state.selection
+            return now is not None and all(now is not each for each in found)
 
         until(is_new, f"a pick of the size {size}")
-        found.append(session.state.scene.objects["object 1"])
+        assert session.state.selection is not None
+        found.append(session.state.selection)
         until(lambda: tab.page.evaluate("studio.tools.isSpotPicked()"), "the page to know")
         assert tab.page.evaluate(pressed) == size
 
@@ -202,8 +201,18 @@ def test_another_click_on_the_surface_takes_another_size(opened: StudioServer, t
         tab.key("c", key_down)
     pick("object")
     tab.assert_accessible()
-    tab.press_button("Undo: Selected object 1")
-    until(lambda: not session.state.scene.objects, "all three sizes gone by one undo")
+    tab.press_button("Invert")
+    until(lambda: session.state.note == "Inverted the selection", "all else")
+    name = "document.querySelector('.objects .entry input')"
+    until(lambda: tab.page.evaluate(f"{name} && ({name}.value = 'ball')"), "a field for a name")
+    tab.press_button("Name it")
+    until(lambda: session.state.picked == ("ball",), "an object")
+    tab.assert_accessible()
+    tab.press_button("Undo: Named the selection ball")
+    tab.press_button("Undo: Inverted")
+    tab.press_button("Undo: Selected")
+    until(lambda: session.state.selection is None, "all three sizes gone by one undo")
+    assert not session.state.scene.objects
 
 
 def test_a_reload_keeps_the_view_and_a_double_click_frames_what_it_hits(

@@ -9,11 +9,15 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.options import PickSize
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
-from stylesplat.selection.resolve import find_object
-from stylesplat.studio_app import edits
-from stylesplat.studio_app.edits import (
+from stylesplat.studio_app import selecting
+from stylesplat.studio_app.history import ObjectMasks, StudioState, hidden_rows, object_names
+from stylesplat.studio_app.messages import How
+from stylesplat.studio_app.selecting import (
+    feather_picked,
     forget_picked,
     hide_objects,
+    invert_picked,
+    name_selection,
     pick_ball,
     pick_box,
     pick_drawn,
@@ -26,8 +30,6 @@ from stylesplat.studio_app.edits import (
     subtract_picked,
     unite_picked,
 )
-from stylesplat.studio_app.history import ObjectMasks, StudioState, hidden_rows, object_names
-from stylesplat.studio_app.messages import How
 
 CAMERA = enlarged(CAMERAS, 4)[0]
 BALLS = {"3": (-0.7, 0.0, 0.3), "7": (0.7, 0.0, 0.3), "300": (0.0, 0.8, 0.3)}
@@ -41,17 +43,28 @@ def place(name: str) -> tuple[float, float]:
     return x / CAMERA.size[0], y / CAMERA.size[1]
 
 
+def selected(state: StudioState) -> torch.Tensor:
+    assert state.selection is not None
+    return state.selection.weights >= 128
+
+
 def test_a_ball_picks_without_labels_and_strokes_correct_it():
-    masks = ObjectMasks()
     first = pick_ball(PLAIN, CAMERA, place("3"), 0.25)
-    assert first.picked == ("object 1",)
-    count = int(masks.of(first.scene, "object 1").sum())
-    assert 0 < count < len(SPLATS)
+    count = int(selected(first).sum())
+    assert 0 < count < len(SPLATS) and not first.picked
     more = pick_ball(first, CAMERA, place("7"), 0.25, "add")
-    assert more.picked == ("object 1",) and int(masks.of(more.scene, "object 1").sum()) > count
+    assert int(selected(more).sum()) > count
     less = pick_ball(more, CAMERA, place("7"), 0.25, "away")
-    assert torch.equal(masks.of(less.scene, "object 1"), masks.of(first.scene, "object 1"))
-    assert object_names(less.scene) == ["object 1"], "what was taken away has no name any more"
+    assert torch.equal(selected(less), selected(first))
+    shared = pick_ball(more, CAMERA, place("7"), 0.25, "within")
+    assert torch.equal(selected(shared), selected(more) & ~selected(first))
+    assert not object_names(less.scene), "it has no name"
+    named = name_selection(less, "ball")
+    assert object_names(named.scene) == ["ball"] == [*named.picked] and named.selection is None
+    assert named.scene.objects["ball"].selection.rows, "of two shapes"
+    assert name_selection(first, "ball").scene.objects["ball"].selection.sphere
+    again = pick_ball(named, CAMERA, place("7"), 0.25, "add")
+    assert again.selection is not None and again.selection.origin == "ball"
     with pytest.raises(StyleSplatError, match="enlarge the radius"):
         pick_ball(PLAIN, CAMERA, place("3"), 1e-6)
 
@@ -61,7 +74,7 @@ def test_a_click_picks_on_the_surface_without_labels():
     near = (SPLATS.means - torch.tensor(BALLS["3"])).norm(dim=1) < 0.35
     for size in get_args(PickSize):
         state = pick_surface(large, CAMERA, place("3"), size)
-        mask = find_object(state.scene, state.picked[0])
+        mask = selected(state)
         assert mask[near].sum() > 0.8 * mask.sum() > 0, size
     with pytest.raises(StyleSplatError, match="background, or nothing solid"):
         pick_surface(large, CAMERA, (0.0, 0.0), "object")
@@ -76,16 +89,15 @@ def test_what_is_drawn_picks_what_shows_inside_and_corrects_a_pick():
 
     ball = masks.of(STATE.scene, "3")
     first = drawn(PLAIN, -24, 24)
-    whole = masks.of(first.scene, "object 1")
-    assert first.picked == ("object 1",)
+    whole = selected(first)
     assert int((whole & ball).sum()) > 0.7 * int(ball.sum()), (
         "what shows, and what is close beneath"
     )
     less = drawn(first, 0, 24, "away")
-    left = masks.of(less.scene, "object 1")
-    assert less.picked == ("object 1",) and 0 < int(left.sum()) < int(whole.sum())
+    left = selected(less)
+    assert 0 < int(left.sum()) < int(whole.sum())
     again = drawn(less, 0, 24, "add")
-    assert int((masks.of(again.scene, "object 1") & whole).sum()) > 0.9 * int(whole.sum())
+    assert int((selected(again) & whole).sum()) > 0.9 * int(whole.sum())
     with pytest.raises(StyleSplatError, match="Nothing is left"):
         drawn(first, -40, 40, "away")
     with pytest.raises(StyleSplatError, match="Nothing shows inside"):
@@ -107,11 +119,20 @@ def test_shapes_sizes_differences_and_names():
     masks = ObjectMasks()
     box = pick_box(STATE, (-1.2, -0.5, 0.05), (-0.2, 0.5, 0.8))
     of_ball = masks.of(STATE.scene, "3")
-    assert int((masks.of(box.scene, "object 1") & of_ball).sum()) > 60
+    assert int((selected(box) & of_ball).sum()) > 60
     wide = resize_picked(box, 0.2)
-    assert int(masks.of(wide.scene, "object 1").sum()) > int(of_ball.sum())
-    rest = subtract_picked(pick_names(wide, ["object 1", "3"]))
-    assert not (masks.of(rest.scene, rest.picked[0]) & of_ball).any()
+    assert int(selected(wide).sum()) > int(of_ball.sum())
+    rest = pick_names(wide, ["3"], "away")
+    assert torch.equal(selected(rest), selected(wide) & ~of_ball)
+    wide = name_selection(wide, "wide")
+    assert torch.equal(selected(subtract_picked(pick_names(wide, ["wide", "3"]))), selected(rest))
+    both = unite_picked(pick_names(wide, ["3", "7"]))
+    assert torch.equal(selected(both), of_ball | masks.of(STATE.scene, "7"))
+    assert torch.equal(selected(invert_picked(both)), ~selected(both))
+    soft = feather_picked(both, 0.2)
+    assert soft.selection is not None and soft.selection.is_soft
+    assert torch.equal(selected(soft), selected(both)), "its border stays where it was"
+    assert torch.equal(selected(invert_picked(soft)), ~selected(soft))
     named = rename_picked(pick_names(STATE, ["3"]), "red ball")
     assert named.picked == ("red ball",) and "3" not in object_names(named.scene)
     again = rename_picked(named, "ball")
@@ -133,15 +154,23 @@ def test_objects_are_hidden():
 
 
 @pytest.mark.parametrize(
-    "change", [unite_picked, subtract_picked, lambda s: resize_picked(s, 0.1), forget_picked]
+    "change",
+    [
+        unite_picked,
+        subtract_picked,
+        lambda s: resize_picked(s, 0.1),
+        lambda s: name_selection(s, "ball"),
+        invert_picked,
+        forget_picked,
+    ],
 )
 def test_without_a_pick_it_says_what_to_do(change):
-    with pytest.raises(StyleSplatError, match=r"[Pp]ick"):
+    with pytest.raises(StyleSplatError, match=r"[Pp]ick|[Ss]elect"):
         change(STATE)
 
 
 def test_words_download_no_model_while_all_browsers_wait(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(edits, "is_at_hand", lambda name: False)
-    monkeypatch.setattr(edits, "resolve_selection", lambda *_, **__: pytest.fail())
+    monkeypatch.setattr(selecting, "is_at_hand", lambda name: False)
+    monkeypatch.setattr(selecting, "resolve_selection", lambda *_, **__: pytest.fail())
     with pytest.raises(StyleSplatError, match=r"pip install .*hf download IDEA-Research/"):
         pick_words(STATE, "red chair")

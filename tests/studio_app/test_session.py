@@ -18,10 +18,11 @@ from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import strengths_of
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.resolve import find_object
-from stylesplat.studio_app.edits import adjust_layer, pick_names, rename_picked
+from stylesplat.studio_app.edits import adjust_layer
 from stylesplat.studio_app.files import AUTOSAVE, FORMATS, Exporter, SceneStore
 from stylesplat.studio_app.history import replace_scene
 from stylesplat.studio_app.paint_queue import PaintQueue, seconds_left
+from stylesplat.studio_app.selecting import pick_names, rename_picked
 from stylesplat.studio_app.session import Change, Session
 from stylesplat.stylization.config import plain_settings
 from stylesplat.stylization.painter import paint

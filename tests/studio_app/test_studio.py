@@ -17,9 +17,9 @@ from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.selection import Selection
-from stylesplat.studio_app.edits import pick_names, rename_picked
 from stylesplat.studio_app.files import AUTOSAVE
 from stylesplat.studio_app.history import replace_scene
+from stylesplat.studio_app.selecting import pick_names, rename_picked
 from stylesplat.studio_app.studio import studio
 from stylesplat.stylization.style import Style
 

@@ -21,8 +21,8 @@ from stylesplat.scene.frames import NERFSTUDIO_AXES, Frame, known_frames, move_c
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import Offset, to_world
-from stylesplat.studio_app.edits import pick_ball, pick_box
 from stylesplat.studio_app.history import StudioState
+from stylesplat.studio_app.selecting import name_selection, pick_ball, pick_box
 from stylesplat.training.config import TrainConfig
 from stylesplat.verbs.export import export
 from stylesplat.verbs.import_ import FrameName, import_
@@ -177,9 +177,11 @@ def test_places_that_are_read_are_in_the_world():
 def test_the_studio_records_places_in_the_world():
     state = StudioState(SCENE)
     low, high = RED_BOX[:3], RED_BOX[3:]
-    (box,) = pick_box(state, low, high).scene.objects["object 1"].selection.box3d
+    box = name_selection(pick_box(state, low, high), "box")
+    (box,) = box.scene.objects["box"].selection.box3d
     assert box == pytest.approx(in_world(RED_BOX), abs=1e-4)
-    found = pick_ball(state, CAMERAS[0], (0.5, 0.5), 0.4).scene.objects["object 1"]
+    ball = name_selection(pick_ball(state, CAMERAS[0], (0.5, 0.5), 0.4), "ball")
+    found = ball.scene.objects["ball"]
     ((_, (*centre, radius)),) = found.selection.sphere
     assert centre == pytest.approx(WORLD, abs=2) and radius == 0.4
 

@@ -181,9 +181,14 @@ def render_argmax(
 
 @torch.no_grad()
 def coverage(
-    splats: Splats, camera: Cameras, mask: Bool[Tensor, " N"] | None = None
+    splats: Splats,
+    camera: Cameras,
+    mask: Bool[Tensor, " N"] | Float[Tensor, " N"] | None = None,
 ) -> Float[Tensor, "H W"]:
-    """The opaque share of an object, or of all, in each pixel of one camera; others may hide it."""
+    """The opaque share of an object, or of all, in each pixel of one camera; others may hide it.
+
+    An object's mask may hold the shares of Gaussians that belong to it.
+    """
     pixels = None
     if mask is None:
         mask = torch.ones_like(splats.opacities, dtype=torch.bool)

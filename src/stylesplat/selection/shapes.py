@@ -101,6 +101,23 @@ def shrink(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Bool[Ten
     return picked.index_fill(0, own[close], False)
 
 
+def feather(splats: Splats, picked: Bool[Tensor, " N"], share: float) -> Float[Tensor, " N"]:
+    """How much each Gaussian is picked, 0 to 1, by a border that fades.
+
+    It is half where the border is, and fades over `share` of the object's extent on both sides.
+    Faint Gaussians make no border.
+    """
+    solid = torch.sigmoid(splats.opacities) >= EXTENT_FAINT
+    reach = _reach(splats.means[opaque_rows(splats, picked)], share) / 2
+    weights = picked.to(splats.means)
+    for inside in (True, False):
+        rows = (picked == inside).nonzero()[:, 0]
+        others = splats.means[(picked != inside) & solid]
+        away = distances_to(splats.means[rows], others, reach).to(weights) / (2 * reach)
+        weights[rows] = 0.5 + away.clamp(max=0.5) if inside else 0.5 - away.clamp(max=0.5)
+    return weights
+
+
 def robust_diameter(points: Float[Tensor, "M 3"]) -> float:
     """The diameter of the sphere around the median that holds nearly all points."""
     distances = (points - points.median(dim=0).values).norm(dim=1)
@@ -120,7 +137,14 @@ def within_distance(
     points: Float[Tensor, "M 3"], others: Float[Tensor, "L 3"], reach: float
 ) -> Bool[Tensor, " M"]:
     """Which points lie within `reach` of one of the others."""
-    found = torch.zeros(len(points), dtype=torch.bool)
+    return distances_to(points, others, reach) <= reach
+
+
+def distances_to(
+    points: Float[Tensor, "M 3"], others: Float[Tensor, "L 3"], reach: float
+) -> Float[Tensor, " M"]:
+    """How far the nearest of the others is from each point; infinite if farther than `reach`."""
+    found = torch.full((len(points),), torch.inf, dtype=torch.float64)
     if not len(others):
         return found.to(points.device)
     bound = reach * (1 + SHAPE_SLACK)
@@ -129,7 +153,7 @@ def within_distance(
     rows = overlapping(positions, positions, low, high)
     tree = KDTree(targets.numpy())
     distances, _ = tree.query(positions[rows].numpy(), distance_upper_bound=bound, workers=-1)
-    found[rows] = torch.from_numpy(distances <= reach)
+    found[rows] = torch.from_numpy(distances)
     return found.to(points.device)
 
 

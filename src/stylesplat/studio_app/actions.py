@@ -26,12 +26,12 @@ from stylesplat.io.style_pictures import MATERIALS, PREFIX
 from stylesplat.options import PickSize
 from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
-from stylesplat.scene.layers import Layer
+from stylesplat.scene.layers import RECOLOR, Layer, shown_like
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.virtual_cameras import has_rendered_views, turned_view
 from stylesplat.studio_app import edits as layers
-from stylesplat.studio_app import edits as picking
 from stylesplat.studio_app import messages as m
+from stylesplat.studio_app import selecting as picking
 from stylesplat.studio_app.edits import describe_settings, find_layer, recoloring_of
 from stylesplat.studio_app.files import FORMATS, Exporter, SceneStore
 from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture, style_title
@@ -62,6 +62,7 @@ SLOW = {
     "pick_box": "Looking for what is in the box",
     "pick_words": "Looking for what the words mean",
     "resize_picked": "Growing or shrinking what is picked",
+    "feather_picked": "Feathering what is picked",
     "picture": "Making the picture",
     "save": "Saving",
     "save_as": "Saving",
@@ -94,7 +95,8 @@ class Actions:
         session.on_painted.append(self._painted)
         changes = [picking.pick_names, picking.pick_box, picking.pick_words, picking.resize_picked]
         changes += [picking.unite_picked, picking.subtract_picked, picking.forget_picked]
-        changes += [picking.rename_picked, picking.hide_objects, layers.adjust_layer]
+        changes += [picking.rename_picked, picking.hide_objects, picking.feather_picked]
+        changes += [picking.invert_picked, picking.name_selection, layers.adjust_layer]
         changes += [layers.set_visible, layers.set_locked, layers.move_layer, layers.remove_paint]
         methods = [self.pick_at, self.pick_drawn, self.recolor, self.paint, self.stop]
         methods += [self.queue.resume, self.queue.remove, self.previews.try_all, self.use_variant]
@@ -183,7 +185,14 @@ class Actions:
         """Change a setting of objects' recolouring; `match` is the number of a style picture."""
         if setting == "match" and value is not None:
             value = str(self._style(int(value)).path)
-        return layers.recolor_objects(self.session.state, names, setting, value)
+        state = before = self.session.state
+        if not names and state.selection is not None:
+            state = picking.with_object_of_selection(state, "recoloured")
+            names = [*state.picked]
+        found = layers.recolor_objects(state, names, setting, value)
+        if found is state or before.selection is None or state is before:
+            return before if found is state else found
+        return layers.mask_layer(found, f"{names[0]}{RECOLOR}", before.selection.weights / 255)
 
     def paint(
         self,
@@ -196,8 +205,12 @@ class Actions:
 
         `instead`: in place of their painting that is under way, whose picture stays meanwhile.
         """
-        picture, objects = self._style(style), self.session.state.picked if names is None else names
-        self.queue.paint(objects, Style(picture.path, **(settings or {})), picture.title, instead)
+        picture, state = self._style(style), self.session.state
+        own = Style(picture.path, **(settings or {}))
+        if names is None and state.selection is not None:
+            self.queue.paint_selection(own, picture.title)
+        else:
+            self.queue.paint(state.picked if names is None else names, own, picture.title, instead)
 
     def stop(self) -> None:
         self.previews.stop()
@@ -308,7 +321,8 @@ class Actions:
     def _with_variant(self, state: StudioState, number: int) -> StudioState:
         variant, layer = _item(self.variants, number, "variant")
         layers.refuse_locked(state, layer.name)
-        return layers.replace_layer(state, layer, f"Switched {layer.object} to {variant.title}")
+        shown = shown_like(layer, state.scene.layer(layer.name), len(state.scene.base))
+        return layers.replace_layer(state, shown, f"Switched {layer.object} to {variant.title}")
 
     def _painted(self, name: str, title: str) -> None:
         layer = find_layer(self.session.state.scene, name)
@@ -337,9 +351,22 @@ class Actions:
         scene, history, box = state.scene, session.history, self._content
         if state.picked and all(session.masks.has(scene, name) for name in state.picked):
             box = session.masks.extent(scene, state.picked)
+        selection, selected = None, state.selection
+        if selected is not None:
+            rows = selected.weights >= 128
+            box = session.masks.extent_of(scene, (), rows)
+            selection = m.SelectionInfo(
+                count=int(rows.sum()),
+                soft=selected.is_soft,
+                origin=selected.origin,
+                centre=_vector(box.centre),
+                sides=_vector(box.size),
+            )
         shown = {id(layer.sh0) for layer in scene.layers}
         return m.StateMessage(
             objects=[self._object(name) for name in object_names(scene)],
+            selection=selection,
+            again=self._spot is not None and self._spot[1] is state,
             layers=[_layer_info(state, each) for each in scene.layers],
             variants=[variant for variant, _ in self.variants],
             current=[n for n, (_, each) in enumerate(self.variants) if id(each.sh0) in shown],

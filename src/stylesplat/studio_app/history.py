@@ -5,15 +5,32 @@ from dataclasses import dataclass, replace
 from weakref import ref
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.scene.content import Extent, extent_of
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import Selection
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import object_ids
 from stylesplat.selection.resolve import find_object, names_of
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """What is selected, until something else is."""
+
+    weights: UInt8[Tensor, " B"]
+    """How much each Gaussian belongs to it, in 255ths."""
+    record: Selection
+    """How it is recorded once it is an object."""
+    origin: str = ""
+    """The object that it began as."""
+
+    @property
+    def is_soft(self) -> bool:
+        return bool(((self.weights > 0) & (self.weights < 255)).any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +38,8 @@ class StudioState:
     scene: Scene
     picked: tuple[str, ...] = ()
     """The names or label ids of the objects that are picked, in order."""
+    selection: Selected | None = None
+    """What is selected; then no object is picked."""
     hidden: frozenset[str] = frozenset()
     locked: frozenset[str] = frozenset()
     """Objects whose paint must not change."""
@@ -48,11 +67,22 @@ class ObjectMasks:
         return self._kept[name][1]
 
     def extent(self, scene: Scene, names: tuple[str, ...]) -> Extent:
-        own, known = self.together(scene, names), self._extents.get(names)
+        own = self.together(scene, names)
         assert own is not None
+        return self.extent_of(scene, names, own)
+
+    def extent_of(self, scene: Scene, names: tuple[str, ...], own: Bool[Tensor, " B"]) -> Extent:
+        """The extent of some rows, of which the last of each name are cached."""
+        known = self._extents.get(names)
         if known is None or not torch.equal(known[0], own):
             known = self._extents[names] = own, extent_of(scene.base, own)
         return known[1]
+
+    def picked(self, state: StudioState) -> Bool[Tensor, " B"] | None:
+        """The rows of what is selected or picked; None if nothing is."""
+        if state.selection is not None:
+            return state.selection.weights >= 128
+        return self.together(state.scene, state.picked)
 
     def together(self, scene: Scene, names: Iterable[str]) -> Bool[Tensor, " B"] | None:
         """The rows of several objects; None without objects."""
@@ -73,7 +103,7 @@ def hidden_rows(state: StudioState, masks: ObjectMasks) -> Bool[Tensor, " N"] | 
 
 
 def require_picked(state: StudioState) -> None:
-    if not state.picked:
+    if not state.picked and state.selection is None:
         raise StyleSplatError("Nothing is picked. Click an object first.")
 
 
@@ -126,6 +156,12 @@ class History:
         self._row += not (merge is not None and merge == self._merge)
         self._states[self._row :] = [CompactState(state)]
         self._merge, self.now = merge, state
+
+    def take_back(self, merge: object) -> None:
+        """Drop the last state, if it was added with this `merge`."""
+        if merge is not None and self._merge is merge:
+            self.step(-1)
+            del self._states[self._row + 1 :]
 
     def step(self, rows: int) -> None:
         """Go back or forth, as far as there are states."""

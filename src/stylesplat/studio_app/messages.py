@@ -19,7 +19,7 @@ ShortText = Annotated[str, msgspec.Meta(max_length=200)]
 PictureSide = Annotated[int, msgspec.Meta(ge=1, le=16384)]
 Bounded = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]  # float32 squares it
 ViewVector = tuple[Bounded, Bounded, Bounded]
-How = Literal["new", "add", "away"]
+How = Literal["new", "add", "away", "within"]
 Shape = Literal["rectangle", "lasso", "brush"]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 DrawnLine = Annotated[list[PicturePoint], msgspec.Meta(min_length=1, max_length=4000)]
@@ -89,6 +89,14 @@ class ObjectInfo(msgspec.Struct, frozen=True):
     sides: ViewVector | None = None  # of the box around it, along the world's axes
 
 
+class SelectionInfo(msgspec.Struct, frozen=True):
+    count: int
+    soft: bool
+    origin: str  # the object that it began as
+    centre: ViewVector
+    sides: ViewVector
+
+
 class LayerInfo(msgspec.Struct, frozen=True):
     name: str
     object: str
@@ -112,6 +120,8 @@ class Variant(msgspec.Struct, frozen=True):
 
 class StateMessage(ServerMessage, frozen=True, tag="state"):
     objects: list[ObjectInfo]
+    selection: SelectionInfo | None
+    again: bool  # whether another size or reach of the last click takes its place
     layers: list[LayerInfo]  # the lowest first
     variants: list[Variant]
     current: list[int]  # the variants that are shown

@@ -19,7 +19,7 @@ from typing import Any
 from zlib import compress
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Int, Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -193,7 +193,9 @@ class Pictures:
 
     def _picked(self, client: int, look: ViewRequest) -> None:
         session, state = self.session, self.session.state
-        rows = session.masks.together(state.scene, state.picked)
+        selection, rows = state.selection, session.masks.together(state.scene, state.picked)
+        if selection is not None:
+            rows = selection.weights / 255
         picked = None if rows is None else state.scene.to_splats(rows)
         display = session.display_of(state)
         key = look.number, display, state.picked, None if picked is None else _digest(picked)
@@ -202,8 +204,8 @@ class Pictures:
         camera, content = camera_of(look, MAP), b""
         if picked is not None and display.shown(picked).any():
             share = coverage(display.visible, camera, display.shown(picked))
-            content = compress((255 * share.cpu()).round().byte().numpy().tobytes(), 1)
-        header = {"size": camera.size, "names": state.picked}
+            content = compress((255 * share.cpu().clamp(max=1)).round().byte().numpy().tobytes(), 1)
+        header = {"size": camera.size, "names": state.picked, "selected": selection is not None}
         self._send(client, "picked", "picked", content, look, **header)
 
     def _splats(self, client: int, look: ViewRequest) -> None:
@@ -220,7 +222,7 @@ class Pictures:
         self.session.on_send.call(client, "splats", self._packed[1])
 
 
-def _digest(mask: Bool[Tensor, " N"]) -> int:
+def _digest(mask: Shaped[Tensor, " N"]) -> int:
     return hash(mask.cpu().numpy().tobytes())
 
 

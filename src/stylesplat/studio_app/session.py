@@ -14,7 +14,7 @@ from operator import itemgetter
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Shaped
 from msgspec.structs import replace
 from torch import Tensor
 
@@ -152,8 +152,8 @@ class Display:
     def visible(self) -> Splats:
         return self.splats if self.hidden is None else self.splats[~self.hidden]
 
-    def shown(self, picked: Bool[Tensor, " N"]) -> Bool[Tensor, " M"]:
-        """The mask among the visible Gaussians."""
+    def shown(self, picked: Shaped[Tensor, " N"]) -> Shaped[Tensor, " M"]:
+        """A mask, or shares, of the visible Gaussians."""
         return picked if self.hidden is None else picked[~self.hidden]
 
 

@@ -113,7 +113,8 @@ class StylePreviews:
         self._stopped = True
 
     def _is_current(self) -> bool:
-        return self._of is not None and self._of.picked == self._session.state.picked
+        of, now = self._of, self._session.state
+        return of is not None and (of.picked, of.selection) == (now.picked, now.selection)
 
     def _keep(self, style: StylePicture, content: bytes) -> None:
         self._urls[style.title] = self._gallery.files.add(content)
@@ -122,7 +123,7 @@ class StylePreviews:
     def _steps(self, of: StudioState) -> Iterator[None]:
         """Paint the object in one style after the other, until something else is asked for."""
         session, styles = self._session, [*self._gallery.pictures.values()]
-        base, picked = of.scene.base, session.masks.together(of.scene, of.picked)
+        base, picked = of.scene.base, session.masks.picked(of)
         assert picked is not None
         camera = close_up(base, of.scene.cameras, picked).at_most(THUMBNAIL_SIDE)
         alone, everything = base[picked], torch.ones(int(picked.sum()), dtype=torch.bool)
@@ -131,7 +132,7 @@ class StylePreviews:
         def over() -> bool:
             return self._stopped or self._of is not of or session.state is not of
 
-        what = f"Drafts of {', '.join(of.picked)}"
+        what = f"Drafts of {', '.join(of.picked) or 'the selection'}"
         try:
             for style in styles:
                 splats = preview_colors(base, picked, Style(style.path).read())

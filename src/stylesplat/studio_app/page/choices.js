@@ -10,7 +10,7 @@ export function kept(name, value) {
 }
 
 export const tool = signal("object"); // or surface, wand, ball, brush, lasso, rectangle, box, strokes
-export const how = signal("new"); // what a pick does to the one before: new, add or away
+export const how = signal("new"); // what a pick does to the one before: new, add, away or within
 export const radius = signal(0); // of the ball, in world units
 export const SIZES = ["part", "object", "group"];
 export const size = signal("object"); // of what a click on the surface picks: or part, group

@@ -6,6 +6,7 @@ import { settings, showPhotos, tool } from "./choices.js";
 import { hello, state } from "./connection.js";
 
 const PICKED = [255, 168, 48], POINTED = [110, 180, 255];
+const SELECTED = [90, 200, 255], SELECTED_TINT = 90;
 const TINT = 64, EDGE = 240; // of 255, inside an object and along its outline
 export const KNOB_NEAR = 20, KNOB_STEP = 22; // pixels: the circle at stroke size 0, and more for each 1
 const MOST_PHOTOS = 60;
@@ -36,9 +37,9 @@ export class Overlay {
     if (tools.early && tools.early.look === look) tools.pickIn(...tools.early.place);
   }
 
-  async setPicked({ look, size, names }, bytes) {
+  async setPicked({ look, size, names, selected }, bytes) {
     const shares = bytes.length ? await inflated(bytes) : null;
-    this.setGlow({ look, size, names, inside: shares && ((row) => shares[row] > 100) });
+    this.setGlow({ look, size, names, shares: selected && shares, inside: shares && ((row) => shares[row] > (selected ? 127 : 100)) });
     this.viewport.root.dataset.picked = `${look} ${names.join(",")}`;
   }
 
@@ -52,7 +53,8 @@ export class Overlay {
 
   setGlow(picked) {
     this.picked = { ...picked, tint: glowing(picked.names) };
-    if (picked.inside) outlined(this.glow, picked.size, picked.inside, PICKED, this.picked.tint);
+    if (picked.shares) faded(this.glow, picked.size, picked.shares, picked.inside);
+    else if (picked.inside) outlined(this.glow, picked.size, picked.inside, PICKED, this.picked.tint);
     else this.glow.width = 0;
     this.draw();
   }
@@ -286,6 +288,22 @@ function outlined(canvas, [width, height], inside, color, tint = TINT) {
       const whole = x > 0 && y > 0 && x < width - 1 && y < height - 1 &&
         inside(row - 1) && inside(row + 1) && inside(row - width) && inside(row + width);
       image.data.set([...color, whole ? tint : EDGE], 4 * row);
+    }
+  }
+  context.putImageData(image, 0, 0);
+}
+
+// A selection: a tint as strong as its share, and a dashed line where that is a half
+function faded(canvas, [width, height], shares, inside) {
+  canvas.width = width;
+  canvas.height = height;
+  const context = canvas.getContext("2d");
+  const image = context.createImageData(width, height);
+  for (let row = 0, y = 0; y < height; y++) {
+    for (let x = 0; x < width; x++, row++) {
+      const edge = inside(row) && !(inside(row - 1) && inside(row + 1) && inside(row - width) && inside(row + width));
+      const dash = (x + y) & 4 ? 255 : 0;
+      image.data.set(edge ? [dash, dash, dash, 255] : [...SELECTED, (SELECTED_TINT * shares[row]) / 255], 4 * row);
     }
   }
   context.putImageData(image, 0, 0);

@@ -39,7 +39,7 @@ export function setStrokes(values) {
 
 // Paint objects, by default what is picked, like a style picture
 export function paint(style, names = null) {
-  if (!names && !picked().length) {
+  if (!names && !picked().length && !state.value.selection) {
     note("Pick an object first, or drag the picture onto one.", true);
     return;
   }
@@ -51,8 +51,8 @@ export function Toolbar() {
   const chosen = tool.value, { extent } = hello.value;
   return html`<div class="toolbar" role="toolbar" aria-label="Picking tools">
     ${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}
-    <div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"]].map(([key, words]) =>
-      html`<button type="button" aria-pressed=${how.value === key} onClick=${() => (how.value = key)}>${words}</button>`)}</div>
+    <div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"], ["within", "Keep"]].map(([key, words]) =>
+      html`<button type="button" title=${key === "within" ? "Keep what both have" : words} aria-pressed=${how.value === key} onClick=${() => (how.value = key)}>${words}</button>`)}</div>
     ${chosen === "surface" && html`<div class="options segments" role="group" aria-label="Size">
       ${SIZES.map((each) => html`<button type="button" aria-pressed=${size.value === each} onClick=${() => window.studio.tools.sizeAgain(each)}>${each}</button>`)}</div>`}
     ${chosen === "wand" && html`<div class="options"><${Slider} label="Reach" value=${reach.value} low=${extent / 100} high=${extent} step=${extent / 200}
@@ -65,7 +65,7 @@ export function Toolbar() {
     ${chosen === "strokes" && html`<div class="options"><p>${strokesHint()}</p>
       ${hello.value.settings.filter(({ name }) => ["scale", "rotate"].includes(name)).map((each) => html`<${Slider} label=${each.label} value=${settings.value[each.name] ?? each.value}
         low=${each.low} high=${each.high} step=${each.step} onInput=${(value) => setStrokes({ [each.name]: value })} />`)}</div>`}
-    ${chosen === "box" && html`<div class="options"><p>Drag the dots.</p>${[["new", "Pick"], ["add", "Add"], ["away", "Remove"]].map(([how, words]) =>
+    ${chosen === "box" && html`<div class="options"><p>Drag the dots.</p>${[["new", "Pick"], ["add", "Add"], ["away", "Remove"], ["within", "Keep"]].map(([how, words]) =>
       html`<button type="button" onClick=${() => pickBox(how)}>${words}</button>`)}</div>`}
   </div>`;
 }
@@ -89,7 +89,7 @@ export function Objects({ viewport }) {
   };
   return html`<aside class="panel objects" aria-label="Objects">
     <h2>Objects</h2>
-    ${!now.objects.length && html`<p class="hint">This scene has no labels. Click a thing in the picture. Another click there, or C, takes a group, a part, and the object again. Shift adds, Ctrl removes. Then give it a name.</p>`}
+    ${!now.objects.length && html`<p class="hint">This scene has no labels. Click a thing in the picture. Another click there, or C, takes a group, a part, and the object again. Shift adds, Ctrl removes. Then paint it, or give it a name.</p>`}
     <ul class="cards">${now.objects.map((each) => html`<li key=${each.name} class=${each.hidden ? "off" : ""}>
       <button type="button" class="card" aria-pressed=${each.picked} title=${`${each.name}: ${each.count?.toLocaleString() ?? "counting"} Gaussians`}
         onClick=${(event) => choose(event, each)} onDblClick=${() => each.centre && viewport().approach(each)}
@@ -98,20 +98,34 @@ export function Objects({ viewport }) {
         <span class="name">${each.name}</span></button>
       <${Button} small icon=${each.hidden ? "hidden" : "eye"} label=${`${each.hidden ? "Show" : "Hide"} ${each.name}`}
         onClick=${() => act("hide_objects", { names: [each.name], hide: !each.hidden })} /></li>`)}</ul>
-    <section aria-label="The pick"><h3>${chosen.length ? chosen.map((each) => each.name).join(", ") : "Nothing is picked"}</h3>
-      ${chosen.length > 0 && html`<p class="hint">${chosen.reduce((sum, each) => sum + each.count, 0).toLocaleString()} Gaussians</p>
-        <div class="row">
-          <${Button} text="Grow" label="Grow by 5 % of its extent" onClick=${() => act("resize_picked", { share: STEP })} />
-          <${Button} text="Shrink" label="Shrink by 5 % of its extent" onClick=${() => act("resize_picked", { share: -STEP })} />
-          ${chosen.length > 1 && html`<${Button} text="Unite" label="Make one object of these" onClick=${() => act("unite_picked")} />
-            <${Button} text="Subtract" label="Subtract the others from the first" onClick=${() => act("subtract_picked")} />`}
-          ${chosen.some((each) => each.named) && html`<${Button} text="Delete name" label="Delete the name; the Gaussians stay" onClick=${() => act("forget_picked")} />`}
-        </div>
-        ${chosen.length === 1 && html`<${Entry} key=${chosen[0].name} label="Name" button="Rename" value=${chosen[0].named ? chosen[0].name : ""} onEnter=${(name) => act("rename_picked", { name })} />`}`}
-      ${now.objects.length > 0 && html`<${Recolor} />`}
-    </section>
+    <${Pick} />
+    ${(now.objects.length > 0 || now.selection) && html`<section aria-label="Colours"><${Recolor} /></section>`}
     <${Entry} label="Find by words" button="Find" onEnter=${(text) => act("pick_words", { text })} />
   </aside>`;
+}
+
+// What is selected or picked, and what can be made of it
+function Pick() {
+  const { selection } = state.value, chosen = picked();
+  const names = chosen.map((each) => each.name).join(", ");
+  const count = selection?.count ?? chosen.reduce((sum, each) => sum + each.count, 0);
+  const change = (what, share, text, label) => html`<${Button} text=${text} label=${label} onClick=${() => act(what, share ? { share } : {})} />`;
+  if (!selection && !chosen.length) return html`<section aria-label="The pick"><h3>Nothing is picked</h3></section>`;
+  return html`<section aria-label="The pick"><h3>${selection ? "Selection" : names}</h3>
+    <p class="hint">${count.toLocaleString()} Gaussians${selection?.soft ? ", with a soft border" : ""}</p>
+    <div class="row">
+      ${change("resize_picked", STEP, "Grow", "Select more: grow by 5 % of the extent")}
+      ${change("resize_picked", -STEP, "Shrink", "Select less: shrink by 5 % of the extent")}
+      ${change("feather_picked", STEP, "Feather", "Let the border fade over 5 % of the extent")}
+      ${change("invert_picked", 0, "Invert", "Select everything else")}
+      ${chosen.length > 1 && html`<${Button} text="Unite" label="Select all of these together" onClick=${() => act("unite_picked")} />
+        <${Button} text="Subtract" label="Select the first without the others" onClick=${() => act("subtract_picked")} />`}
+      ${chosen.some((each) => each.named) && html`<${Button} text="Delete name" label="Delete the name; the Gaussians stay" onClick=${() => act("forget_picked")} />`}
+      ${selection && html`<${Button} text="Deselect" label="Select nothing (Esc)" onClick=${() => act("pick_names", { names: [] })} />`}
+    </div>
+    ${selection && html`<${Entry} key=${selection.origin} label="Make it an object" button="Name it" value=${selection.origin} onEnter=${(name) => act("name_selection", { name })} />`}
+    ${chosen.length === 1 && html`<${Entry} key=${names} label="Name" button="Rename" value=${chosen[0].named ? names : ""} onEnter=${(name) => act("rename_picked", { name })} />`}
+  </section>`;
 }
 
 export function Layers() {
@@ -166,12 +180,12 @@ function Layer({ layer, first, last, picked }) {
 // Other colours for what is picked, or for what belongs to no object, at once
 function Recolor() {
   const now = state.value, chosen = picked().map((each) => each.name);
-  const names = chosen.length ? chosen : ["background"];
+  const names = now.selection ? [] : chosen.length ? chosen : ["background"];
   const layer = now.layers.find((each) => each.recolor && each.object === names[0]), values = layer?.recolor ?? {};
   const fixed = now.painting || layer?.locked;
   const set = (setting, value) => act("recolor", { names, setting, value });
   const match = now.styles.findIndex((each) => each.title === values.match);
-  return html`<details><summary>Recolour ${chosen.length ? chosen.join(", ") : "the background"}</summary>
+  return html`<details><summary>Recolour ${now.selection ? "the selection" : chosen.length ? chosen.join(", ") : "the background"}</summary>
     ${hello.value.recolorings.map((each) => html`<${Slider} label=${each.label} value=${values[each.name] ?? each.value} low=${each.low} high=${each.high} step=${each.step}
       disabled=${fixed} onInput=${(value) => set(each.name, value)} />`)}
     <div class="row"><label class="check"><input type="color" value=${values.tint ?? "#c08040"} disabled=${fixed} onInput=${(event) => set("tint", event.target.value)} /><span>Tint</span></label>
@@ -190,9 +204,9 @@ export function Styles() {
   useEffect(() => strip.current.children[row]?.scrollIntoView({ block: "nearest", inline: "nearest" }), [row]);
   return html`<section class="panel styles" aria-label="Styles">
     <div class="head"><h2>Styles</h2>
-      <p class="hint">${chosen.length ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ")}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
+      <p class="hint">${chosen.length || now.selection ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ") || "the selection"}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
       <span class="grow"></span>
-      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!chosen.length || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all")} />
+      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!(chosen.length || now.selection) || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all")} />
       <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting" onClick=${() => (dialog.value = "settings")} />
       <label class="button"><${Icon} name="plus" /><span>Add pictures</span><input type="file" accept="image/*" multiple onChange=${add} /></label></div>
     <ul class="strip" ref=${strip}>${now.styles.map((each, number) => html`<li key=${each.title}>

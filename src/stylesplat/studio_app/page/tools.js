@@ -11,7 +11,10 @@ const DRAWING = ["brush", "lasso", "rectangle"];
 const REST = 150; // milliseconds without motion of a slider
 const GRIP = 16; // pixels around a handle
 
-const howOf = (event) => (event.ctrlKey || event.metaKey ? "away" : event.shiftKey ? "add" : how.value);
+function howOf({ ctrlKey, metaKey, shiftKey }) {
+  if (ctrlKey || metaKey) return shiftKey ? "within" : "away";
+  return shiftKey ? "add" : how.value;
+}
 
 export class Tools {
   constructor(viewport, label) {
@@ -110,7 +113,7 @@ export class Tools {
       return;
     }
     const shape = tool.value, points = shape === "rectangle" ? [begin, at] : thinned(line);
-    const wanted = shape === "brush" && how === "new" && state.value.objects.some((each) => each.picked) ? "add" : how;
+    const wanted = shape === "brush" && how === "new" && (state.value.selection || state.value.objects.some((each) => each.picked)) ? "add" : how;
     act("pick_drawn", { shape, points: points.map((each) => this.share(each)), how: wanted, radius: brush.value });
   }
 
@@ -154,8 +157,8 @@ export class Tools {
   }
 
   isSpotPicked() {
-    const { undo, painting } = state.value;
-    return !painting && this.spot?.look === this.viewport.number && undo.startsWith("Selected");
+    const { again, painting } = state.value;
+    return !painting && again && this.spot?.look === this.viewport.number;
   }
 
   // The last click with another reach or size: the server puts it in the place of the one before
@@ -170,10 +173,11 @@ export class Tools {
   }
 
   pick(names, how) {
-    const before = state.value.objects.filter((each) => each.picked).map((each) => each.name);
+    const { objects, selection } = state.value;
+    const before = objects.filter((each) => each.picked).map((each) => each.name);
     const after = { new: names, add: [...before, ...names], away: before.filter((each) => !names.includes(each)) }[how];
-    if (how === "new" && String(before) === String(names)) return;
-    this.overlay.guessPicked(after);
+    if (how === "new" && !selection && String(before) === String(names)) return;
+    if (after && (how === "new" || !selection)) this.overlay.guessPicked(after);
     act("pick_names", { names, how });
   }
 

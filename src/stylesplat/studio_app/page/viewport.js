@@ -203,8 +203,9 @@ export class Viewport {
   }
 
   home() {
-    const picked = state.value.objects.filter((each) => each.picked);
-    if (picked.length === 1 && picked[0].centre) this.approach(picked[0]);
+    const { objects, selection } = state.value, picked = objects.filter((each) => each.picked);
+    if (selection) this.approach(selection);
+    else if (picked.length === 1 && picked[0].centre) this.approach(picked[0]);
     else this.animate(new Orbit(hello.value.start));
   }
 
