@@ -180,9 +180,9 @@ def test_layers_have_strength_form_order_and_locks(page: Page):
     assert state.layers[0].title == "stripes"
     assert state.layers[0].settings.startswith("quality draft, steps 4")
     first = page.session.state.scene.splats
-    state = page.act("move_layer", name="3", by=1)
+    state = page.act("move_layer", name="3", to=1)
     assert [each.object for each in state.layers] == ["7", "3"] and "up" in state.undo
-    assert page.act("move_layer", name="3", by=1).undo == state.undo, "it is on top"
+    assert page.act("move_layer", name="3", to=5).undo == state.undo, "it is on top"
     page.act("step", rows=-1)
     assert torch.equal(page.session.state.scene.splats.sh0, first.sh0)
     assert not page.act("set_visible", name="3", visible=False).layers[0].visible
@@ -206,6 +206,57 @@ def test_layers_have_strength_form_order_and_locks(page: Page):
     assert not state.layers and torch.equal(page.session.state.scene.splats.sh0, before.splats.sh0)
     page.act("adjust_layer", name="3", strength=0.3)
     assert "not painted" in page.said[-1]
+
+
+def test_an_object_has_several_layers_with_blends_masks_and_settings_of_others(page: Page):
+    """Undo of each is one step, to the bit."""
+    painted(page, "3")
+    state = painted(page, "3/2", style=1)
+    assert [each.name for each in state.layers] == ["3", "3/2"]
+    assert page.session.state.scene.painted_objects == ("3",)
+    (x, y), session = place("3"), page.session
+
+    def changes(what: str, **fields: Any) -> m.StateMessage:
+        before = session.state
+        state = page.act(what, **fields)
+        after = session.state
+        assert after.scene.splats is not before.scene.splats, page.said
+        page.act("step", rows=-1)
+        for name, tensor in session.state.scene.splats.tensors().items():
+            assert torch.equal(tensor, before.scene.splats.tensors()[name]), (what, name)
+        page.act("step", rows=1)
+        assert torch.equal(session.state.scene.splats.sh0, after.scene.splats.sh0)
+        return state
+
+    state = changes("set_blend", name="3/2", blend="luminosity")
+    assert state.layers[1].blend == "luminosity" and "luminosity" in state.undo
+    line = [(x - 0.05, y), (x + 0.05, y)]
+    state = changes("mask_drawn", name="3/2", points=line, shows=False, radius=0.04)
+    assert state.layers[1].masked and not state.layers[0].masked
+    mask = session.state.scene.layers[1].mask
+    assert mask is not None and mask.min() < 0.5 and mask.max() > 0.9
+    changes("mask_drawn", name="3/2", points=line, shows=True, radius=0.03)
+    page.act("mask_drawn", name="3/2", points=[(0, 0)], shows=False, radius=0.01)
+    assert "did not touch" in page.said.pop()
+    state = changes("remove_mask", name="3/2")
+    assert not state.layers[1].masked
+    page.act("mask_by_selection", name="3")
+    assert "Nothing is selected" in page.said.pop()
+    page.act("pick_drawn", points=[(x - 0.03, y), (x + 0.03, y)], shape="brush", radius=0.03)
+    assert changes("mask_by_selection", name="3").layers[0].masked
+    state = changes("solo_layer", name="3/2")
+    assert [each.visible for each in state.layers] == [False, True] and state.layers[1].solo
+    state = changes("solo_layer", name="3/2")
+    assert [each.visible for each in state.layers] == [True, True] and not page.said
+    first = session.state.scene.layers[0].sh0
+    state = page.act("repaint_layer", name="3", settings={"scale": 1.0})
+    assert state.layers[0].values["scale"] == 1.0 and state.layers[0].masked
+    assert not torch.equal(session.state.scene.layers[0].sh0, first)
+    state = page.act("copy_settings", name="3/2", source="3")
+    assert state.layers[1].values["scale"] == 1.0 and state.layers[1].title == "turned"
+    assert state.layers[1].blend == "normal", page.said
+    page.act("step", rows=-1)
+    assert page.actions.state_message().layers[1].blend == "luminosity", "in one step"
 
 
 def test_a_selection_becomes_an_object_by_paint_which_fades_with_its_border(page: Page):

@@ -116,6 +116,32 @@ def test_a_variant_is_swapped_by_its_thumbnail(opened: StudioServer, tab: Tab, t
     assert_shows(tab, before)
 
 
+def test_layers_are_dragged_and_brushed_out(opened: StudioServer, tab: Tab):
+    session = opened.session
+    session.do(lambda state: recolor_objects(state, ["3"], "hue", 90.0))
+    session.do(lambda state: recolor_objects(state, ["7"], "hue", 90.0))
+    below, above = (until(lambda n=n: tab.place_of(f"Move the colours of {n}"), n) for n in "37")
+    assert above[1] < below[1], "the highest first"
+    tab.drag(above, (below[0], below[1] + 40))
+    until(lambda: session.state.note == "Moved the recolouring of 7 down", "another order")
+    assert [each.name for each in session.state.scene.layers] == ["7/recolor", "3/recolor"]
+    tab.click(*tab.middle_of("7"))
+    until(lambda: session.state.picked == ("7",), "a pick")
+    before = settled(tab)
+    tab.press_button("Brush the layer out, and in again")
+    x, y = tab.middle_of("7")
+    tab.drag((x - 12, y), (x + 12, y))
+    until(lambda: session.state.note == "Painted the recolouring of 7 out", "a mask")
+    after = changed(tab, before)
+    assert session.state.scene.layers[0].mask is not None
+    tab.assert_accessible()
+    tab.press_button("Undo: Painted the recolouring of 7 out")
+    assert_shows(tab, before)
+    tab.press_button("Redo: ")
+    assert_shows(tab, after)
+    assert not tab.page.complaints(), json.dumps(tab.page.complaints(), indent=1)
+
+
 def test_a_folder_that_is_dropped_adds_its_pictures_and_tells_of_the_others(
     opened: StudioServer, tab: Tab, tmp_path: Path
 ):

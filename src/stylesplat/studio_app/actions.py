@@ -26,7 +26,7 @@ from stylesplat.io.style_pictures import MATERIALS, PREFIX
 from stylesplat.options import PickSize
 from stylesplat.scene.cameras import Cameras, up_vector
 from stylesplat.scene.content import content_of
-from stylesplat.scene.layers import RECOLOR, Layer, shown_like
+from stylesplat.scene.layers import RECOLOR, Layer, shown_like, split_name
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.virtual_cameras import has_rendered_views, turned_view
 from stylesplat.studio_app import edits as layers
@@ -55,6 +55,7 @@ T = TypeVar("T")
 
 STUDIO_MOST_PIXELS = 8192  # along a side of a still picture
 STUDIO_NEAREST = 0.1  # world units from a photo's camera to its target, at least
+IN_PLACE = ("scale", "color", "quality")  # settings of paint that a layer shows
 DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
 SLOW = {
     "pick_at": "Looking for what belongs to the click",
@@ -64,6 +65,7 @@ SLOW = {
     "resize_picked": "Growing or shrinking what is picked",
     "feather_picked": "Feathering what is picked",
     "picture": "Making the picture",
+    "mask_drawn": "Painting the mask",
     "save": "Saving",
     "save_as": "Saving",
     "step": "Going back or forth",
@@ -98,7 +100,10 @@ class Actions:
         changes += [picking.rename_picked, picking.hide_objects, picking.feather_picked]
         changes += [picking.invert_picked, picking.name_selection, layers.adjust_layer]
         changes += [layers.set_visible, layers.set_locked, layers.move_layer, layers.remove_paint]
+        changes += [layers.solo_layer, layers.set_blend, layers.mask_by_selection]
+        changes += [layers.remove_mask]
         methods = [self.pick_at, self.pick_drawn, self.recolor, self.paint, self.stop]
+        methods += [self.mask_drawn, self.repaint_layer, self.copy_settings]
         methods += [self.queue.resume, self.queue.remove, self.previews.try_all, self.use_variant]
         methods += [self.compare_with, self.snapshot, self.restore, session.step, self.export]
         methods += [self.exporter.cancel, self.picture, self.turntable, self.background]
@@ -194,23 +199,64 @@ class Actions:
             return before if found is state else found
         return layers.mask_layer(found, f"{names[0]}{RECOLOR}", before.selection.weights / 255)
 
+    def mask_drawn(
+        self,
+        name: m.ShortText,
+        points: m.DrawnLine,
+        shows: bool,
+        radius: m.Share = 0.03,
+        soft: m.Share = 0.5,
+    ) -> StudioState:
+        """Paint a layer in or out by a brush, whose edge is as soft as that share of its radius."""
+        state, camera = self.session.state, self._camera()
+        rows = layers.find_layer(state.scene, name).covered(len(state.scene.base))
+        region = picking.soft_brush(points, camera.size, radius, soft)
+        weights = picking.brushed(state.scene, camera, region, rows)
+        return layers.show_within(state, name, weights, shows)
+
+    def repaint_layer(self, name: m.ShortText, settings: dict[str, Any]) -> None:
+        """Paint a layer again in its own style, with other settings."""
+        layer = layers.find_layer(self.session.state.scene, name)
+        style = layers.painted_style(layer, **settings)
+        self.queue.paint([name], style, _title(layer), instead=True)
+
+    def copy_settings(self, name: m.ShortText, source: m.ShortText) -> StudioState | None:
+        """Give a layer the strength, form and blend of another, and paint it with its settings."""
+        state = self.session.state
+        layers.refuse_locked(state, name)
+        layer, other = (layers.find_layer(state.scene, each) for each in (name, source))
+        settings = {**other.settings, "region": layer.settings.get("region")}
+        note = f"Gave {name} the settings of {source}"
+        layer = replace(layer, strength=other.strength, blend=other.blend)
+        if layer.color_map is not None or other.color_map is not None or settings == layer.settings:
+            return layers.replace_layer(state, replace(layer, form=other.form), note)
+        own = {"intensity": other.strength, "form": other.form}
+        style = layers.painted_style(replace(layer, settings=settings), **own)
+        self.queue.paint([name], style, _title(layer), instead=True, blend=other.blend)
+        return None
+
     def paint(
         self,
         style: int,
         names: list[m.ShortText] | None = None,
         settings: dict[str, Any] | None = None,
         instead: bool = False,
+        above: bool = False,
     ) -> None:
-        """Paint objects, by default those that are picked, like a style picture.
+        """Paint objects or layers, by default what is picked, like a style picture.
 
         `instead`: in place of their painting that is under way, whose picture stays meanwhile.
+        `above`: on new layers of these objects.
         """
         picture, state = self._style(style), self.session.state
         own = Style(picture.path, **(settings or {}))
         if names is None and state.selection is not None:
             self.queue.paint_selection(own, picture.title)
-        else:
-            self.queue.paint(state.picked if names is None else names, own, picture.title, instead)
+            return
+        found = [*(state.picked if names is None else names)]
+        if above:
+            found = [layers.free_layer_name(state.scene, split_name(name)[0]) for name in found]
+        self.queue.paint(found, own, picture.title, instead)
 
     def stop(self) -> None:
         self.previews.stop()
@@ -326,7 +372,7 @@ class Actions:
 
     def _painted(self, name: str, title: str) -> None:
         layer = find_layer(self.session.state.scene, name)
-        settings, url = describe_settings(layer.settings), self.thumbnails.paint_url(name)
+        settings, url = describe_settings(layer.settings), self.thumbnails.paint_url(layer.object)
         self.variants.append((m.Variant(layer.object, title, settings, url), layer))
         self.session.on_change.call()
 
@@ -418,8 +464,7 @@ def _item(items: Sequence[T], number: int, what: str) -> T:
 
 
 def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
-    is_paint = layer.color_map is None
-    title = ", ".join(style_title(each.path) for each in layer.styles)
+    is_paint, title = layer.color_map is None, _title(layer)
     return m.LayerInfo(
         name=layer.name,
         object=layer.object,
@@ -428,9 +473,17 @@ def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
         form=layer.form,
         visible=layer.visible,
         locked=layer.name in state.locked,
+        solo=state.solo is not None and state.solo[0] == layer.name,
+        blend=layer.blend,
+        masked=layer.mask is not None,
         settings=describe_settings(layer.settings),
+        values={k: v for k, v in layer.settings.items() if k in IN_PLACE} if is_paint else {},
         recolor=None if is_paint else {**recoloring_of(layer), "match": title},
     )
+
+
+def _title(layer: Layer) -> str:
+    return ", ".join(style_title(each.path) for each in layer.styles)
 
 
 def _photos(scene: Scene, middle: torch.Tensor) -> Iterator[dict[str, Any]]:

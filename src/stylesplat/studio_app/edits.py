@@ -4,14 +4,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.scene.layers import RECOLOR, Layer
+from stylesplat.options import with_settings
+from stylesplat.scene.layers import RECOLOR, Blend, Layer, split_name
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.history import StudioState
-from stylesplat.stylization.config import RecolorConfig, StyleConfig, plain_settings
+from stylesplat.stylization.config import (
+    DEFAULT_NETWORK,
+    RecolorConfig,
+    StyleConfig,
+    plain_settings,
+    without_retired,
+)
+from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust, recolor
 
 
@@ -48,24 +57,80 @@ def set_visible(state: StudioState, name: str, visible: bool) -> StudioState:
     return replace_layer(state, layer, f"{'Showed' if visible else 'Hid'} {_what(name)}")
 
 
+def solo_layer(state: StudioState, name: str) -> StudioState:
+    """Show one layer alone, or the others again as they were."""
+    find_layer(state.scene, name)
+    if state.solo and state.solo[0] == name:
+        before = dict(state.solo[1])
+        layers = [replace(e, visible=before.get(e.name, e.visible)) for e in state.scene.layers]
+        state, note = replace(state, solo=None), "Showed the other layers again"
+    else:
+        before = dict(state.solo[1]) if state.solo else {}
+        known = {each.name: before.get(each.name, each.visible) for each in state.scene.layers}
+        layers = [replace(each, visible=each.name == name) for each in state.scene.layers]
+        state, note = replace(state, solo=(name, known)), f"Showed {_what(name)} alone"
+    return _with_scene(state, state.scene.with_layers(layers), note)
+
+
 def set_locked(state: StudioState, name: str, locked: bool) -> StudioState:
     names = state.locked | {name} if locked else state.locked - {name}
     return replace(state, locked=names, note=f"{'Locked' if locked else 'Unlocked'} {_what(name)}")
 
 
-def move_layer(state: StudioState, name: str, by: int) -> StudioState:
-    layers = [*state.scene.layers]
-    place = layers.index(find_layer(state.scene, name))
-    to = place + by
-    if not 0 <= to < len(layers):
+def set_blend(state: StudioState, name: str, blend: Blend) -> StudioState:
+    refuse_locked(state, name)
+    layer = replace(find_layer(state.scene, name), blend=blend)
+    return replace_layer(state, layer, f"Blend of {_what(name)}: {blend}")
+
+
+def move_layer(state: StudioState, name: str, to: int) -> StudioState:
+    """Move a layer to a place of the stack, counted from the lowest."""
+    layer, layers = find_layer(state.scene, name), [*state.scene.layers]
+    place = layers.index(layer)
+    to = min(max(to, 0), len(layers) - 1)
+    if to == place:
         return state
-    layers[place], layers[to] = layers[to], layers[place]
-    note = f"Moved {_what(name)} {'up' if by > 0 else 'down'}"
+    layers.insert(to, layers.pop(place))
+    note = f"Moved {_what(name)} {'up' if to > place else 'down'}"
     return _with_scene(state, state.scene.with_layers(layers), note)
+
+
+def show_within(
+    state: StudioState, name: str, weights: Float[Tensor, " B"], shows: bool
+) -> StudioState:
+    """Paint a layer's mask in or out, by a brush's weights on the rows of the base."""
+    refuse_locked(state, name)
+    layer = find_layer(state.scene, name)
+    known = layer.whole_mask(len(state.scene.base)).cpu()
+    mask = known + (1 - known) * weights if shows else known * (1 - weights)
+    if torch.equal(mask[layer.rows], known[layer.rows]):
+        raise StyleSplatError(f"The brush did not touch {_what(name)}. Brush over it.")
+    note = f"Painted {_what(name)} {'in' if shows else 'out'}"
+    return mask_layer(replace(state, note=note), name, mask)
+
+
+def mask_by_selection(state: StudioState, name: str) -> StudioState:
+    """Show a layer within the selection alone."""
+    refuse_locked(state, name)
+    if state.selection is None:
+        raise StyleSplatError("Nothing is selected. Select where the layer is to show.")
+    weights = state.selection.weights / 255
+    if not weights[find_layer(state.scene, name).rows].any():
+        raise StyleSplatError(f"The selection has nothing of {_what(name)}. Select some of it.")
+    note = f"Masked {_what(name)} by the selection"
+    return mask_layer(replace(state, note=note), name, weights)
+
+
+def remove_mask(state: StudioState, name: str) -> StudioState:
+    refuse_locked(state, name)
+    layer = replace(find_layer(state.scene, name), mask=None)
+    return replace_layer(state, layer, f"Removed the mask of {_what(name)}")
 
 
 def remove_paint(state: StudioState, name: str) -> StudioState:
     refuse_locked(state, name)
+    if state.solo and state.solo[0] == name:
+        state = solo_layer(state, name)
     scene = adjust(state.scene, objects=name, undo=True)
     return _with_scene(state, scene, f"Removed {_what(name)}")
 
@@ -95,9 +160,30 @@ def recoloring_of(layer: Layer) -> dict[str, Any]:
     return {**layer.settings, **match}
 
 
+def free_layer_name(scene: Scene, object: str) -> str:
+    """The name of another layer of paint on an object."""
+    known = {layer.name for layer in scene.layers}
+    names = (f"{object}/{number}" if number > 1 else object for number in range(1, len(known) + 2))
+    return next(name for name in names if name not in known)
+
+
+def painted_style(layer: Layer, **settings: Any) -> Style:
+    """The style of a layer of paint, with some other settings."""
+    files = [source.path for source in layer.styles]
+    if layer.color_map is not None or None in files or layer.features != DEFAULT_NETWORK:
+        raise StyleSplatError(
+            f"{_what(layer.name)[0].upper()}{_what(layer.name)[1:]} cannot be painted again here. "
+            "Paint it in another style."
+        )
+    config = with_settings(StyleConfig(), without_retired(layer.settings))
+    return Style(*(file for file in files if file), config=config, **settings)
+
+
 def _what(name: str) -> str:
-    kind = "recolouring" if name.endswith(RECOLOR) else "paint"
-    return f"the {kind} of {name.removesuffix(RECOLOR)}"
+    object, label = split_name(name)
+    if name.endswith(RECOLOR):
+        return f"the recolouring of {object}"
+    return f"paint {label} of {object}" if label else f"the paint of {object}"
 
 
 def refuse_locked(state: StudioState, name: str) -> None:

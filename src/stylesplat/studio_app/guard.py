@@ -25,6 +25,7 @@ LOOPBACK = (SERVER_ADDRESS, "localhost", "::1")
 EVERYWHERE = {"0.0.0.0": "192.0.2.1", "::": "2001:db8::1"}  # and an address that no machine has
 HOST_HEADER = re.compile(r"([a-z0-9.-]+|\[[0-9a-f:.]+\])(?::([0-9]{1,5}))?", re.IGNORECASE)
 REFUSAL = "This server needs a token. Open the address that its terminal shows.\n"
+ICON = '<!doctype html><title>Studio</title><link rel="icon" href="/page/icon.svg">'
 COOKIE = "stylesplat-token"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self'"
@@ -47,7 +48,7 @@ class Guard:
     async def __call__(self, scope: "Scope", receive: "Receive", send: "Send") -> None:
         from starlette.datastructures import MutableHeaders
         from starlette.requests import HTTPConnection
-        from starlette.responses import PlainTextResponse, Response
+        from starlette.responses import HTMLResponse, PlainTextResponse
         from starlette.websockets import WebSocketClose
 
         asked = HTTPConnection(scope)
@@ -76,7 +77,7 @@ class Guard:
         app = self._app
         if scope["type"] == "http" and scope["path"] == "/" and "token" in asked.query_params:
             # Not a status 303, with which a link on another site would come without the cookie
-            app = Response(headers={"refresh": "0; url=/"})
+            app = HTMLResponse(ICON, headers={"refresh": "0; url=/"})
         await app(scope, receive, with_headers)
 
     def _is_ours(self, asked: "HTTPConnection", named: re.Match[str]) -> bool:

@@ -1,6 +1,6 @@
 """The states of a studio, and its history, which undo and redo step through."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from weakref import ref
 
@@ -42,7 +42,9 @@ class StudioState:
     """What is selected; then no object is picked."""
     hidden: frozenset[str] = frozenset()
     locked: frozenset[str] = frozenset()
-    """Objects whose paint must not change."""
+    """Layers that must not change."""
+    solo: tuple[str, Mapping[str, bool]] | None = None
+    """The layer that is shown alone, and which were visible before."""
     note: str = "Opened"
     """The last change, in a few words."""
 

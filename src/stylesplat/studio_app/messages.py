@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from stylesplat.options import options_of
+from stylesplat.scene.layers import Blend
 from stylesplat.studio_app.gallery import StylePicture
 
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
@@ -105,7 +106,11 @@ class LayerInfo(msgspec.Struct, frozen=True):
     form: float
     visible: bool
     locked: bool
+    solo: bool  # whether it is shown alone
+    blend: Blend
+    masked: bool
     settings: str
+    values: dict[str, Any]  # of the settings that can be changed in place
     recolor: dict[str, Any] | None = None  # the settings of a recolouring; None for paint
 
 

@@ -17,6 +17,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import color_map, map_colors
 from stylesplat.runtime import tidy_heap
 from stylesplat.scene.content import opaque_rows
+from stylesplat.scene.layers import Blend, split_name
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats, rgb_from_sh0
@@ -48,6 +49,7 @@ class PaintJob:
     """Whether the picture so far stays until there are strokes."""
     weights: Float[Tensor, " B"] | None = None
     """What the paint is to show through."""
+    blend: Blend | None = None
     merge: object = None
     """Of the step of the history that made the object, which the painting becomes part of."""
 
@@ -73,11 +75,18 @@ class PaintQueue:
             return ""
         return stopped[0].note
 
-    def paint(self, names: Sequence[str], style: Style, title: str, instead: bool = False) -> None:
-        """Paint objects, one after the other.
+    def paint(
+        self,
+        names: Sequence[str],
+        style: Style,
+        title: str,
+        instead: bool = False,
+        blend: Blend | None = None,
+    ) -> None:
+        """Paint layers, by the names of objects or of their further layers, one after the other.
 
         Their paintings that wait or are under way are dropped. `instead` keeps the picture of that
-        under way until there are strokes.
+        under way until there are strokes. `blend` is that of the layers, if it is to be another.
         """
         if not names:
             raise StyleSplatError("Nothing is picked. Click an object first.")
@@ -91,7 +100,7 @@ class PaintQueue:
             self.session.worker.set_background_task(None)
         numbers = self._numbers
         for name in names:
-            job = PaintJob(next(numbers), name, style, title, instead)
+            job = PaintJob(next(numbers), name, style, title, instead, blend=blend)
             if name in before:
                 job = replace(job, weights=before[name].weights, merge=before[name].merge)
             self.waiting.append(job)
@@ -160,7 +169,8 @@ class PaintQueue:
             return
         job, session = self.waiting.popleft(), self.session
         state = session.state
-        picked = state.scene.to_splats(session.masks.of(state.scene, job.name))
+        own = session.masks.of(state.scene, split_name(job.name)[0])
+        picked = state.scene.to_splats(own)
         if job.instead:
             session.preview = session.display
         else:
@@ -245,9 +255,12 @@ class PaintQueue:
 def _scene_of(job: PaintJob, live: Live) -> Scene:
     scene = live.scene()
     layer = scene.layer(job.name)
-    if job.weights is None or layer is None or layer.mask is not None:
-        return scene
-    return scene.with_layer(replace(layer, mask=job.weights[layer.rows]))
+    assert layer is not None  # it is being painted
+    if job.blend:
+        layer = replace(layer, blend=job.blend)
+    if job.weights is not None and layer.mask is None:
+        layer = replace(layer, mask=job.weights[layer.rows])
+    return scene.with_layer(layer) if job.blend or job.weights is not None else scene
 
 
 @torch.no_grad()

@@ -11,15 +11,18 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image, ImageDraw
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.hub import is_at_hand
 from stylesplat.options import PickSize
-from stylesplat.rendering.weights import pixels_in
+from stylesplat.rendering.weights import expected_depth, pixels_in
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.content import opaque_rows
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.projection import project
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.selection import IN_MEMORY, Selection
 from stylesplat.scene.world_offset import to_world
 from stylesplat.selection.resolve import find_object, resolve_selection
@@ -27,6 +30,7 @@ from stylesplat.selection.shapes import (
     feather,
     grow,
     grow_by_similarity,
+    robust_diameter,
     shrink,
     surface_point,
     within_distance,
@@ -129,6 +133,43 @@ def pick_drawn(
 
 def _rounded(places: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
     return places.cpu().double().apply_(lambda value: round(value, DECIMALS))
+
+
+@torch.no_grad()
+def brushed(
+    scene: Scene, camera: Cameras, region: Float[Tensor, "H W"], rows: Bool[Tensor, " B"]
+) -> Float[Tensor, " B"]:
+    """How much of some Gaussians lies in a region of a picture: of what shows, and just beneath.
+
+    What shows counts by its pixels, and what is beneath, as far as for `pick_drawn`, by its place.
+    """
+    base = scene.base
+    parts = torch.stack([region, torch.ones_like(region)], dim=-1)
+    within, shown = scene.to_base(pixels_in(scene.splats, camera, [parts])).unbind(dim=1)
+    share = torch.where(shown > LEAST_SHOWN, within / shown.clamp(min=LEAST_SHOWN), 0.0)
+    depths, alphas = expected_depth(scene.splats, camera)
+    places, own = project(base.means, camera)
+    column, row = places.floor().long().unbind(1)
+    height, width = region.shape
+    seen = (own > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height) & rows
+    pixels = row.clamp(0, height - 1), column.clamp(0, width - 1)
+    reach = BENEATH * robust_diameter(base.means[opaque_rows(base, rows)])
+    near = (alphas[pixels] > LEAST_SHOWN) & (own <= depths[pixels] + reach)
+    beneath = torch.where(seen & near, region[pixels].to(own), 0.0)
+    return torch.where(rows, share.maximum(beneath), 0.0).cpu()
+
+
+def soft_brush(
+    points: Sequence[PicturePoint], size: tuple[int, int], radius: float, soft: float
+) -> Float[Tensor, "H W"]:
+    """A brush along a line: 1 in its middle, fading over a share of its radius to its edge.
+
+    The radius is a share of the picture's height.
+    """
+    image, reach = Image.new("1", size), max(radius * size[1], 0.5)
+    ImageDraw.Draw(image).line([(x * size[0], y * size[1]) for x, y in (*points, *points)], 1)
+    away = torch.from_numpy(distance_transform_edt(~np.array(image))).float()
+    return ((reach - away) / max(soft * reach, 1e-3)).clamp(0, 1)
 
 
 def region_of(

@@ -9,7 +9,11 @@ export function kept(name, value) {
   return choice;
 }
 
-export const tool = signal("object"); // or surface, wand, ball, brush, lasso, rectangle, box, strokes
+export const tool = signal("object"); // or surface, wand, ball, brush, lasso, rectangle, box, strokes, mask
+export const active = signal(null); // the name of the layer whose controls are shown
+export const above = signal(false); // whether the next style goes on a new layer
+export const shows = signal(false); // whether the brush of a mask paints the layer in
+export const soft = signal(0.5); // share of its radius over which that brush fades
 export const how = signal("new"); // what a pick does to the one before: new, add, away or within
 export const radius = signal(0); // of the ball, in world units
 export const SIZES = ["part", "object", "group"];

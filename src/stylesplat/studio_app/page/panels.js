@@ -1,8 +1,9 @@
-// The panels: tools, objects, layers with their variants, and style pictures
+// The panels: tools, objects, and style pictures
 
-import { brush, dialog, how, mode, part, radius, reach, regions, settings, size, SIZES, tool } from "./choices.js";
+import { above, brush, dialog, how, part, radius, reach, regions, settings, shows, size, SIZES, soft, tool } from "./choices.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
 import { act, hello, newest, note, state, upload } from "./connection.js";
+import { activeLayer } from "./layers.js";
 import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
 
 const TOOLS = [
@@ -14,6 +15,7 @@ const TOOLS = [
   ["lasso", "Draw a line around what is meant. Shift adds, Ctrl removes; hold Alt to turn"],
   ["rectangle", "Draw a rectangle around what is meant. Shift adds, Ctrl removes; hold Alt to turn"],
   ["box", "Pick what lies inside a box"],
+  ["mask", "Brush the layer that is chosen out and in. Shift brushes in, Ctrl out; hold Alt to turn"],
   ["strokes", "Size and direction of the strokes of the picked object"],
 ];
 
@@ -43,16 +45,19 @@ export function paint(style, names = null) {
     note("Pick an object first, or drag the picture onto one.", true);
     return;
   }
-  const region = regions.value[style];
-  act("paint", { style, names, settings: { ...settings.value, ...(region ? { region } : {}) } });
+  const region = regions.value[style], layer = activeLayer(), isNew = above.value;
+  // Into the layer that is chosen, where that is paint of what is picked
+  if (!names && !isNew && layer && !layer.recolor && String(picked().map((each) => each.name)) === layer.object) names = [layer.name];
+  above.value = false;
+  act("paint", { style, names, above: isNew, settings: { ...settings.value, ...(region ? { region } : {}) } });
 }
 
 export function Toolbar() {
   const chosen = tool.value, { extent } = hello.value;
   return html`<div class="toolbar" role="toolbar" aria-label="Picking tools">
-    ${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}
-    <div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"], ["within", "Keep"]].map(([key, words]) =>
-      html`<button type="button" title=${key === "within" ? "Keep what both have" : words} aria-pressed=${how.value === key} onClick=${() => (how.value = key)}>${words}</button>`)}</div>
+    <div class="tools">${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}</div>
+    ${!["mask", "strokes", "box"].includes(chosen) && html`<div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"], ["within", "Keep"]].map(([key, words]) =>
+      html`<button type="button" title=${key === "within" ? "Keep what both have" : words} aria-pressed=${how.value === key} onClick=${() => (how.value = key)}>${words}</button>`)}</div>`}
     ${chosen === "surface" && html`<div class="options segments" role="group" aria-label="Size">
       ${SIZES.map((each) => html`<button type="button" aria-pressed=${size.value === each} onClick=${() => window.studio.tools.sizeAgain(each)}>${each}</button>`)}</div>`}
     ${chosen === "wand" && html`<div class="options"><${Slider} label="Reach" value=${reach.value} low=${extent / 100} high=${extent} step=${extent / 200}
@@ -62,6 +67,11 @@ export function Toolbar() {
       show=${(value) => value.toPrecision(2)} onInput=${(value) => (radius.value = value)} /></div>`}
     ${chosen === "brush" && html`<div class="options"><${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005}
       show=${percent} onInput=${(value) => (brush.value = value)} /></div>`}
+    ${chosen === "mask" && html`<div class="options"><p>${activeLayer() ? `Brush over ${activeLayer().object}.` : "Choose a layer on the right."}</p>
+      <div class="segments" role="group" aria-label="What the brush does">${[[false, "Out"], [true, "In"]].map(([key, words]) =>
+        html`<button type="button" aria-pressed=${shows.value === key} onClick=${() => (shows.value = key)}>${words}</button>`)}</div>
+      <${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005} show=${percent} onInput=${(value) => (brush.value = value)} />
+      <${Slider} label="Soft edge" value=${soft.value} show=${percent} onInput=${(value) => (soft.value = value)} /></div>`}
     ${chosen === "strokes" && html`<div class="options"><p>${strokesHint()}</p>
       ${hello.value.settings.filter(({ name }) => ["scale", "rotate"].includes(name)).map((each) => html`<${Slider} label=${each.label} value=${settings.value[each.name] ?? each.value}
         low=${each.low} high=${each.high} step=${each.step} onInput=${(value) => setStrokes({ [each.name]: value })} />`)}</div>`}
@@ -128,55 +138,6 @@ function Pick() {
   </section>`;
 }
 
-export function Layers() {
-  const now = state.value, chosen = picked().map((each) => each.name);
-  const layers = [...now.layers].reverse();
-  const variants = now.variants.map((each, number) => ({ ...each, number, current: now.current.includes(number) }))
-    .filter((each) => !chosen.length || chosen.includes(each.object));
-  return html`<aside class="panel layers" aria-label="Layers">
-    <h2>Layers</h2>
-    ${!layers.length && html`<p class="hint">Nothing is painted. Pick an object, then click a style.</p>`}
-    <ul>${layers.map((layer, row) => html`<${Layer} key=${layer.name} layer=${layer} first=${row === 0} last=${row === layers.length - 1} picked=${chosen.includes(layer.object)} />`)}</ul>
-    ${variants.length > 0 && html`<section aria-label="Variants"><h3>Variants${chosen.length ? ` of ${chosen.join(", ")}` : ""}</h3>
-      <ul class="cards wide">${variants.map((each) => html`<li key=${each.number}>
-        <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { number: each.number })}>
-          <img src=${each.thumbnail} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span>
-          <span class="name quiet">${each.settings}</span></button>
-        <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></li>`)}</ul></section>`}
-    <section aria-label="Snapshots"><h3>Snapshots</h3>
-      ${now.snapshots.map((name, number) => html`<div class="line" key=${number}><span>${name}</span>
-        <${Button} small text="Restore" label=${`Restore ${name}`} onClick=${() => act("restore", { number })} /></div>`)}
-      <${Entry} key=${now.snapshots.length} label="Keep the whole scene as" button="Keep" value=${`Snapshot ${now.snapshots.length + 1}`} onEnter=${(name) => act("snapshot", { name })} />
-    </section>
-  </aside>`;
-}
-
-function compare(number) {
-  const other = state.value.compared === number ? null : number;
-  act("compare_with", { number: other });
-  mode.value = other === null ? "after" : "split";
-}
-
-function Layer({ layer, first, last, picked }) {
-  const { name, object, recolor } = layer, now = state.value;
-  const found = now.objects.find((each) => each.name === object);
-  const fixed = layer.locked || now.painting, what = recolor ? `the colours of ${object}` : `the paint of ${object}`;
-  return html`<li class=${`layer ${layer.visible ? "" : "off"}`}>
-    <div class="line"><button type="button" class="card flat" aria-pressed=${picked} title=${layer.settings} disabled=${!found} onClick=${() => act("pick_names", { names: [object] })}>
-        ${found?.thumbnail ? html`<img src=${found.thumbnail} alt="" />` : html`<span class="blank"></span>`}
-        <span><b>${object}</b><br />${layer.title}</span></button>
-      <${Button} small icon=${layer.visible ? "eye" : "hidden"} label=${`${layer.visible ? "Hide" : "Show"} ${what}`} onClick=${() => act("set_visible", { name, visible: !layer.visible })} /></div>
-    <${Slider} label="Strength" value=${layer.strength} high=${1.5} show=${percent} disabled=${fixed} onInput=${(strength) => act("adjust_layer", { name, strength })} />
-    ${(picked || !found) && html`${!recolor && html`<${Slider} label="Form" value=${layer.form} high=${1.5} show=${percent} disabled=${fixed} onInput=${(form) => act("adjust_layer", { name, form })} />`}
-      <div class="row">
-        <${Button} icon=${layer.locked ? "lock" : "unlock"} label=${`${layer.locked ? "Unlock" : "Lock"} ${what}`} active=${layer.locked} onClick=${() => act("set_locked", { name, locked: !layer.locked })} />
-        <${Button} icon="up" label=${`Move ${what} up`} disabled=${first} onClick=${() => act("move_layer", { name, by: 1 })} />
-        <${Button} icon="down" label=${`Move ${what} down`} disabled=${last} onClick=${() => act("move_layer", { name, by: -1 })} />
-        <span class="grow"></span>
-        <${Button} icon="trash" danger label=${`Remove ${what}`} disabled=${fixed} onClick=${() => act("remove_paint", { name })} />
-      </div>`}</li>`;
-}
-
 // Other colours for what is picked, or for what belongs to no object, at once
 function Recolor() {
   const now = state.value, chosen = picked().map((each) => each.name);
@@ -204,7 +165,7 @@ export function Styles() {
   useEffect(() => strip.current.children[row]?.scrollIntoView({ block: "nearest", inline: "nearest" }), [row]);
   return html`<section class="panel styles" aria-label="Styles">
     <div class="head"><h2>Styles</h2>
-      <p class="hint">${chosen.length || now.selection ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ") || "the selection"}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
+      <p class="hint">${chosen.length || now.selection ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ") || "the selection"}${above.value ? " on a new layer" : ""}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
       <span class="grow"></span>
       <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!(chosen.length || now.selection) || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all")} />
       <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting" onClick=${() => (dialog.value = "settings")} />

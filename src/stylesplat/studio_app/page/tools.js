@@ -1,13 +1,15 @@
 // What the pointer does to objects: clicks, rectangles, lassos, brushes, balls and a box
 
 import { effect } from "./libraries/signals.js";
-import { brush, how, radius, reach, size, SIZES, tool } from "./choices.js";
-import { act, hello, state } from "./connection.js";
+import { brush, how, radius, reach, shows, size, SIZES, soft, tool } from "./choices.js";
+import { act, hello, note, state } from "./connection.js";
 import { KNOB_NEAR, KNOB_STEP } from "./overlay.js";
+import { activeLayer } from "./layers.js";
 import { setStrokes } from "./panels.js";
 
 const STILL = 5; // pixels: less is a click
-const DRAWING = ["brush", "lasso", "rectangle"];
+const DRAWING = ["brush", "mask", "lasso", "rectangle"];
+const BRUSHES = ["brush", "mask"];
 const REST = 150; // milliseconds without motion of a slider
 const GRIP = 16; // pixels around a handle
 
@@ -66,7 +68,7 @@ export class Tools {
     if (!this.start.draws && !this.start.handle) return false;
     this.viewport.canvas.setPointerCapture(event.pointerId);
     this.viewport.canvas.focus({ focusVisible: false });
-    this.overlay.width = tool.value === "brush" && draws ? 2 * brush.value * this.viewport.size[1] : null;
+    this.overlay.width = BRUSHES.includes(tool.value) && draws ? 2 * brush.value * this.viewport.size[1] : null;
     this.overlay.line = this.start.draws ? [at] : [];
     this.overlay.draw();
     return true;
@@ -97,7 +99,7 @@ export class Tools {
     const at = this.place(event), { still } = start, { line } = overlay;
     this.reset();
     if (start.handle) return;
-    if (start.draws && !(still && tool.value !== "brush")) this.finish(start, line, at);
+    if (start.draws && !(still && !BRUSHES.includes(tool.value))) this.finish(start, line, at);
     else if (still) this.click(start, at);
   }
 
@@ -110,6 +112,12 @@ export class Tools {
   finish({ at: begin, how }, line, at) {
     if (tool.value === "object") {
       this.pickIn(begin, at, how);
+      return;
+    }
+    if (tool.value === "mask") {
+      const layer = activeLayer();
+      if (!layer) note("Choose a layer on the right: its mask is what the brush paints.", true);
+      else act("mask_drawn", { name: layer.name, points: thinned(line).map((each) => this.share(each)), shows: { add: true, away: false }[how] ?? shows.value, radius: brush.value, soft: soft.value });
       return;
     }
     const shape = tool.value, points = shape === "rectangle" ? [begin, at] : thinned(line);
@@ -195,7 +203,7 @@ export class Tools {
     overlay.setPointed(name ?? null);
     const depth = at && tool.value === "ball" ? overlay.depthAt(...at) : 0;
     overlay.ball = depth ? [at, (radius.value * this.viewport.view.focal[0]) / depth] : null;
-    if (tool.value === "brush" && at) overlay.ball = [at, brush.value * this.viewport.size[1]];
+    if (BRUSHES.includes(tool.value) && at) overlay.ball = [at, brush.value * this.viewport.size[1]];
     overlay.draw();
     const words = photo ? photo.name : name;
     label.hidden = !words;

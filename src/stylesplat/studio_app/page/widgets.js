@@ -13,8 +13,8 @@ const PATHS = {
   hidden: "M3 3l18 18M10 5.2A9 9 0 0 1 12 5c6 0 10 7 10 7a18 18 0 0 1-3 3.7M6 7.300A17 17 0 0 0 2 12s4 7 10 7a9 9 0 0 0 4-1",
   lock: "M6 11h12v9H6zM8.500 11V8a3.500 3.500 0 0 1 7 0v3",
   unlock: "M6 11h12v9H6zM8.500 11V7a3.500 3.500 0 0 1 6.800-1.200",
-  up: "m6 14 6-6 6 6",
-  down: "m6 10 6 6 6-6",
+  grip: "M5 8h14M5 12h14M5 16h14",
+  mask: "M4 5h16v14H4zM12 8a4 4 0 1 0 0 8 4 4 0 0 0 0-8",
   trash: "M5 7h14M10 7V4h4v3M7 7l1 13h8l1-13M10 11v5M14 11v5",
   close: "M6 6l12 12M18 6 6 18",
   plus: "M12 5v14M5 12h14",
@@ -63,8 +63,8 @@ export function Slider({ label, value, low = 0, high = 1, step = 0.05, show, onI
 
 export const percent = (value) => `${Math.round(100 * value)} %`;
 
-export function Select({ label, value, choices, onChange }) {
-  return html`<label class="field"><span>${label}</span><select value=${value} onChange=${(event) => onChange(event.target.value)}>
+export function Select({ label, value, choices, onChange, disabled }) {
+  return html`<label class="field"><span>${label}</span><select value=${value} disabled=${disabled} onChange=${(event) => onChange(event.target.value)}>
     ${choices.map((each) => {
       const [key, words] = Array.isArray(each) ? each : [each, each];
       return html`<option value=${key} selected=${key === value}>${words}</option>`;
@@ -74,12 +74,15 @@ export function Select({ label, value, choices, onChange }) {
 // A field whose words are sent by Enter or the button
 export function Entry({ label, button, value = "", primary, onEnter }) {
   const field = useRef(null);
+  useEffect(() => {
+    field.current.value = value; // once: what is typed outlives news of the server
+  }, [value]);
   const enter = (event) => {
     event.preventDefault();
     onEnter(field.current.value);
   };
   return html`<form class="entry" onSubmit=${enter}><label class="field"><span>${label}</span>
-    <input ref=${field} type="text" value=${value} maxlength="100" /></label>
+    <input ref=${field} type="text" maxlength="100" /></label>
     <button type="submit" class=${primary ? "primary" : ""}>${button}</button></form>`;
 }
 

@@ -1,0 +1,135 @@
+// The panel of layers, the highest first, with variants and snapshots below
+
+import { above, active, mode, tool } from "./choices.js";
+import { useRef } from "./libraries/hooks.js";
+import { useSignal } from "./libraries/signals.js";
+import { act, hello, note, state } from "./connection.js";
+import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
+
+const BLENDS = [["normal", "normal"], ["luminosity", "luminosity"], ["colour", "colour"]];
+const RESTING = 400; // milliseconds without motion of a slider, after which a layer is painted again
+
+// The layer that was chosen, unless something else was picked since; else the highest of what is picked
+export function activeLayer() {
+  const { layers, objects } = state.value, picked = objects.filter((each) => each.picked).map((each) => each.name);
+  const own = layers.find((each) => each.name === active.value);
+  if (own && (!picked.length || picked.includes(own.object))) return own;
+  return picked.length === 1 ? layers.filter((each) => each.object === picked[0]).at(-1) : undefined;
+}
+
+export function Layers() {
+  const now = state.value, chosen = now.objects.filter((each) => each.picked).map((each) => each.name);
+  const layers = [...now.layers].reverse(), list = useRef(null), moving = useSignal(null);
+  const variants = now.variants.map((each, number) => ({ ...each, number, current: now.current.includes(number) }))
+    .filter((each) => !chosen.length || chosen.includes(each.object));
+  const move = (name, row) => act("move_layer", { name, to: layers.length - 1 - row });
+  // A drag by the handle: the place is that of the row whose middle the pointer has passed
+  const grip = (name, row) => ({
+    onPointerDown: (event) => {
+      event.preventDefault();
+      event.currentTarget.setPointerCapture(event.pointerId);
+      moving.value = { name, from: row, to: row };
+    },
+    onPointerMove: (event) => {
+      if (moving.value?.name !== name) return;
+      const middles = [...list.current.children].map((each) => each.getBoundingClientRect()).map((box) => box.y + box.height / 2);
+      const to = middles.filter((y, at) => at !== row && y < event.clientY).length;
+      if (to !== moving.value.to) moving.value = { ...moving.value, to };
+    },
+    onPointerUp: () => {
+      if (moving.value && moving.value.to !== row) move(name, moving.value.to);
+      moving.value = null;
+    },
+    onPointerCancel: () => (moving.value = null),
+    onKeyDown: (event) => {
+      const by = { ArrowUp: -1, ArrowDown: 1 }[event.key];
+      if (!by) return;
+      event.preventDefault();
+      move(name, row + by);
+    },
+  });
+  const { from, to } = moving.value ?? {};
+  const place = (row) => (moving.value && row === to && to !== from ? (to < from ? "before" : "after") : "");
+  return html`<aside class="panel layers" aria-label="Layers">
+    <div class="head"><h2>Layers</h2><span class="grow"></span>
+      <${Button} icon="plus" text="New layer" label="The next style goes on a new layer, above what is there" active=${above.value} onClick=${() => (above.value = !above.value)} /></div>
+    ${!layers.length && html`<p class="hint">Nothing is painted. Pick an object, then click a style.</p>`}
+    <ul ref=${list}>${layers.map((layer, row) => html`<${Layer} key=${layer.name} layer=${layer} lowest=${row === layers.length - 1} grip=${grip(layer.name, row)}
+      dragged=${row === from} place=${place(row)} />`)}</ul>
+    ${variants.length > 0 && html`<section aria-label="Variants"><h3>Variants${chosen.length ? ` of ${chosen.join(", ")}` : ""}</h3>
+      <ul class="cards wide">${variants.map((each) => html`<li key=${each.number}>
+        <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { number: each.number })}>
+          <img src=${each.thumbnail} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span>
+          <span class="name quiet">${each.settings}</span></button>
+        <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></li>`)}</ul></section>`}
+    <section aria-label="Snapshots"><h3>Snapshots</h3>
+      ${now.snapshots.map((name, number) => html`<div class="line" key=${number}><span>${name}</span>
+        <${Button} small text="Restore" label=${`Restore ${name}`} onClick=${() => act("restore", { number })} /></div>`)}
+      <${Entry} key=${now.snapshots.length} label="Keep the whole scene as" button="Keep" value=${`Snapshot ${now.snapshots.length + 1}`} onEnter=${(name) => act("snapshot", { name })} />
+    </section>
+  </aside>`;
+}
+
+function compare(number) {
+  const other = state.value.compared === number ? null : number;
+  act("compare_with", { number: other });
+  mode.value = other === null ? "after" : "split";
+}
+
+function Layer({ layer, lowest, grip, dragged, place }) {
+  const { name, object, recolor } = layer, now = state.value, label = name.split("/")[1];
+  const found = now.objects.find((each) => each.name === object), chosen = activeLayer()?.name === name;
+  const fixed = layer.locked || now.painting;
+  const what = recolor ? `the colours of ${object}` : `the paint of ${object}${label ? ` (${label})` : ""}`;
+  const choose = () => {
+    active.value = name;
+    if (found && !found.picked) act("pick_names", { names: [object] });
+  };
+  return html`<li class=${`layer ${layer.visible ? "" : "off"} ${dragged ? "dragged" : ""} ${place}`}>
+    <div class="line"><button type="button" class="square small grip" aria-label=${`Move ${what}: drag, or the arrow keys`} title="Drag to reorder" ...${grip}><${Icon} name="grip" /></button>
+      <button type="button" class="card flat" aria-pressed=${chosen} aria-expanded=${chosen} title=${layer.settings} onClick=${choose}>
+        ${found?.thumbnail ? html`<img src=${found.thumbnail} alt="" />` : html`<span class="blank"></span>`}
+        <span><b>${object}${label && !recolor ? ` ${label}` : ""}</b><br />${layer.title}${layer.masked ? ", masked" : ""}</span></button>
+      <${Button} small icon=${layer.visible ? "eye" : "hidden"} label=${`${layer.visible ? "Hide" : "Show"} ${what}`} onClick=${() => act("set_visible", { name, visible: !layer.visible })} /></div>
+    <${Slider} label="Strength" value=${layer.strength} high=${1.5} show=${percent} disabled=${fixed} onInput=${(strength) => act("adjust_layer", { name, strength })} />
+    ${chosen && html`<${Controls} layer=${layer} what=${what} fixed=${fixed} lowest=${lowest} />`}</li>`;
+}
+
+// What else can be changed of the layer that is chosen
+function Controls({ layer, what, fixed, lowest }) {
+  const { name, recolor, values } = layer;
+  const set = (setting, value) => act("repaint_layer", { name, settings: { [setting]: value } });
+  const offered = hello.value.settings, size = offered.find((each) => each.name === "scale"), colors = offered.find((each) => each.name === "color");
+  return html`${!recolor && html`<${Slider} label="Form" value=${layer.form} high=${1.5} show=${percent} disabled=${fixed} onInput=${(form) => act("adjust_layer", { name, form })} />
+      <${Resting} key=${values.scale} control=${size} value=${values.scale} disabled=${layer.locked} onRest=${(value) => set("scale", value)} />
+      <div class="row"><${Select} label="Colours" value=${values.color} choices=${colors.choices} disabled=${layer.locked} onChange=${(value) => set("color", value)} />
+        ${values.quality === "draft" && html`<${Button} text="Finish" label="Paint it at full quality" disabled=${fixed} onClick=${() => set("quality", "normal")} />`}</div>`}
+    <${Select} label=${lowest ? "Blend with the scene" : "Blend with what is below"} value=${layer.blend} choices=${BLENDS} disabled=${fixed} onChange=${(blend) => act("set_blend", { name, blend })} />
+    <div class="row"><${Button} icon="mask" text="Mask" label="Brush the layer out, and in again" active=${tool.value === "mask"} disabled=${fixed} onClick=${() => brushMask()} />
+      <${Button} text="To selection" label="Show the layer within the selection alone" disabled=${fixed || !state.value.selection} onClick=${() => act("mask_by_selection", { name })} />
+      ${layer.masked && html`<${Button} text="No mask" label="Remove the mask" disabled=${fixed} onClick=${() => act("remove_mask", { name })} />`}</div>
+    <div class="row">
+      <${Button} icon=${layer.locked ? "lock" : "unlock"} label=${`${layer.locked ? "Unlock" : "Lock"} ${what}`} active=${layer.locked} onClick=${() => act("set_locked", { name, locked: !layer.locked })} />
+      <${Button} icon="alone" label=${layer.solo ? "Show the other layers again" : `Show ${what} alone`} active=${layer.solo} onClick=${() => act("solo_layer", { name })} />
+      <span class="grow"></span>
+      <${Button} icon="trash" danger label=${`Remove ${what}`} disabled=${fixed} onClick=${() => act("remove_paint", { name })} /></div>
+    ${state.value.layers.length > 1 && html`<div class="row"><${Select} label="Settings like" value="" disabled=${fixed}
+      choices=${[["", "choose a layer"], ...state.value.layers.filter((each) => each.name !== name).map((each) => [each.name, `${each.object}: ${each.title}`])]}
+      onChange=${(other) => other && act("copy_settings", { name, source: other })} /></div>`}`;
+}
+
+function brushMask() {
+  tool.value = tool.value === "mask" ? "object" : "mask";
+  if (tool.value === "mask") note("Brush over the picture to take the layer away there.");
+}
+
+// A slider whose value counts once it rests
+function Resting({ control, value, disabled, onRest }) {
+  const shown = useSignal(value), timer = useRef(null);
+  const change = (next) => {
+    shown.value = next;
+    clearTimeout(timer.current);
+    timer.current = setTimeout(() => onRest(next), RESTING);
+  };
+  return html`<${Slider} label=${control.label} value=${shown.value} low=${control.low} high=${control.high} step=${control.step} disabled=${disabled} onInput=${change} />`;
+}
