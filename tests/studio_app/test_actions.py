@@ -26,9 +26,12 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.resolve import find_object
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import Actions
+from stylesplat.studio_app.gallery import Files
 from stylesplat.studio_app.pictures import camera_of, most_visible
 from stylesplat.studio_app.selecting import pick_names
+from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.studio import StudioServer, studio
+from stylesplat.studio_app.views import Views
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 
@@ -46,11 +49,15 @@ class Page:
         self.opened, self.session = opened, opened.session
         self.actions: Actions = opened.server.actions
         self.said, self.files = list[str](), dict[str, bytes]()
+        self.flights = list[m.Flight]()
         self.pictures = dict[str, tuple[dict[str, Any], bytes]]()
         self.session.on_message.append(lambda line, failure: self.said.append(line))
         self.session.on_send.append(lambda client, kind, message: self._receive(message))
 
-    def _receive(self, content: bytes | m.Download) -> None:
+    def _receive(self, content: bytes | m.Download | m.Flight) -> None:
+        if isinstance(content, m.Flight):
+            self.flights.append(content)
+            return
         if isinstance(content, m.Download):
             found = self.actions.gallery.files.get(content.url.split("/")[2])
             assert found is not None
@@ -356,6 +363,42 @@ def test_the_picture_before_painting_is_there_to_compare(page: Page):
     page.look(3, before=True)
     assert page.pictures["before"][0]["look"] == 3
     assert page.pictures["before"][1] != page.pictures["after"][1]
+
+
+def test_views_are_kept_beside_the_scene_and_a_video_leads_through_them(page: Page):
+    places = [((0.0, -3.0, 1.0), (0.0, 0.0, 0.0)), ((3.0, 0.0, 1.0), (0.0, 0.0, 0.0))]
+    states = [page.act("keep_view", position=eye, target=target) for eye, target in places]
+    state = states[-1]
+    assert [each.name for each in state.views if each.position] == ["View 1", "View 2"]
+    assert not any(each.url for each in state.views)
+    state = page.act("show_views")
+    assert page.session.worker.wait_until_idle()
+    state = page.actions.state_message()
+    assert len(state.views) == 2 + len(CAMERAS) and all(each.url for each in state.views)
+    assert state.views[2].photo == 0 and len({each.url for each in state.views}) == 6
+    page.act("turntable", path="views", seconds=0.2, fps=20, width=64)
+    until(lambda: "balls-path.mp4" in page.files, "a video")
+    assert len(page.files["balls-path.mp4"]) > 500
+    cameras = page.actions.views.path(3, (64, 48))
+    ends = torch.tensor([position for position, _ in places])
+    torch.testing.assert_close(cameras.positions[[0, 2]], ends, atol=1e-4, rtol=0)
+    page.act("preview_path", seconds=1)
+    (flight,) = page.flights
+    assert flight.places[0][0] == pytest.approx(places[0][0], abs=1e-4) and len(flight.places) == 20
+    assert page.act("level", up=(0, 0.2, 2)).up == pytest.approx((0, 0.0995, 0.995), abs=1e-3)
+    page.act("move_view", number=1, to=0)
+    page.act("keep_view", position=(0, 0, 1), target=(0, 0, 1))
+    assert "straight up or down" in page.said.pop()
+    folder = page.session.folder
+    state = page.act("save_as", name="moved")
+    for each in (folder, page.session.folder):
+        kept = Views(Session(open(each), folder=each), Files(), (1.0, 1.0))
+        assert [view.name for view in kept.cards()[:2]] == ["View 2", "View 1"]
+        assert kept.levelled is not None
+    state = page.act("forget_view", number=0)
+    assert [each.name for each in state.views if each.position] == ["View 1"]
+    page.act("preview_path")
+    assert "two kept views" in page.said[-1]
 
 
 def test_every_style_can_be_tried(page: Page):

@@ -447,10 +447,11 @@ def test_on_a_narrow_screen_everything_can_be_reached(opened: StudioServer, tmp_
     with studio_tab(size=(NARROW, 760), downloads=tmp_path) as tab:
         tab.open(opened.url)
         session.do(lambda state: recolor_objects(state, ["7"], "hue", 90.0))
-        for label in ("Objects", "Layers", "Styles", "Export"):
+        for label in ("Objects", "Layers", "Styles", "Views", "Keep this view", "Level", "Export"):
             tab.press_button(label)
             tab.assert_accessible()
             assert not tab.page.evaluate(SMALL)
+        assert opened.server.actions.views.cards()[0].name == "View 1"
         assert tab.page.evaluate(OVERFLOW) == [0, 0]
         tab.press_button("Close")
         tab.press_button("Split")

@@ -24,7 +24,7 @@ from stylesplat.io.layers import RECIPE
 from stylesplat.io.renders import write_video
 from stylesplat.io.style_pictures import MATERIALS, PREFIX
 from stylesplat.options import PickSize
-from stylesplat.scene.cameras import Cameras, up_vector
+from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
 from stylesplat.scene.layers import RECOLOR, Layer, shown_like, split_name
 from stylesplat.scene.scene import Scene
@@ -46,6 +46,7 @@ from stylesplat.studio_app.pictures import (
 )
 from stylesplat.studio_app.session import Display, Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
+from stylesplat.studio_app.views import Views
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.export import export
@@ -54,6 +55,7 @@ from stylesplat.verbs.render import orbit, render
 T = TypeVar("T")
 
 STUDIO_MOST_PIXELS = 8192  # along a side of a still picture
+PREVIEW_RATE = 20  # places a second of a path that a page flies along
 STUDIO_NEAREST = 0.1  # world units from a photo's camera to its target, at least
 IN_PLACE = ("scale", "color", "quality")  # settings of paint that a layer shows
 DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
@@ -79,6 +81,7 @@ class Actions:
     ) -> None:
         """`options` are those of `stylize_live`; without a store nothing can be changed."""
         self.session, self.gallery, self.readonly = session, gallery, store is None
+        self._store = store
         self.queue = PaintQueue(session, **options)
         self.pictures = Pictures(session, self._before)
         self.thumbnails = ObjectThumbnails(session, gallery.files)
@@ -94,6 +97,7 @@ class Actions:
         scene = session.state.scene
         self._content = content_of(scene.splats).extent
         self._start = start_of(scene.splats, None if has_rendered_views(scene) else scene.cameras)
+        self.views = Views(session, gallery.files, tuple(self._start["slopes"]))
         session.on_painted.append(self._painted)
         changes = [picking.pick_names, picking.pick_box, picking.pick_words, picking.resize_picked]
         changes += [picking.unite_picked, picking.subtract_picked, picking.forget_picked]
@@ -107,7 +111,9 @@ class Actions:
         methods += [self.queue.resume, self.queue.remove, self.previews.try_all, self.use_variant]
         methods += [self.compare_with, self.snapshot, self.restore, session.step, self.export]
         methods += [self.exporter.cancel, self.picture, self.turntable, self.background]
-        methods += [] if store is None else [store.save, store.save_as]
+        methods += [self.views.show_views, self.views.keep_view, self.views.forget_view]
+        methods += [self.views.move_view, self.views.level, self.preview_path, self.save_as]
+        methods += [] if store is None else [store.save]
         self._methods = {each.__name__: each for each in methods}
         self._changes = {each.__name__: each for each in changes}
         known = {} if self.readonly else {**self._changes, **self._methods}
@@ -301,17 +307,19 @@ class Actions:
         fps: Annotated[int, msgspec.Meta(ge=1, le=60)] = 30,
         width: Annotated[int, msgspec.Meta(ge=64, le=3840)] = 960,
         around: m.ShortText = "",
-        path: Literal["photos", "circle", "swing"] = "photos",
+        path: Literal["photos", "circle", "swing", "views"] = "photos",
     ) -> None:
         """Make a video around an object or the scene: where the photos were taken, or of the view
-        of the page in a circle, or to and fro."""
+        of the page in a circle, or to and fro; or along the kept views."""
         scene, frames = self.session.state.scene, max(2, round(seconds * fps))
         if path == "photos":
             cameras = orbit(scene, around=around or None, frames=frames)
+        elif path == "views":
+            cameras = self.views.path(frames, self._camera(10**9).size)
         else:
             known = self.session.masks.extent(scene, (around,)) if around else self._content
-            up = up_vector(scene.cameras)
-            cameras = turned_view(self._camera(10**9), known.centre, up, frames, path)
+            view = self._camera(10**9)
+            cameras = turned_view(view, known.centre, self.views.up, frames, path)
         across, down = cameras.size
         cameras = cameras.resize(width, max(2, round(width * down / across)))
         behind = "#" + bytes(round(255 * each) for each in self.pictures.background).hex()
@@ -321,8 +329,21 @@ class Actions:
             pictures = render(visible, cameras, background=behind).pictures
             write_video(pictures, file, fps=fps)
 
-        deliver = self._deliver("-turntable.mp4")
-        self.exporter.start("Turntable", make, ".mp4", deliver, renders=True)
+        deliver = self._deliver(f"-{'path' if path == 'views' else 'turntable'}.mp4")
+        self.exporter.start("Video", make, ".mp4", deliver, renders=True)
+
+    def preview_path(self, seconds: Annotated[float, msgspec.Meta(gt=0, le=60)] = 4.0) -> None:
+        """Let the page fly along the kept views."""
+        cameras = self.views.path(max(2, round(seconds * PREVIEW_RATE)), self._camera().size)
+        ahead = cameras.viewmats[:, 2, :3] * self._content.size.norm() / 2
+        places = zip(cameras.positions, cameras.positions + ahead, strict=True)
+        flight = m.Flight(seconds, [(_vector(eye), _vector(target)) for eye, target in places])
+        self.session.on_send.call(self.client, "flight", flight)
+
+    def save_as(self, name: str) -> None:
+        assert self._store is not None  # without it no page may ask
+        self._store.save_as(name)
+        self.views.write()
 
     def background(self, color: tuple[m.Share, m.Share, m.Share]) -> None:
         self.pictures.background = color
@@ -381,7 +402,7 @@ class Actions:
         return m.Hello(
             title=title,
             readonly=self.readonly,
-            start=self._start,
+            start={**self._start, "up": self.views.up.tolist()},
             photos=[] if has_rendered_views(scene) else list(_photos(scene, self._content.centre)),
             settings=m.page_settings(StyleConfig),
             recolorings=m.page_settings(RecolorConfig),
@@ -414,6 +435,8 @@ class Actions:
             selection=selection,
             again=self._spot is not None and self._spot[1] is state,
             layers=[_layer_info(state, each) for each in scene.layers],
+            views=self.views.cards(),
+            up=self.views.levelled,
             variants=[variant for variant, _ in self.variants],
             current=[n for n, (_, each) in enumerate(self.variants) if id(each.sh0) in shown],
             snapshots=[name for name, _ in self.snapshots],

@@ -123,11 +123,23 @@ class Variant(msgspec.Struct, frozen=True):
     thumbnail: str
 
 
+class ViewCard(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A kept view, or a photo's own."""
+
+    name: str
+    url: str  # of its picture; empty until there is one
+    position: ViewVector | None = None
+    target: ViewVector | None = None
+    photo: int | None = None  # the row of the photo
+
+
 class StateMessage(ServerMessage, frozen=True, tag="state"):
     objects: list[ObjectInfo]
     selection: SelectionInfo | None
     again: bool  # whether another size or reach of the last click takes its place
     layers: list[LayerInfo]  # the lowest first
+    views: list[ViewCard]  # those that are kept, then photos
+    up: ViewVector | None  # as it was set by hand
     variants: list[Variant]
     current: list[int]  # the variants that are shown
     snapshots: list[str]
@@ -169,6 +181,13 @@ class Pong(ServerMessage, frozen=True, tag="pong"):
 class Note(ServerMessage, frozen=True, tag="note"):
     text: str
     failure: bool = False
+
+
+class Flight(ServerMessage, frozen=True, tag="flight"):
+    """A path that the page is to fly along."""
+
+    seconds: float
+    places: list[tuple[ViewVector, ViewVector]]  # positions, and what they look at
 
 
 class Download(ServerMessage, frozen=True, tag="download"):

@@ -29,3 +29,6 @@ export const regions = signal({}); // the parts of style pictures to use, by num
 export const dialog = signal(null); // keep, settings, part, view, help
 export const part = signal(null); // the style picture whose part is being chosen
 export const tab = signal("styles"); // on narrow screens
+export const strip = signal("styles"); // at the bottom: or views
+export const leveling = signal(false); // whether the horizon is being turned
+export const turntable = signal({ seconds: 4, fps: 30, width: 960, around: "", path: "photos" });

@@ -43,6 +43,7 @@ const texts = {
   progress: (message) => (progress.value = message),
   busy: (message) => (busy.value = message.what),
   pong() {},
+  flight: (message) => window.studio.flyAlong(message),
   note: (message) => note(message.text, message.failure),
   download({ url, name }) {
     const link = Object.assign(document.createElement("a"), { href: url, download: name });

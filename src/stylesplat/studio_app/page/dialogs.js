@@ -2,7 +2,7 @@
 
 import { useRef } from "./libraries/hooks.js";
 import { useSignal } from "./libraries/signals.js";
-import { background, dialog, part, regions, settings, showPhotos } from "./choices.js";
+import { background, dialog, part, regions, settings, showPhotos, turntable as turn } from "./choices.js";
 import { act, hello, note, state } from "./connection.js";
 import { Button, Dialog, Entry, html, Select, Slider } from "./widgets.js";
 
@@ -80,7 +80,8 @@ function Part({ style, onClose }) {
 function Keep({ onClose }) {
   const now = state.value, name = now.folder.split("/").at(-1);
   const format = useSignal(".ply"), width = useSignal(1920);
-  const turn = useSignal({ seconds: 4, fps: 30, width: 960, around: "", path: "photos" });
+  const kept = now.views.filter((each) => each.position).length;
+  const ways = kept > 1 ? [...PATHS, ["views", "along the views that are kept"]] : PATHS;
   const set = (key) => (event) => (turn.value = { ...turn.value, [key]: ["around", "path"].includes(key) ? event : Number(event.target.value) });
   const begin = (what, fields) => {
     act(what, fields);
@@ -93,10 +94,10 @@ function Keep({ onClose }) {
       <${Button} primary icon="download" text="Download" label="Download the scene" onClick=${() => begin("export", { ending: format.value })} /></div></section>
     <section><h3>Picture of this view</h3><div class="row">${number("Width in pixels", width.value, 64, 8192, (event) => (width.value = Number(event.target.value)))}
       <${Button} icon="download" text="PNG" label="Download this view as PNG" onClick=${() => begin("picture", { width: Math.round(width.value) })} /></div></section>
-    <section><h3>Turntable</h3><div class="row">${number("Seconds", turn.value.seconds, 1, 60, set("seconds"))}${number("Frames a second", turn.value.fps, 1, 60, set("fps"))}${number("Width in pixels", turn.value.width, 64, 3840, set("width"))}</div>
-      <div class="row"><${Select} label="Path" value=${turn.value.path} choices=${PATHS} onChange=${set("path")} />
-      <${Select} label="Around" value=${turn.value.around} choices=${[["", "the scene"], ...now.objects.map((each) => each.name)]} onChange=${set("around")} />
-      <${Button} icon="download" text="MP4" label="Make a turntable video" disabled=${now.painting} onClick=${() => begin("turntable", turn.value)} /></div></section>
+    <section><h3>Video</h3><div class="row">${number("Seconds", turn.value.seconds, 1, 60, set("seconds"))}${number("Frames a second", turn.value.fps, 1, 60, set("fps"))}${number("Width in pixels", turn.value.width, 64, 3840, set("width"))}</div>
+      <div class="row"><${Select} label="Path" value=${turn.value.path} choices=${ways} onChange=${set("path")} />
+      ${turn.value.path !== "views" && html`<${Select} label="Around" value=${turn.value.around} choices=${[["", "the scene"], ...now.objects.map((each) => each.name)]} onChange=${set("around")} />`}
+      <${Button} icon="download" text="MP4" label="Make a video" disabled=${now.painting} onClick=${() => begin("turntable", turn.value)} /></div></section>
     <section><h3>Another folder</h3><${Entry} label="Name of a new folder beside this one" button="Save as" value=${`${name}-painted`} onEnter=${(words) => begin("save_as", { name: words })} /></section>
     <section><h3>The same on the command line</h3>${now.command
       ? html`<pre tabindex="0">${now.command}</pre><p class="hint">It paints what was saved once more${now.unsaved ? "; save to have what has changed since" : ""}.</p>

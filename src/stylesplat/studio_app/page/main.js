@@ -7,7 +7,7 @@ import { mode, tab, tool } from "./choices.js";
 import { act, busy, connect, dismiss, hello, note, notes, online, progress, renewed, state, upload } from "./connection.js";
 import { Dialogs } from "./dialogs.js";
 import { Layers } from "./layers.js";
-import { Objects, paint, Styles, Toolbar } from "./panels.js";
+import { Objects, paint, Strip, Toolbar } from "./panels.js";
 import { isTyping, Viewport } from "./viewport.js";
 import { Button, html } from "./widgets.js";
 import { dialog } from "./choices.js";
@@ -101,7 +101,7 @@ function App() {
     <main class="stage"><${Picture} /><${Toolbar} /><${Progress} /></main>
     <${Layers} viewport=${() => viewport} />
     <nav class="tabs">${TABS.map(([key, words]) => html`<button type="button" aria-pressed=${tab.value === key} onClick=${() => (tab.value = key)}>${words}</button>`)}</nav>
-    <${Styles} />
+    <${Strip} viewport=${() => viewport} />
     <${Notes} /><${Dialogs} viewport=${() => viewport} />
   </div>`;
 }

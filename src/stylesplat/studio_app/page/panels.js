@@ -1,9 +1,10 @@
 // The panels: tools, objects, and style pictures
 
-import { above, brush, dialog, how, part, radius, reach, regions, settings, shows, size, SIZES, soft, tool } from "./choices.js";
+import { above, brush, dialog, how, part, radius, reach, regions, settings, shows, size, SIZES, soft, strip, tool } from "./choices.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
 import { act, hello, newest, note, state, upload } from "./connection.js";
 import { activeLayer } from "./layers.js";
+import { Leveling, ViewStrip, ViewTools } from "./views.js";
 import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
 
 const TOOLS = [
@@ -157,20 +158,33 @@ function Recolor() {
   </details>`;
 }
 
-export function Styles() {
+const STRIPS = [["styles", "Styles"], ["views", "Views"]];
+
+const Strips = () => html`<div class="segments" role="group" aria-label="What is shown below">${STRIPS.map(([key, words]) =>
+  html`<button type="button" aria-pressed=${strip.value === key} onClick=${() => (strip.value = key)}>${words}</button>`)}</div>`;
+
+// At the bottom: style pictures, or views
+export function Strip({ viewport }) {
+  if (strip.value === "styles") return html`<${Styles} />`;
+  return html`<section class="panel styles" aria-label="Views"><${Leveling} viewport=${viewport} />
+    <div class="head"><${Strips} /><span class="grow"></span><${ViewTools} viewport=${viewport} /></div>
+    <${ViewStrip} viewport=${viewport} /></section>`;
+}
+
+function Styles() {
   const now = state.value, chosen = picked();
   const tried = Object.keys(now.previews).length > 0;
   const unusual = Object.keys(settings.value).length;
-  const strip = useRef(null), row = now.styles.findIndex((each) => each.title === newest.value);
-  useEffect(() => strip.current.children[row]?.scrollIntoView({ block: "nearest", inline: "nearest" }), [row]);
+  const list = useRef(null), row = now.styles.findIndex((each) => each.title === newest.value);
+  useEffect(() => list.current.children[row]?.scrollIntoView({ block: "nearest", inline: "nearest" }), [row]);
   return html`<section class="panel styles" aria-label="Styles">
-    <div class="head"><h2>Styles</h2>
+    <div class="head"><${Strips} />
       <p class="hint">${chosen.length || now.selection ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ") || "the selection"}${above.value ? " on a new layer" : ""}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
       <span class="grow"></span>
       <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!(chosen.length || now.selection) || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all")} />
       <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting" onClick=${() => (dialog.value = "settings")} />
       <label class="button"><${Icon} name="plus" /><span>Add pictures</span><input type="file" accept="image/*" multiple onChange=${add} /></label></div>
-    <ul class="strip" ref=${strip}>${now.styles.map((each, number) => html`<li key=${each.title}>
+    <ul class="strip" ref=${list}>${now.styles.map((each, number) => html`<li key=${each.title}>
       <button type="button" class="card" draggable="true" title=${`Paint like ${each.title}`} onClick=${() => paint(number)}
         onDragStart=${(event) => event.dataTransfer.setData("style", String(number))}>
         <img src=${now.previews[each.title] || each.url} alt="" draggable="false" />

@@ -1,15 +1,16 @@
 // The picture: exact pictures of the server at rest and, where no graphics card draws, in motion
 
 import { effect } from "./libraries/signals.js";
-import { Orbit } from "/viewer/camera.js";
+import { cross, dot, Orbit, plus, scaled, unit } from "/viewer/camera.js";
 import { drawer } from "/viewer/draw.js";
 import { listen, slide } from "/viewer/hands.js";
 import { inflated, unpack } from "/viewer/unpack.js";
-import { background, cut, kept, mode, settings, showPhotos } from "./choices.js";
+import { background, cut, kept, leveling, mode, settings, showPhotos } from "./choices.js";
 import { act, hello, on, state } from "./connection.js";
 import { Overlay } from "./overlay.js";
 import { Tools } from "./tools.js";
 
+const LEVELED = 400; // milliseconds after which the horizon is kept
 const REST = 120; // milliseconds without motion
 const FLIGHT = 450; // milliseconds
 const SHOWN_FOR = 400; // milliseconds that a pattern shows at least, until a draft takes its place
@@ -27,7 +28,7 @@ export class Viewport {
     const find = (name) => root.querySelector(name);
     [this.drawn, this.after, this.before] = root.querySelectorAll("canvas");
     this.canvas = find(".overlay");
-    this.camera = new Orbit(hello.value.start);
+    this.camera = new Orbit(this.start);
     this.place = kept(`place in ${hello.value.title} ${state.value.folder}`, null);
     Object.assign(this.camera, this.place.value ?? {});
     this.number = 0; // of the camera's place
@@ -51,12 +52,63 @@ export class Viewport {
       const variant = state.value?.variants[state.value.compared];
       find(".cut span").textContent = variant ? `${variant.object}: ${variant.title}` : "before";
     });
+    effect(() => {
+      const up = String(state.value.up ?? hello.value.start.up), { position, target } = this.standing();
+      if (!this.leveled && this.known && up !== this.known) this.upright(position, target); // set by another page, or back
+      this.known = up;
+    });
+    effect(() => {
+      if (!leveling.value) this.rolling = this.leveled = null;
+    });
     effect(() => state.value?.painting || this.overlay.setPattern(null));
     effect(() => state.value && this.overlay.tintAgain());
     effect(() => settings.value && this.overlay.draw());
     effect(() => [showPhotos.value] && this.overlay.draw());
     window.addEventListener("keydown", (event) => event.key.toLowerCase() === "b" && !isTyping(event) && this.hold(true));
     window.addEventListener("keyup", (event) => event.key.toLowerCase() === "b" && this.hold(false));
+  }
+
+  // The first view, with what is up by now
+  get start() {
+    return { ...hello.value.start, up: this.leveled ?? state.value.up ?? hello.value.start.up };
+  }
+
+  // Where the camera is, and what it looks at
+  standing() {
+    const { viewmat } = this.view, eye = [0, 1, 2].map((axis) => -[0, 1, 2].reduce((sum, row) => sum + viewmat[4 * row + axis] * viewmat[4 * row + 3], 0));
+    return { position: eye, target: this.camera.target };
+  }
+
+  // Turn what is up by an angle around the view, from where it was when that began
+  roll(angle) {
+    clearTimeout(this.rolled);
+    this.rolling ??= { ...this.standing(), up: this.camera.up };
+    const { position, target, up } = this.rolling, ahead = unit(plus(target, position, -1));
+    const turn = (angle * Math.PI) / 180, along = dot(ahead, up) * (1 - Math.cos(turn));
+    this.leveled = plus(plus(scaled(up, Math.cos(turn)), cross(ahead, up), Math.sin(turn)), ahead, along);
+    this.upright(position, target);
+    this.rolled = setTimeout(() => act("level", { up: this.leveled }), LEVELED);
+  }
+
+  upright(position, target) {
+    const goal = new Orbit(this.start);
+    goal.stand(position, target);
+    Object.assign(this.camera, goal);
+    this.moved();
+  }
+
+  flyAlong({ seconds, places }) {
+    const began = performance.now(), flight = (this.flight = {});
+    const step = () => {
+      if (this.flight !== flight) return;
+      const share = Math.min(1, (performance.now() - began) / (1000 * seconds)), at = share * (places.length - 1);
+      const [one, other] = [Math.floor(at), Math.ceil(at)].map((row) => places[row]);
+      const [position, target] = [0, 1].map((end) => plus(scaled(one[end], 1 - (at % 1)), other[end], at % 1));
+      this.camera.stand(position, target);
+      this.moved();
+      if (share < 1) requestAnimationFrame(step);
+    };
+    step();
   }
 
   get size() {
@@ -190,14 +242,14 @@ export class Viewport {
 
   // Fly so that the camera stands at a position and looks at a target
   fly(position, target) {
-    const goal = new Orbit(hello.value.start);
+    const goal = new Orbit(this.start);
     goal.stand(position, target);
     this.animate(goal);
   }
 
   // Look at an object from where the camera is, as near as all of it is seen
   approach({ centre, sides }) {
-    const goal = Object.assign(new Orbit(hello.value.start), this.camera);
+    const goal = Object.assign(new Orbit(this.start), this.camera);
     goal.approach(centre, sides, this.size);
     this.animate(goal);
   }
@@ -206,7 +258,7 @@ export class Viewport {
     const { objects, selection } = state.value, picked = objects.filter((each) => each.picked);
     if (selection) this.approach(selection);
     else if (picked.length === 1 && picked[0].centre) this.approach(picked[0]);
-    else this.animate(new Orbit(hello.value.start));
+    else this.animate(new Orbit(this.start));
   }
 
   animate(goal) {
