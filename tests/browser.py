@@ -292,6 +292,8 @@ KEYS = {
     "Enter": 13,
     "b": 66,
     "w": 87,
+    "?": 191,
+    "Escape": 27,
 }  # as the protocol numbers them
 # The middle of an element that lies on top and no longer moves
 RESTING = """async (found) => {

@@ -280,6 +280,24 @@ def test_a_page_goes_on_after_a_restart_once_the_new_address_was_opened(
         again.close()
 
 
+def test_keys_are_shown_and_the_first_visit_has_three_hints(opened: StudioServer, tab: Tab):
+    assert "1 of 3" in tab.text()
+    tab.assert_accessible()
+    for button, words in (("Next", "2 of 3"), ("Next", "3 of 3"), ("Start", "")):
+        tab.press_button(button)
+        until(lambda words=words: words in tab.text(), "the next hint")
+    assert "of 3" not in tab.text()
+    tab.open(opened.url)
+    assert "of 3" not in tab.text()
+    tab.key("?", True)
+    tab.key("?", False)
+    until(lambda: "keep what both have" in tab.text(), "the keys")
+    tab.assert_accessible()
+    tab.press_button("Close")
+    until(lambda: not tab.page.evaluate("Boolean(document.querySelector('dialog'))"), "closed")
+    assert not tab.page.complaints(), json.dumps(tab.page.complaints(), indent=1)
+
+
 def test_two_fingers_move_the_camera_whatever_the_tool(opened: StudioServer, tmp_path: Path):
     with studio_tab(size=(390, 760), downloads=tmp_path) as tab:
         tab.page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)

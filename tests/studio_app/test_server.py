@@ -144,7 +144,8 @@ def test_a_page_learns_what_it_waits_for_and_that_the_server_answers(edited: Stu
         kinds = [each for each in islice(heard, 4) if each["kind"] in ("pong", "busy")]
         waiting.set()
         assert {"kind": "pong"} in kinds
-        assert {"kind": "busy", "what": "Growing or shrinking what is picked"} in kinds
+        what = "Growing or shrinking what is picked"
+        assert {"kind": "busy", "what": what, "cancel": True} in kinds
         assert next(each for each in heard if each["kind"] == "busy")["what"] == ""
 
 

@@ -3,7 +3,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from stylesplat.studio_app.session import Worker
+from stylesplat.studio_app.session import Stopped, Worker
 
 
 @pytest.fixture
@@ -41,6 +41,37 @@ def test_jobs_are_done_in_order_the_patient_ones_last_and_the_last_of_a_kind(wor
     gate.set()
     assert worker.wait_until_idle()
     assert done == ["click", "0.5", "thumbnail"]
+
+
+def test_what_is_under_way_for_somebody_can_be_ended_and_nothing_else(
+    worker: Worker, failures: list[Exception]
+):
+    begun, ended, done = threading.Event(), list[str](), list[str]()
+    between = threading.Event()
+
+    def work() -> None:
+        try:
+            with worker.interruptible("me"):
+                begun.set()
+                while not worker.background_task:  # for ever
+                    worker.run_urgent_jobs()
+        except Stopped:
+            ended.append("work")
+
+    worker.ask(work)
+    worker.ask(lambda: done.append("next"), patient=True)
+    assert begun.wait(10)
+    worker.interrupt("somebody else")
+    worker.ask(lambda: worker.interrupt("me"))  # what is let in between is not ended
+    worker.ask(between.set)
+    assert between.wait(10) and not ended
+    while not ended and not done:
+        worker.interrupt("me")
+    assert worker.wait_until_idle(10.0) and ended == ["work"] and not failures
+    assert done == ["next"]
+    worker.interrupt("me")
+    worker.ask(lambda: done.append("later"))
+    assert worker.wait_until_idle(10.0) and done[-1] == "later"
 
 
 def test_long_work_goes_on_between_jobs_and_within_its_steps(worker: Worker):

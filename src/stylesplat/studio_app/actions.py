@@ -44,7 +44,7 @@ from stylesplat.studio_app.pictures import (
     camera_of,
     render_display,
 )
-from stylesplat.studio_app.session import Display, Session
+from stylesplat.studio_app.session import Display, Session, Stopped
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
 from stylesplat.studio_app.views import Views
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
@@ -73,6 +73,7 @@ SLOW = {
     "step": "Going back or forth",
 }
 """What is said while an action takes long."""
+WHOLE = ("save", "save_as")  # what nobody cancels
 
 
 class Actions:
@@ -118,12 +119,14 @@ class Actions:
         self._changes = {each.__name__: each for each in changes}
         known = {} if self.readonly else {**self._changes, **self._methods}
         structs = [_struct_of(name, each) for name, each in known.items()]
-        self.decoder = msgspec.json.Decoder(reduce(or_, structs, m.ViewRequest | m.Ping))
+        self.decoder = msgspec.json.Decoder(
+            reduce(or_, structs, m.ViewRequest | m.Ping | m.Interrupt)
+        )
 
-    def act(self, client: int, message: msgspec.Struct, done: Callable[[], None]) -> str:
+    def act(self, client: int, message: msgspec.Struct, done: Callable[[], None]) -> m.Busy:
         """Ask for an action that a page wants; called in the server's thread.
 
-        `done` is called when it is done, or has failed. Returns what it is, in a few words.
+        `done` is called when it is done, or has failed. Returns what to tell if it takes long.
         """
         name = str(type(message).__struct_config__.tag)
         values = msgspec.structs.asdict(message)
@@ -131,9 +134,15 @@ class Actions:
         def change(state: StudioState) -> StudioState | None:
             self.client = client
             try:
-                if name in self._changes:
-                    return self._changes[name](state, **values)
-                return self._methods[name](**values)
+                if name in WHOLE:
+                    return self._methods[name](**values)
+                with self.session.worker.interruptible(client):
+                    if name in self._changes:
+                        return self._changes[name](state, **values)
+                    return self._methods[name](**values)
+            except Stopped:
+                self.session.tell("Cancelled.")
+                return None
             finally:
                 done()
 
@@ -144,7 +153,7 @@ class Actions:
             whats = [k for k, v in values.items() if v is not None and k in ("strength", "form")]
             key = name, values.get("name"), str(values.get("names")), values.get("setting"), *whats
         self.session.do(change, merge=key, kind=str(key or ""))
-        return SLOW.get(name, "Working")
+        return m.Busy(SLOW.get(name, "Working"), cancel=name not in WHOLE)
 
     def warm_up(self) -> None:
         """What takes long and is wanted soon, though not for the first picture."""

@@ -42,6 +42,12 @@ class Ping(msgspec.Struct, frozen=True, tag="ping", tag_field="do", forbid_unkno
     """Asks whether the server answers, while the worker may be busy."""
 
 
+class Interrupt(
+    msgspec.Struct, frozen=True, tag="interrupt", tag_field="do", forbid_unknown_fields=True
+):
+    """Ends what the worker does for the page that says so."""
+
+
 class ServerMessage(msgspec.Struct, frozen=True, tag_field="kind"):
     """What the server tells the page."""
 
@@ -172,6 +178,7 @@ class Busy(ServerMessage, frozen=True, tag="busy"):
     """What a page asked for and takes long; empty when it is done."""
 
     what: str = ""
+    cancel: bool = False  # whether `Interrupt` ends it
 
 
 class Pong(ServerMessage, frozen=True, tag="pong"):

@@ -248,6 +248,9 @@ class PageServer:
         if isinstance(message, m.ViewRequest):
             self.actions.pictures.look(client, message)
             return
+        if isinstance(message, m.Interrupt):
+            self.session.worker.interrupt(client)
+            return
         number = self._asked[client] = next(self._numbers)
 
         def is_newest() -> bool:
@@ -258,11 +261,11 @@ class PageServer:
                 self._asked.pop(client, None)
             self.send(client, "busy", m.Busy())
 
-        what = self.actions.act(client, message, end)
+        busy = self.actions.act(client, message, end)
 
         def tell() -> None:  # not of what a newer action has taken the place of, and never ends
             if is_newest():
-                self.send(client, "busy", m.Busy(what))
+                self.send(client, "busy", busy)
 
         asyncio.get_running_loop().call_later(BUSY_AFTER, tell)
 

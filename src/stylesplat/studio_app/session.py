@@ -3,6 +3,7 @@
 Rendering in several threads at once is not safe with every threading layer of numba.
 """
 
+import ctypes
 import threading
 import time
 import traceback
@@ -28,6 +29,10 @@ from stylesplat.studio_app.messages import Progress
 WorkItem = Callable[[], object]
 
 
+class Stopped(Exception):
+    """Ends long work that has no result yet."""
+
+
 class Worker:
     """Does jobs in order, and between them goes on with one long piece of work."""
 
@@ -38,6 +43,8 @@ class Worker:
         self._jobs = list[tuple[bool, str, WorkItem]]()  # the patient ones last
         self._lengthy: Iterator[object] | None = None
         self._busy, self._closed = False, False
+        self._owner: object = None
+        self._owning = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="stylesplat worker", daemon=True)
         self._thread.start()
 
@@ -78,6 +85,24 @@ class Worker:
                 job = self._jobs.pop(0)[-1]
             self._do(job)
 
+    @contextmanager
+    def interruptible(self, owner: object) -> Iterator[None]:
+        """Within the block, in the worker's thread, `interrupt` raises `Stopped`."""
+        self._owner = owner
+        try:
+            yield
+        finally:
+            with self._owning:  # what was interrupted just now is raised here at the latest
+                self._owner = None
+
+    def interrupt(self, owner: object) -> None:
+        """End what is under way for an owner, between two steps of Python; from any thread."""
+        with self._owning:
+            if owner is not None and self._owner == owner:
+                self._owner = None
+                thread = ctypes.c_ulong(self._thread.ident or 0)
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, ctypes.py_object(Stopped))
+
     def wait_until_idle(self, seconds: float = 240.0) -> bool:
         """Wait until there is nothing more to do; return whether that was in time."""
         end = time.monotonic() + seconds
@@ -108,10 +133,13 @@ class Worker:
             self._do(job)
 
     def _do(self, job: WorkItem) -> None:
+        owner, self._owner = self._owner, None  # that of a job which lets this one in between
         try:
             job()
         except Exception as error:
             self._failed(error)
+        finally:
+            self._owner = owner
 
     def _step(self) -> None:
         lengthy = self._lengthy
@@ -128,10 +156,6 @@ class Worker:
 
 Change = Callable[[StudioState], StudioState | None]
 SESSION_BUSY = "An object is being painted. Wait until it is done, or press Stop."
-
-
-class Stopped(Exception):
-    """Ends long work that has no result yet."""
 
 
 class Callbacks(list[Callable[..., object]]):

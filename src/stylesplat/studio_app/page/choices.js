@@ -2,10 +2,10 @@
 
 import { effect, signal } from "./libraries/signals.js";
 
-// A choice that a reload of the page keeps
-export function kept(name, value) {
-  const choice = signal(JSON.parse(sessionStorage.getItem(name)) ?? value);
-  effect(() => sessionStorage.setItem(name, JSON.stringify(choice.value)));
+// A choice that a reload of the page keeps, or that this browser always does
+export function kept(name, value, storage = sessionStorage) {
+  const choice = signal(JSON.parse(storage.getItem(name)) ?? value);
+  effect(() => storage.setItem(name, JSON.stringify(choice.value)));
   return choice;
 }
 
@@ -28,6 +28,7 @@ export const settings = kept("settings", {}); // of paintings, where they are no
 export const regions = signal({}); // the parts of style pictures to use, by number
 export const dialog = signal(null); // keep, settings, part, view, help
 export const part = signal(null); // the style picture whose part is being chosen
+export const hint = kept("hint", 0, localStorage); // how many hints were seen
 export const tab = signal("styles"); // on narrow screens
 export const strip = signal("styles"); // at the bottom: or views
 export const leveling = signal(false); // whether the horizon is being turned

@@ -8,7 +8,7 @@ export const progress = signal({ what: "" });
 export const notes = signal([]);
 export const online = signal(true);
 export const renewed = signal(false); // whether the studio was started anew: until its address is opened in this browser
-export const busy = signal(""); // what takes long just now
+export const busy = signal({ what: "" }); // what takes long just now
 export const newest = signal(null); // the title of the style picture that was added last
 
 const SECONDS = 6; // that a note stays; a failure stays three times as long
@@ -41,7 +41,7 @@ const texts = {
   hello: (message) => (hello.value = message),
   state: (message) => (state.value = message),
   progress: (message) => (progress.value = message),
-  busy: (message) => (busy.value = message.what),
+  busy: (message) => (busy.value = message),
   pong() {},
   flight: (message) => window.studio.flyAlong(message),
   note: (message) => note(message.text, message.failure),
@@ -79,7 +79,7 @@ export function connect(opened) {
   };
   socket.onclose = async () => {
     online.value = false;
-    busy.value = "";
+    busy.value = { what: "" };
     renewed.value = await isRefused();
     setTimeout(() => connect(opened), Math.min(renewed.value ? SILENT : PATIENCE, 1000 * 2 ** tries++));
   };

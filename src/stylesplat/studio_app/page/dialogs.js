@@ -11,6 +11,7 @@ export function Dialogs({ viewport }) {
   if (part.value) return html`<${Part} style=${part.value} onClose=${close} />`;
   if (dialog.value === "keep") return html`<${Keep} onClose=${close} />`;
   if (dialog.value === "settings") return html`<${Settings} onClose=${close} />`;
+  if (dialog.value === "help") return html`<${Keys} onClose=${close} />`;
   if (dialog.value === "view") return html`<${View} viewport=${viewport()} onClose=${close} />`;
   return null;
 }
@@ -121,11 +122,23 @@ async function copy(text) {
   }
 }
 
-const KEYS = [
+const LOOK_KEYS = [
   ["Drag", "turn"], ["Right drag", "move"], ["Wheel", "come closer"], ["Double click", "go to an object"],
-  ["W A S D Q E", "fly"], ["Arrows", "turn"], ["H", "home"], ["B", "hold: before painting"],
-  ["Ctrl+Z, Ctrl+Y", "undo, redo"], ["Ctrl+S", "save"], ["C", "another size of a click on the surface"], ["Enter", "pick what is in the middle"], ["Esc", "pick nothing"],
+  ["W A S D Q E", "fly"], ["Arrows", "turn"], ["H", "home"], ["B", "hold: before painting"], ["?", "these keys"],
 ];
+const EDIT_KEYS = [
+  ["Click", "pick an object"], ["Shift, Ctrl", "add, remove"], ["Ctrl+Shift", "keep what both have"], ["Alt drag", "turn, with any tool"],
+  ["[ ]", "a smaller, a larger brush"], ["C", "another size of a click on the surface"], ["Enter", "pick what is in the middle"], ["Esc", "pick nothing"],
+  ["Ctrl+Z, Ctrl+Y", "undo, redo"], ["Ctrl+S", "save"],
+];
+
+function Keys({ onClose }) {
+  const keys = hello.value.readonly ? LOOK_KEYS : [...LOOK_KEYS, ...EDIT_KEYS];
+  return html`<${Dialog} title="Mouse and keys" onClose=${onClose}>
+    <dl>${keys.map(([key, words]) => html`<dt>${key}</dt><dd>${words}</dd>`)}</dl>
+    <p class="hint">With fingers: one turns, two move and come closer.</p>
+  </${Dialog}>`;
+}
 
 function View({ viewport, onClose }) {
   const { photos, readonly, gaussians } = hello.value;
@@ -143,7 +156,7 @@ function View({ viewport, onClose }) {
     ${photos.length > 1 && html`<${Slider} label="Fly to photo" value=${row.value} high=${photos.length - 1} step="1" show=${(value) => photos[value].name} onInput=${fly} />
       <label class="check"><input type="checkbox" checked=${showPhotos.value} onChange=${(event) => (showPhotos.value = event.target.checked)} /><span>Show the cameras of photos; click one to fly there</span></label>`}
     ${!readonly && html`<label class="check"><input type="color" value=${code} onInput=${color} /><span>Background</span></label>`}
-    <dl>${KEYS.filter(([key]) => !readonly || !/Ctrl|Esc|Enter|^C$/.test(key)).map(([key, words]) => html`<dt>${key}</dt><dd>${words}</dd>`)}</dl>
+    <div class="row"><${Button} icon="help" text="Mouse and keys" label="What mouse and keys do (?)" onClick=${() => (dialog.value = "help")} /></div>
     <p class="hint">${gaussians.toLocaleString()} Gaussians</p>
   </${Dialog}>`;
 }

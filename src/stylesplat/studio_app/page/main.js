@@ -3,7 +3,7 @@
 import { render } from "./libraries/preact.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
 import "./libraries/signals.js";
-import { mode, tab, tool } from "./choices.js";
+import { brush, hint, mode, tab, tool } from "./choices.js";
 import { act, busy, connect, dismiss, hello, note, notes, online, progress, renewed, state, upload } from "./connection.js";
 import { Dialogs } from "./dialogs.js";
 import { Layers } from "./layers.js";
@@ -66,13 +66,28 @@ function Compare() {
 const Views = () => html`<${Button} icon="home" label="Home: what is picked, or the first view (H)" onClick=${() => viewport.home()} />
   <${Button} icon="camera" label="Photos, background and keys" onClick=${() => (dialog.value = "view")} />`;
 
+const HINTS = [
+  "Drag to turn, with two fingers or the right button to move, and come closer by the wheel or a pinch.",
+  "Click a thing to pick it. Shift adds, Ctrl removes; the tools on the left select parts.",
+  "Click a style to paint what is picked. Each painting is a layer, and everything can be undone.",
+];
+
+// On the first visit, and never again
+function Hints() {
+  const words = HINTS[hint.value];
+  return words && html`<section class="hints" aria-label="Hint"><p>${words}</p><div class="row"><span>${hint.value + 1} of ${HINTS.length}</span><span class="grow"></span>
+    ${hint.value < HINTS.length - 1 && html`<${Button} small text="Skip" label="No more hints" onClick=${() => (hint.value = HINTS.length)} />`}
+    <${Button} small text=${hint.value < HINTS.length - 1 ? "Next" : "Start"} label="The next hint" onClick=${() => (hint.value += 1)} /></div></section>`;
+}
+
 function Progress() {
   const { what, share, left, doing, export: exporting } = progress.value, now = state.value;
-  if (!what && !now.stopped && !now.waiting.length && !busy.value) return null;
+  if (!what && !now.stopped && !now.waiting.length && !busy.value.what) return null;
   const percent = Math.round(100 * share);
   const time = left == null ? "" : left < 90 ? `${Math.round(left)} s left` : `${Math.round(left / 60)} min left`;
   return html`<section class="progress" aria-label="Progress">
-    ${busy.value && html`<div class="line busy" role="status"><span>${busy.value}…</span></div>`}
+    ${busy.value.what && html`<div class="line busy" role="status"><span>${busy.value.what}…</span>
+      ${busy.value.cancel && html`<${Button} small icon="stop" text="Cancel" label="Cancel this" onClick=${() => act("interrupt")} />`}</div>`}
     ${what && html`<div class="line"><span>${what}${doing && !share ? `: ${doing}` : ""}</span><span>${time}</span>
       <${Button} small icon="stop" text=${exporting ? "Cancel" : "Stop"} label=${exporting ? "Cancel the export" : "Stop and keep what is painted so far"}
         onClick=${() => act(exporting ? "cancel" : "stop")} /></div>
@@ -98,7 +113,7 @@ function App() {
   return html`<div class="app" data-tab=${tab.value}>
     <${Header} />
     <${Objects} viewport=${() => viewport} />
-    <main class="stage"><${Picture} /><${Toolbar} /><${Progress} /></main>
+    <main class="stage"><${Picture} /><${Toolbar} /><${Hints} /><${Progress} /></main>
     <${Layers} viewport=${() => viewport} />
     <nav class="tabs">${TABS.map(([key, words]) => html`<button type="button" aria-pressed=${tab.value === key} onClick=${() => (tab.value = key)}>${words}</button>`)}</nav>
     <${Strip} viewport=${() => viewport} />
@@ -111,8 +126,9 @@ window.addEventListener("keydown", (event) => {
   const key = event.key.toLowerCase();
   const does = event.ctrlKey || event.metaKey
     ? { z: () => act("step", { rows: event.shiftKey ? 1 : -1 }), y: () => act("step", { rows: 1 }), s: () => act("save") }[key]
-    : { h: () => viewport.home(), c: () => tool.value === "surface" && viewport.tools.sizeAgain(), escape: () => act("pick_names", { names: [] }) }[key];
-  if (!does || (hello.value.readonly && key !== "h")) return;
+    : { h: () => viewport.home(), c: () => tool.value === "surface" && viewport.tools.sizeAgain(), "?": () => (dialog.value = "help"),
+        "[": () => (brush.value = Math.max(0.005, brush.value - 0.005)), "]": () => (brush.value = Math.min(0.15, brush.value + 0.005)), escape: () => act("pick_names", { names: [] }) }[key];
+  if (!does || (hello.value.readonly && !["h", "?"].includes(key))) return;
   event.preventDefault();
   does();
 });
