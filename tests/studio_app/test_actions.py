@@ -34,6 +34,7 @@ from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.studio_app.views import Views
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
+from stylesplat.verbs.stylize import stylize
 
 CAMERAS = EIGHT[::2]  # all around
 CAMERA = enlarged(CAMERAS, 4)[0]
@@ -264,6 +265,52 @@ def test_an_object_has_several_layers_with_blends_masks_and_settings_of_others(p
     assert state.layers[1].blend == "normal", page.said
     page.act("step", rows=-1)
     assert page.actions.state_message().layers[1].blend == "luminosity", "in one step"
+
+
+def test_what_is_removed_or_mended_is_a_layer_that_a_recipe_repeats(page: Page, tmp_path: Path):
+    session, (x, y) = page.session, place("7")
+    before = session.state.scene
+    page.act("pick_at", place=place("3"), tolerance=0.15)
+    selection = session.state.selection
+    assert selection is not None
+    ball = find_object(before, "3")
+    assert (selection.weights[ball] > 0).float().mean() > 0.5
+    assert (selection.weights[find_object(before, "7")] > 0).sum() == 0
+    for what, values in (("size", before.base.scales.amax(1)), ("opacity", -before.base.opacities)):
+        state = page.act("pick_extreme", by=what, share=0.1)
+        assert state.selection is not None and state.selection.count == 44
+        assert session.state.selection is not None
+        chosen = session.state.selection.weights > 0
+        assert values[chosen].min() >= values[~chosen].max()
+    page.act("pick_extreme", by="distance", share=0.1)
+    state = page.act("pick_extreme", by="distance", share=0.05)
+    assert state.undo == "Selected" and state.selection is not None
+    assert state.selection.count == 22
+    state = page.act("step", rows=-1)
+    assert state.undo == "Selected" and state.selection is not None, "the one before"
+    page.act("pick_names", names=["3"])
+    state = page.act("remove_picked")
+    assert [each.name for each in state.layers] == ["3/removed"] and not state.selection
+    assert (session.state.scene.splats.opacities[ball] < -15).all()
+    assert torch.equal(session.state.scene.splats.opacities[~ball], before.splats.opacities[~ball])
+    page.act("mend_drawn", points=[(x, y)], radius=0.05)
+    state = page.act("mend_drawn", points=[(x + 0.03, y)], radius=0.05)
+    assert [each.title for each in state.layers] == ["removed", "mended"], page.said
+    mended = session.state.scene.splats
+    assert not torch.equal(mended.sh0, before.splats.sh0)
+    page.act("recolor", names=["7"], setting="hue", value=50)
+    page.act("save")
+    saved = open(session.folder)
+    assert torch.equal(saved.splats.sh0, session.state.scene.splats.sh0)
+    recipe = read_recipe(session.folder / "recipe.json")
+    again = stylize(before, recipe, device="cpu", measured=False)
+    assert [each.name for each in again.layers] == ["3/removed", "mended", "7/recolor"]
+    for name, tensor in saved.splats.tensors().items():
+        assert torch.equal(tensor, again.splats.tensors()[name]), name
+    for name in ("7/recolor", "mended", "3/removed"):
+        page.act("remove_paint", name=name)
+    assert torch.equal(session.state.scene.splats.opacities, before.splats.opacities)
+    assert torch.equal(session.state.scene.splats.sh0, before.splats.sh0) and not page.said[1:]
 
 
 def test_a_selection_becomes_an_object_by_paint_which_fades_with_its_border(page: Page):

@@ -18,7 +18,15 @@ from stylesplat.io.json_yaml import FilePath, convert_checked, read_json_as, wri
 from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import GAUSSIANS, Declared, read_tensors, write_tensors
 from stylesplat.options import MAX_INTENSITY
-from stylesplat.scene.layers import LABEL, Blend, Layer, LayerKind, Source, recoloring
+from stylesplat.scene.layers import (
+    LABEL,
+    Blend,
+    Layer,
+    LayerKind,
+    Source,
+    recoloring,
+    split_name,
+)
 from stylesplat.scene.objects import check_name_or_id
 from stylesplat.scene.splats import Splats
 
@@ -124,7 +132,7 @@ def recipe_of(layers: Sequence[Layer]) -> dict[str, Any]:
     The settings of the first paint apply to all paint; each object lists those that differ.
     `intensity` and `form` are the values of now. A recolouring is an entry of its own.
     """
-    shared = dict(next((each.settings for each in layers if each.color_map is None), {}))
+    shared = dict(next((each.settings for each in layers if each.kind == "paint"), {}))
     objects = [_recipe_entry(number, layer, shared) for number, layer in enumerate(layers)]
     return {"objects": objects, "settings": shared}
 
@@ -141,8 +149,11 @@ def _recipe_entry(number: int, layer: Layer, shared: Mapping[str, Any]) -> dict[
     paths, digests = ([getattr(s, name) for s in layer.styles] for name in ("path", "sha256"))
     intensity = layer.strength if layer.visible else 0.0
     shown = {} if layer.blend == "normal" else {"blend": layer.blend}
+    file = f"{LAYERS}/{file_name(number, layer)}"
+    if layer.kind == "edit":
+        return {"name": layer.name, "layer": file, "intensity": intensity, **shown}
     if layer.mask is not None:
-        shown["mask"] = f"{LAYERS}/{file_name(number, layer)}"
+        shown["mask"] = file
     if layer.color_map is not None:
         picture = {"match": paths[0], "sha256": digests[0]} if paths else {}
         recolor = {**layer.settings, **picture}
@@ -276,6 +287,13 @@ def read_mask(path: Path, count: int, kind: LayerKind) -> Float[Tensor, " B"]:
     if "mask" not in tensors:
         raise StyleSplatError(f"{path} holds no mask. Leave `mask` out of the recipe.")
     return torch.ones(count).index_copy(0, tensors["rows"], tensors["mask"])
+
+
+def read_edit(path: Path, name: str, count: int, strength: float, blend: Blend) -> Layer:
+    """Read the file of a layer that removes or recolours, of a base of `count` Gaussians."""
+    object, label = split_name(name)
+    entry = _Layer(path.name, object, "edit", label, blend, strength)
+    return _read(path, entry, count)
 
 
 def _source(each: _Source) -> Source:

@@ -21,7 +21,7 @@ from stylesplat.scene.splats import LUMA, SH_C0, Splats, map_bands
 
 UNSEEN = -16.0  # logit of an opacity that no picture shows
 THROUGH = 0.003  # transmittance of all surfels, which makes the visible strength linear
-LayerKind = Literal["paint", "recolour"]
+LayerKind = Literal["paint", "recolour", "edit"]
 Blend = Literal["normal", "luminosity", "colour"]
 RELIEF_FORM, MOST_FORM = 1.0, 1.5  # up to the first relief shows, from there on sculpture
 RECOLOR = "/recolor"  # after an object's name, in which there is no slash: its recolouring
@@ -97,7 +97,7 @@ class Layer:
 
     def __repr__(self) -> str:
         pictures = join_names(each.path.name if each.path else "a picture" for each in self.styles)
-        if self.color_map is not None:
+        if self.kind != "paint":
             shown = f"strength {self.strength:g}" if self.visible else "hidden"
             return noun_repr(self, self.name, count_noun(len(self.rows), "Gaussian"), shown)
         gaussians = count_noun(len(self.rows), "Gaussian")
@@ -187,6 +187,22 @@ def recoloring(
         kind="recolour",
         color_map=color_map,
     )
+
+
+def edited(
+    object: str,
+    label: str,
+    rows: Int[Tensor, " R"],
+    shares: Float[Tensor, " R"],
+    opacity_factors: Float[Tensor, " R"],
+    sh0: Float[Tensor, "R 1 3"],
+    shN: Float[Tensor, "R _ 3"],
+    **columns: Any,
+) -> Layer:
+    """The layer that removes or recolours some rows, and what lies on them, as it is told."""
+    layer = recoloring(object, rows, torch.zeros(3, 4), shares=shares, **columns)
+    layer = replace(layer, kind="edit", label=label, color_map=None, sh0=sh0)
+    return replace(layer, shN=shN, opacity_factors=opacity_factors)
 
 
 def appearance_only(splats: Splats) -> Splats:

@@ -35,7 +35,13 @@ from stylesplat.studio_app import selecting as picking
 from stylesplat.studio_app.edits import describe_settings, find_layer, recoloring_of
 from stylesplat.studio_app.files import FORMATS, Exporter, SceneStore
 from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture, style_title
-from stylesplat.studio_app.history import CompactState, StudioState, hidden_rows, object_names
+from stylesplat.studio_app.history import (
+    CompactState,
+    StudioState,
+    hidden_rows,
+    object_names,
+    require_picked,
+)
 from stylesplat.studio_app.paint_queue import PaintQueue
 from stylesplat.studio_app.pictures import (
     MAP,
@@ -58,6 +64,8 @@ STUDIO_MOST_PIXELS = 8192  # along a side of a still picture
 PREVIEW_RATE = 20  # places a second of a path that a page flies along
 STUDIO_NEAREST = 0.1  # world units from a photo's camera to its target, at least
 IN_PLACE = ("scale", "color", "quality")  # settings of paint that a layer shows
+EDITS = {"recolour": "recoloured"}
+LEAST_TOUCH = 0.02  # of a Gaussian, by which a brush touches it
 DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
 SLOW = {
     "pick_at": "Looking for what belongs to the click",
@@ -68,6 +76,8 @@ SLOW = {
     "feather_picked": "Feathering what is picked",
     "picture": "Making the picture",
     "mask_drawn": "Painting the mask",
+    "mend_drawn": "Mending",
+    "pick_extreme": "Looking at all Gaussians",
     "save": "Saving",
     "save_as": "Saving",
     "step": "Going back or forth",
@@ -95,6 +105,7 @@ class Actions:
         self._reference: tuple[object, object, Display] | None = None
         self._spot: tuple[object, StudioState, StudioState] | None = None
         """Where was picked last, what became of it, and what was before."""
+        self._is_place = False
         scene = session.state.scene
         self._content = content_of(scene.splats).extent
         self._start = start_of(scene.splats, None if has_rendered_views(scene) else scene.cameras)
@@ -109,6 +120,7 @@ class Actions:
         changes += [layers.remove_mask]
         methods = [self.pick_at, self.pick_drawn, self.recolor, self.paint, self.stop]
         methods += [self.mask_drawn, self.repaint_layer, self.copy_settings]
+        methods += [self.mend_drawn, self.remove_picked, self.pick_extreme]
         methods += [self.queue.resume, self.queue.remove, self.previews.try_all, self.use_variant]
         methods += [self.compare_with, self.snapshot, self.restore, session.step, self.export]
         methods += [self.exporter.cancel, self.picture, self.turntable, self.background]
@@ -147,6 +159,8 @@ class Actions:
                 done()
 
         key = None
+        if name == "pick_extreme":
+            key = name, values["by"], values["how"]
         if name == "pick_at":
             key = name, values["place"], values["how"], self._look_number(client)
         if name in DRAGGED:
@@ -168,9 +182,10 @@ class Actions:
         how: m.How = "new",
         radius: m.Positive | None = None,
         reach: m.Positive | None = None,
+        tolerance: m.Positive | None = None,
         size: PickSize = "object",
     ) -> StudioState:
-        """Pick the ball around a place, what looks alike there, or what ends around it.
+        """Select the ball around a place, its colour, what looks alike there, or what ends there.
 
         The same place once more, of another size or reach, is picked in place of the last pick.
         """
@@ -181,11 +196,13 @@ class Actions:
             state = before
         if radius is not None:
             found = picking.pick_ball(state, camera, place, radius, how)
+        elif tolerance is not None:
+            found = picking.pick_color(state, camera, place, tolerance, how)
         elif reach is not None:
             found = picking.pick_alike(state, camera, place, reach, how)
         else:
             found = picking.pick_surface(state, camera, place, size, how)
-        self._spot = spot, found, state
+        self._spot, self._is_place = (spot, found, state), True
         return found
 
     def _look_number(self, client: int) -> int | None:
@@ -229,6 +246,40 @@ class Actions:
         weights = picking.brushed(state.scene, camera, region, rows)
         return layers.show_within(state, name, weights, shows)
 
+    def mend_drawn(
+        self, points: m.DrawnLine, radius: m.Share = 0.03, soft: m.Share = 0.5
+    ) -> StudioState:
+        """Recolour what a brush touches from what is around it."""
+        state, camera = self.session.state, self._camera()
+        region = picking.soft_brush(points, camera.size, radius, soft)
+        every = torch.ones(len(state.scene.base), dtype=torch.bool)
+        reach = picking.reach_of(state.scene, camera, region, radius)
+        weights = picking.brushed(state.scene, camera, region, every, reach)
+        return layers.mend(state, torch.where(weights > LEAST_TOUCH, weights, 0.0))
+
+    def remove_picked(self) -> StudioState:
+        """Hide what is picked or selected, by a layer."""
+        state = self.session.state
+        require_picked(state)
+        weights = picking.picked_weights(state) / 255
+        what = ", ".join(state.picked) or "the selection"
+        name = what if len(state.picked) == 1 else picking.free_part_name(state, "removed")
+        found = layers.remove_rows(state, name, weights, f"Removed {what}")
+        return replace(found, picked=(), selection=None)
+
+    def pick_extreme(self, by: m.Extreme, share: m.Share, how: m.How = "new") -> StudioState:
+        """Select the largest Gaussians, the faintest, or the loneliest.
+
+        Another share of the same takes the place of the last selection.
+        """
+        state, spot = self.session.state, (by, how)
+        known, picked, before = self._spot or (None, None, state)
+        if known == spot and picked is state:
+            state = before
+        found = picking.pick_extreme(state, by, share, how)
+        self._spot, self._is_place = (spot, found, state), False
+        return found
+
     def repaint_layer(self, name: m.ShortText, settings: dict[str, Any]) -> None:
         """Paint a layer again in its own style, with other settings."""
         layer = layers.find_layer(self.session.state.scene, name)
@@ -243,7 +294,7 @@ class Actions:
         settings = {**other.settings, "region": layer.settings.get("region")}
         note = f"Gave {name} the settings of {source}"
         layer = replace(layer, strength=other.strength, blend=other.blend)
-        if layer.color_map is not None or other.color_map is not None or settings == layer.settings:
+        if {layer.kind, other.kind} != {"paint"} or settings == layer.settings:
             return layers.replace_layer(state, replace(layer, form=other.form), note)
         own = {"intensity": other.strength, "form": other.form}
         style = layers.painted_style(replace(layer, settings=settings), **own)
@@ -442,7 +493,7 @@ class Actions:
         return m.StateMessage(
             objects=[self._object(name) for name in object_names(scene)],
             selection=selection,
-            again=self._spot is not None and self._spot[1] is state,
+            again=self._spot is not None and self._spot[1] is state and self._is_place,
             layers=[_layer_info(state, each) for each in scene.layers],
             views=self.views.cards(),
             up=self.views.levelled,
@@ -496,11 +547,12 @@ def _item(items: Sequence[T], number: int, what: str) -> T:
 
 
 def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
-    is_paint, title = layer.color_map is None, _title(layer)
+    is_paint, title = layer.kind == "paint", _title(layer)
     return m.LayerInfo(
         name=layer.name,
         object=layer.object,
-        title=title if is_paint else "recoloured",
+        kind=layer.kind,
+        title=title if is_paint else EDITS.get(layer.kind, layer.label or layer.object),
         strength=layer.strength,
         form=layer.form,
         visible=layer.visible,
@@ -510,7 +562,7 @@ def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
         masked=layer.mask is not None,
         settings=describe_settings(layer.settings),
         values={k: v for k, v in layer.settings.items() if k in IN_PLACE} if is_paint else {},
-        recolor=None if is_paint else {**recoloring_of(layer), "match": title},
+        recolor={**recoloring_of(layer), "match": title} if layer.kind == "recolour" else None,
     )
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.options import with_settings
-from stylesplat.scene.layers import RECOLOR, Blend, Layer, split_name
+from stylesplat.scene.layers import RECOLOR, Blend, Layer, edited, shown_like, split_name
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.history import StudioState
 from stylesplat.stylization.config import (
@@ -20,8 +20,11 @@ from stylesplat.stylization.config import (
     plain_settings,
     without_retired,
 )
+from stylesplat.stylization.mending import mended_bands
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust, recolor
+
+MENDED = "mended"  # the object of the layer of all mending
 
 
 def find_layer(scene: Scene, name: str) -> Layer:
@@ -160,6 +163,52 @@ def recoloring_of(layer: Layer) -> dict[str, Any]:
     return {**layer.settings, **match}
 
 
+def remove_rows(
+    state: StudioState, name: str, weights: Float[Tensor, " B"], note: str
+) -> StudioState:
+    """Hide Gaussians by a layer, as far as they are removed."""
+    rows, base = weights.nonzero()[:, 0], state.scene.base
+    label = _free_label(state.scene, name, "removed")
+    bands = base.sh0[rows].cpu(), base.shN[rows].cpu()
+    kept = torch.zeros(len(rows))
+    return replace_layer(state, edited(name, label, rows, kept, 1 - weights[rows], *bands), note)
+
+
+def mend(state: StudioState, weights: Float[Tensor, " B"]) -> StudioState:
+    """Recolour Gaussians from those around them, by how much a brush touches each.
+
+    All strokes are one layer. They mend what shows with it and below it.
+    """
+    scene, known = state.scene, state.scene.layer(MENDED)
+    refuse_locked(state, MENDED)
+    upto = scene if known is None else scene.below(MENDED).with_layer(known)
+    rows = weights.nonzero()[:, 0]
+    if not len(rows):
+        raise StyleSplatError("The brush touched nothing. Brush over the scene.")
+    found = mended_bands(upto.splats, upto.to_splats(weights > 0), rows)
+    sh0, shN = upto.base.sh0.cpu().clone(), upto.base.shN.cpu().clone()
+    shares = torch.zeros(len(sh0))
+    if known is not None:
+        sh0[known.rows], shN[known.rows], shares[known.rows] = known.sh0, known.shN, known.shares
+    before, new = shares[rows], weights[rows]
+    both = 1 - (1 - before) * (1 - new)  # of what is below, that is covered after both
+    part = (new / both.clamp(min=1e-12))[:, None, None]
+    sh0[rows] = torch.lerp(sh0[rows], found[0].cpu(), part)
+    shN[rows] = torch.lerp(shN[rows], found[1].cpu(), part)
+    shares[rows] = both
+    own = shares.nonzero()[:, 0]
+    layer = edited(MENDED, "", own, shares[own], torch.ones(len(own)), sh0[own], shN[own])
+    if known is not None:
+        layer = replace(shown_like(layer, known, len(sh0)), strength=known.strength)
+    return replace_layer(state, layer, "Mended with the brush")
+
+
+def _free_label(scene: Scene, object: str, label: str) -> str:
+    known = {layer.name for layer in scene.layers}
+    labels = (label if n == 1 else f"{label} {n}" for n in range(1, len(known) + 2))
+    return next(each for each in labels if f"{object}/{each}" not in known)
+
+
 def free_layer_name(scene: Scene, object: str) -> str:
     """The name of another layer of paint on an object."""
     known = {layer.name for layer in scene.layers}
@@ -170,7 +219,7 @@ def free_layer_name(scene: Scene, object: str) -> str:
 def painted_style(layer: Layer, **settings: Any) -> Style:
     """The style of a layer of paint, with some other settings."""
     files = [source.path for source in layer.styles]
-    if layer.color_map is not None or None in files or layer.features != DEFAULT_NETWORK:
+    if layer.kind != "paint" or None in files or layer.features != DEFAULT_NETWORK:
         raise StyleSplatError(
             f"{_what(layer.name)[0].upper()}{_what(layer.name)[1:]} cannot be painted again here. "
             "Paint it in another style."
@@ -183,6 +232,10 @@ def _what(name: str) -> str:
     object, label = split_name(name)
     if name.endswith(RECOLOR):
         return f"the recolouring of {object}"
+    if name == MENDED:
+        return "the mending"
+    if label.startswith("removed"):
+        return f"the removal of {object}"
     return f"paint {label} of {object}" if label else f"the paint of {object}"
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from stylesplat.options import options_of
-from stylesplat.scene.layers import Blend
+from stylesplat.scene.layers import Blend, LayerKind
 from stylesplat.studio_app.gallery import StylePicture
 
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
@@ -21,6 +21,7 @@ PictureSide = Annotated[int, msgspec.Meta(ge=1, le=16384)]
 Bounded = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]  # float32 squares it
 ViewVector = tuple[Bounded, Bounded, Bounded]
 How = Literal["new", "add", "away", "within"]
+Extreme = Literal["size", "opacity", "distance"]
 Shape = Literal["rectangle", "lasso", "brush"]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 DrawnLine = Annotated[list[PicturePoint], msgspec.Meta(min_length=1, max_length=4000)]
@@ -107,6 +108,7 @@ class SelectionInfo(msgspec.Struct, frozen=True):
 class LayerInfo(msgspec.Struct, frozen=True):
     name: str
     object: str
+    kind: LayerKind
     title: str
     strength: float
     form: float

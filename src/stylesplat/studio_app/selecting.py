@@ -17,11 +17,12 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.hub import is_at_hand
 from stylesplat.options import PickSize
+from stylesplat.rendering.render import colors_of, render
 from stylesplat.rendering.weights import expected_depth, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import opaque_rows
 from stylesplat.scene.objects import SceneObject
-from stylesplat.scene.projection import project
+from stylesplat.scene.projection import crop, project
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.selection import IN_MEMORY, Selection
 from stylesplat.scene.world_offset import to_world
@@ -39,7 +40,8 @@ from stylesplat.selection.surface_cut import pick_clicked
 from stylesplat.selection.surface_graph import NothingToPick
 from stylesplat.selection.text import CHECKPOINT
 from stylesplat.studio_app.history import Selected, StudioState, replace_scene, require_picked
-from stylesplat.studio_app.messages import How, PicturePoint, Shape, ViewVector
+from stylesplat.studio_app.messages import Extreme, How, PicturePoint, Shape, ViewVector
+from stylesplat.training.initialize import neighbor_distances
 from stylesplat.verbs.objects import delete, rename
 
 BENEATH = 0.1  # of what shows: how deep what is beneath belongs to it
@@ -52,6 +54,33 @@ BY = {  # what a selection does to the one before
     "away": "Removed from the selection",
     "within": "Cut the selection",
 }
+
+
+def pick_color(
+    state: StudioState, camera: Cameras, place: PicturePoint, tolerance: float, how: How = "new"
+) -> StudioState:
+    """Select what has the colour of a place, both as seen from here: all colours are 0 to 1."""
+    splats = state.scene.splats
+    column, row = map(int, _pixel_of(camera, place))
+    image, _ = render(splats, crop(camera, (column, row), (1, 1)))
+    rows = torch.arange(len(splats), device=splats.device)
+    colors = colors_of(splats, rows, camera.positions.to(splats.means)).clamp(0, 1)
+    alike = (colors - image[0, 0].clamp(0, 1)).norm(dim=1) <= tolerance
+    return _combined(state, how, state.scene.most_of(alike).cpu())
+
+
+def pick_extreme(state: StudioState, by: Extreme, share: float, how: How = "new") -> StudioState:
+    """Select the largest Gaussians, the faintest, or those farthest from others."""
+    base = state.scene.base
+    if by == "size":
+        values = base.scales.amax(dim=1)
+    elif by == "opacity":
+        values = -base.opacities
+    else:
+        values = neighbor_distances(base.means.detach().cpu())
+    count = max(1, round(share * len(values)))
+    found = torch.zeros(len(values), dtype=torch.bool)
+    return _combined(state, how, found.index_fill(0, values.cpu().topk(count).indices, True))
 
 
 def pick_names(state: StudioState, names: Sequence[str], how: How = "new") -> StudioState:
@@ -137,11 +166,16 @@ def _rounded(places: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
 
 @torch.no_grad()
 def brushed(
-    scene: Scene, camera: Cameras, region: Float[Tensor, "H W"], rows: Bool[Tensor, " B"]
+    scene: Scene,
+    camera: Cameras,
+    region: Float[Tensor, "H W"],
+    rows: Bool[Tensor, " B"],
+    reach: float | None = None,
 ) -> Float[Tensor, " B"]:
     """How much of some Gaussians lies in a region of a picture: of what shows, and just beneath.
 
-    What shows counts by its pixels, and what is beneath, as far as for `pick_drawn`, by its place.
+    What shows counts by its pixels, and what is beneath by its place: as far as `reach`, or as for
+    `pick_drawn`.
     """
     base = scene.base
     parts = torch.stack([region, torch.ones_like(region)], dim=-1)
@@ -153,10 +187,21 @@ def brushed(
     height, width = region.shape
     seen = (own > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height) & rows
     pixels = row.clamp(0, height - 1), column.clamp(0, width - 1)
-    reach = BENEATH * robust_diameter(base.means[opaque_rows(base, rows)])
+    if reach is None:
+        reach = BENEATH * robust_diameter(base.means[opaque_rows(base, rows)])
     near = (alphas[pixels] > LEAST_SHOWN) & (own <= depths[pixels] + reach)
     beneath = torch.where(seen & near, region[pixels].to(own), 0.0)
     return torch.where(rows, share.maximum(beneath), 0.0).cpu()
+
+
+@torch.no_grad()
+def reach_of(scene: Scene, camera: Cameras, region: Float[Tensor, "H W"], radius: float) -> float:
+    """The radius of a brush in world units, where the scene is that lies below it."""
+    depths, alphas = expected_depth(scene.splats, camera)
+    below = depths[(region > 0).to(depths.device) & (alphas > 0.5)]
+    if not len(below):
+        raise StyleSplatError("Nothing solid lies below the brush. Brush over the scene.")
+    return float(below.median()) * radius * camera.size[1] / float(camera.Ks[0, 1, 1])
 
 
 def soft_brush(
@@ -213,7 +258,7 @@ def pick_words(state: StudioState, text: str) -> StudioState:
 def unite_picked(state: StudioState) -> StudioState:
     """Select what belongs to any of the picked objects."""
     require_picked(state)
-    return _combined(state, "new", _weights(state), Selection(plus=state.picked))
+    return _combined(state, "new", picked_weights(state), Selection(plus=state.picked))
 
 
 def subtract_picked(state: StudioState) -> StudioState:
@@ -229,7 +274,7 @@ def subtract_picked(state: StudioState) -> StudioState:
 def resize_picked(state: StudioState, share: float) -> StudioState:
     """Let what is picked grow by a share of its extent, or shrink if that is negative."""
     require_picked(state)
-    base, own = state.scene.base, _weights(state) >= 128
+    base, own = state.scene.base, picked_weights(state) >= 128
     found = grow(base, own, share) if share > 0 else shrink(base, own, -share)
     return _selected(state, found, f"{'Grew' if share > 0 else 'Shrank'} the selection")
 
@@ -237,13 +282,13 @@ def resize_picked(state: StudioState, share: float) -> StudioState:
 def feather_picked(state: StudioState, share: float) -> StudioState:
     """Let the border of what is picked fade over a share of its extent."""
     require_picked(state)
-    weights = feather(state.scene.base, _weights(state) >= 128, share)
+    weights = feather(state.scene.base, picked_weights(state) >= 128, share)
     return _selected(state, (255 * weights).round().byte(), "Feathered the selection")
 
 
 def invert_picked(state: StudioState) -> StudioState:
     require_picked(state)
-    return _selected(state, 255 - _weights(state), "Inverted the selection")
+    return _selected(state, 255 - picked_weights(state), "Inverted the selection")
 
 
 def name_selection(state: StudioState, name: str) -> StudioState:
@@ -259,12 +304,16 @@ def name_selection(state: StudioState, name: str) -> StudioState:
 def with_object_of_selection(state: StudioState, kind: str) -> StudioState:
     """The state whose selection is an object called like `painted part`, with all that fades."""
     assert state.selection is not None
-    taken = {*state.scene.objects, *state.scene.painted_objects}
-    names = (f"{kind} part{f' {n}' if n > 1 else ''}" for n in range(1, len(taken) + 2))
-    name = next(each for each in names if each not in taken)
+    name = free_part_name(state, kind)
     found = SceneObject(state.selection.weights > 0, state.selection.record)
     scene = state.scene.with_object(name, found)
     return replace(state, scene=scene, picked=(name,), selection=None)
+
+
+def free_part_name(state: StudioState, kind: str) -> str:
+    taken = {*state.scene.objects, *state.scene.painted_objects}
+    names = (f"{kind} part{f' {n}' if n > 1 else ''}" for n in range(1, len(taken) + 2))
+    return next(each for each in names if each not in taken)
 
 
 def rename_picked(state: StudioState, name: str) -> StudioState:
@@ -305,7 +354,7 @@ def _pixel_of(camera: Cameras, place: PicturePoint) -> tuple[float, float]:
     return x * width, y * height
 
 
-def _weights(state: StudioState) -> UInt8[Tensor, " B"]:
+def picked_weights(state: StudioState) -> UInt8[Tensor, " B"]:
     """How much each Gaussian belongs to the selection, or else to what is picked."""
     if state.selection is not None:
         return state.selection.weights
@@ -331,7 +380,7 @@ def _combined(
     own = found.cpu() if found.dtype == torch.uint8 else 255 * found.cpu().byte()
     if how == "new":
         return _selected(state, own, BY[how], record)
-    before = _weights(state)
+    before = picked_weights(state)
     if not before.any() and how != "add":
         raise StyleSplatError("Nothing is selected that could be changed. Select something first.")
     own = {"add": before.maximum(own), "away": before.minimum(255 - own)}.get(

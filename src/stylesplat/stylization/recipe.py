@@ -21,7 +21,14 @@ from stylesplat.stylization.config import (
     recolor_config,
     without_retired,
 )
-from stylesplat.stylization.style import Recipe, RecoloredObject, Style, StyledObject, digest
+from stylesplat.stylization.style import (
+    Recipe,
+    RecoloredObject,
+    StoredLayer,
+    Style,
+    StyledObject,
+    digest,
+)
 
 Preset = Literal["default", "paper"]
 Strength = Intensity | None  # pyright: ignore[reportOperatorIssue]
@@ -84,7 +91,9 @@ def read_recipe(path: Path | str, *, preset: Preset = "default") -> Recipe:
         objects, recolors = [], []
         for name, entry in _named_entries(shared.get("objects")):
             with error_context(name):
-                if "recolor" in entry:
+                if "layer" in entry:
+                    recolors.append(_stored_layer(name, entry, len(objects), path.parent))
+                elif "recolor" in entry:
                     recolors.append(_recolored_object(name, entry, len(objects), path.parent))
                 else:
                     objects.append(_styled_object(name, entry, config, shared, path.parent))
@@ -176,6 +185,14 @@ def _recolored_object(
         own.get("blend", "normal"),
         folder / own["mask"] if "mask" in own else None,
     )
+
+
+def _stored_layer(name: str, entry: dict[str, Any], place: int, folder: Path) -> StoredLayer:
+    own = convert_settings(entry, {"layer": str, "intensity": float, "blend": Blend})
+    file, strength = folder / own["layer"], own.get("intensity", 1.0)
+    if not file.is_file():
+        raise StyleSplatError(f"there is no file {file} with the layer. Keep it beside the recipe.")
+    return StoredLayer(name, file, strength, place, own.get("blend", "normal"))
 
 
 def _pictures(files: tuple[Any, ...], digests: tuple[Any, ...], folder: Path) -> list[Path]:

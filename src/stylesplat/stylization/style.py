@@ -232,13 +232,25 @@ class RecoloredObject:
 
 
 @dataclass(frozen=True)
+class StoredLayer:
+    """A layer of a recipe that is not painted but taken from a file."""
+
+    name: str
+    path: Path
+    strength: float = 1.0
+    place: int = 0
+    """How many of the recipe's objects are painted before."""
+    blend: Blend = "normal"
+
+
+@dataclass(frozen=True)
 class Recipe:
     """Which objects to repaint, and how."""
 
     objects: tuple[StyledObject, ...] = ()
     """The lowest layer first, each once."""
-    recolors: tuple[RecoloredObject, ...] = ()
-    """The lowest first."""
+    recolors: tuple[RecoloredObject | StoredLayer, ...] = ()
+    """What is recoloured, or taken from a file, the lowest first."""
 
     def protecting(self, names: tuple[str, ...]) -> "Recipe":
         """The recipe whose objects spare some more objects."""

@@ -215,7 +215,7 @@ def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
     picks = {each.object: each.covered(len(base)).to(base.device) for each in scene.layers}
     objects = {}
     for layer in scene.layers:
-        if layer.color_map is not None:
+        if layer.kind != "paint":
             continue
         picked = picks[layer.object]
         boxes, views = find_boxes(base, cameras, picked), cameras

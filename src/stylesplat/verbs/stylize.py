@@ -10,7 +10,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.style import flat_metrics, measure_painted
-from stylesplat.io.layers import read_mask
+from stylesplat.io.layers import read_edit, read_mask
 from stylesplat.io.style_pictures import Picture
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
@@ -32,6 +32,7 @@ from stylesplat.stylization.sculpture import sculpted, with_sculptures
 from stylesplat.stylization.style import (
     Recipe,
     RecoloredObject,
+    StoredLayer,
     Style,
     StyledObject,
     as_recipe,
@@ -145,7 +146,13 @@ stylise = stylize
 def _recolored(scene: Scene, recipe: Recipe, place: int) -> Scene:
     """The scene after the recolourings of a recipe that follow so many paintings."""
     for each in recipe.recolors:
-        if each.place == place:
+        if each.place != place:
+            continue
+        if isinstance(each, StoredLayer):
+            count = len(scene.base)
+            layer = read_edit(each.path, each.name, count, each.strength, each.blend)
+            scene = scene.with_layer(layer)
+        else:
             scene = recolor(scene, each.name, strength=each.strength, **each.config.changed)
             scene = _as_in(scene, f"{each.name}{RECOLOR}", each)
     return scene

@@ -19,6 +19,7 @@ export const radius = signal(0); // of the ball, in world units
 export const SIZES = ["part", "object", "group"];
 export const size = signal("object"); // of what a click on the surface picks: or part, group
 export const reach = signal(0); // of the wand, likewise
+export const tolerance = signal(0.15); // of colours that are alike: how far red, green and blue differ
 export const brush = signal(0.03); // its radius, as a share of the picture's height
 export const mode = kept("mode", "after"); // or split, before
 export const cut = kept("cut", 0.5); // where the border between before and after is, as a share

@@ -128,7 +128,7 @@ const LOOK_KEYS = [
 ];
 const EDIT_KEYS = [
   ["Click", "pick an object"], ["Shift, Ctrl", "add, remove"], ["Ctrl+Shift", "keep what both have"], ["Alt drag", "turn, with any tool"],
-  ["[ ]", "a smaller, a larger brush"], ["C", "another size of a click on the surface"], ["Enter", "pick what is in the middle"], ["Esc", "pick nothing"],
+  ["[ ]", "a smaller, a larger brush"], ["C", "another size of a click on the surface"], ["Enter", "pick what is in the middle"], ["Esc", "pick nothing"], ["Delete", "remove what is picked"],
   ["Ctrl+Z, Ctrl+Y", "undo, redo"], ["Ctrl+S", "save"],
 ];
 

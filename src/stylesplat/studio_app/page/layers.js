@@ -80,7 +80,7 @@ function Layer({ layer, lowest, grip, dragged, place }) {
   const { name, object, recolor } = layer, now = state.value, label = name.split("/")[1];
   const found = now.objects.find((each) => each.name === object), chosen = activeLayer()?.name === name;
   const fixed = layer.locked || now.painting;
-  const what = recolor ? `the colours of ${object}` : `the paint of ${object}${label ? ` (${label})` : ""}`;
+  const what = layer.kind === "edit" ? layer.title : recolor ? `the colours of ${object}` : `the paint of ${object}${label ? ` (${label})` : ""}`;
   const choose = () => {
     active.value = name;
     if (found && !found.picked) act("pick_names", { names: [object] });
@@ -89,7 +89,7 @@ function Layer({ layer, lowest, grip, dragged, place }) {
     <div class="line"><button type="button" class="square small grip" aria-label=${`Move ${what}: drag, or the arrow keys`} title="Drag to reorder" ...${grip}><${Icon} name="grip" /></button>
       <button type="button" class="card flat" aria-pressed=${chosen} aria-expanded=${chosen} title=${layer.settings} onClick=${choose}>
         ${found?.thumbnail ? html`<img src=${found.thumbnail} alt="" />` : html`<span class="blank"></span>`}
-        <span><b>${object}${label && !recolor ? ` ${label}` : ""}</b><br />${layer.title}${layer.masked ? ", masked" : ""}</span></button>
+        <span><b>${object}${layer.kind === "paint" && label ? ` ${label}` : ""}</b>${layer.title !== object && html`<br />${layer.title}`}${layer.masked ? ", masked" : ""}</span></button>
       <${Button} small icon=${layer.visible ? "eye" : "hidden"} label=${`${layer.visible ? "Hide" : "Show"} ${what}`} onClick=${() => act("set_visible", { name, visible: !layer.visible })} /></div>
     <${Slider} label="Strength" value=${layer.strength} high=${1.5} show=${percent} disabled=${fixed} onInput=${(strength) => act("adjust_layer", { name, strength })} />
     ${chosen && html`<${Controls} layer=${layer} what=${what} fixed=${fixed} lowest=${lowest} />`}</li>`;
@@ -97,14 +97,14 @@ function Layer({ layer, lowest, grip, dragged, place }) {
 
 // What else can be changed of the layer that is chosen
 function Controls({ layer, what, fixed, lowest }) {
-  const { name, recolor, values } = layer;
+  const { name, values } = layer;
   const set = (setting, value) => act("repaint_layer", { name, settings: { [setting]: value } });
   const offered = hello.value.settings, size = offered.find((each) => each.name === "scale"), colors = offered.find((each) => each.name === "color");
-  return html`${!recolor && html`<${Slider} label="Form" value=${layer.form} high=${1.5} show=${percent} disabled=${fixed} onInput=${(form) => act("adjust_layer", { name, form })} />
+  return html`${layer.kind === "paint" && html`<${Slider} label="Form" value=${layer.form} high=${1.5} show=${percent} disabled=${fixed} onInput=${(form) => act("adjust_layer", { name, form })} />
       <${Resting} key=${values.scale} control=${size} value=${values.scale} disabled=${layer.locked} onRest=${(value) => set("scale", value)} />
       <div class="row"><${Select} label="Colours" value=${values.color} choices=${colors.choices} disabled=${layer.locked} onChange=${(value) => set("color", value)} />
         ${values.quality === "draft" && html`<${Button} text="Finish" label="Paint it at full quality" disabled=${fixed} onClick=${() => set("quality", "normal")} />`}</div>`}
-    <${Select} label=${lowest ? "Blend with the scene" : "Blend with what is below"} value=${layer.blend} choices=${BLENDS} disabled=${fixed} onChange=${(blend) => act("set_blend", { name, blend })} />
+    ${!layer.title.startsWith("removed") && html`<${Select} label=${lowest ? "Blend with the scene" : "Blend with what is below"} value=${layer.blend} choices=${BLENDS} disabled=${fixed} onChange=${(blend) => act("set_blend", { name, blend })} />`}
     <div class="row"><${Button} icon="mask" text="Mask" label="Brush the layer out, and in again" active=${tool.value === "mask"} disabled=${fixed} onClick=${() => brushMask()} />
       <${Button} text="To selection" label="Show the layer within the selection alone" disabled=${fixed || !state.value.selection} onClick=${() => act("mask_by_selection", { name })} />
       ${layer.masked && html`<${Button} text="No mask" label="Remove the mask" disabled=${fixed} onClick=${() => act("remove_mask", { name })} />`}</div>
@@ -113,7 +113,7 @@ function Controls({ layer, what, fixed, lowest }) {
       <${Button} icon="alone" label=${layer.solo ? "Show the other layers again" : `Show ${what} alone`} active=${layer.solo} onClick=${() => act("solo_layer", { name })} />
       <span class="grow"></span>
       <${Button} icon="trash" danger label=${`Remove ${what}`} disabled=${fixed} onClick=${() => act("remove_paint", { name })} /></div>
-    ${state.value.layers.length > 1 && html`<div class="row"><${Select} label="Settings like" value="" disabled=${fixed}
+    ${layer.kind !== "edit" && state.value.layers.length > 1 && html`<div class="row"><${Select} label="Settings like" value="" disabled=${fixed}
       choices=${[["", "choose a layer"], ...state.value.layers.filter((each) => each.name !== name).map((each) => [each.name, `${each.object}: ${each.title}`])]}
       onChange=${(other) => other && act("copy_settings", { name, source: other })} /></div>`}`;
 }

@@ -127,7 +127,7 @@ window.addEventListener("keydown", (event) => {
   const does = event.ctrlKey || event.metaKey
     ? { z: () => act("step", { rows: event.shiftKey ? 1 : -1 }), y: () => act("step", { rows: 1 }), s: () => act("save") }[key]
     : { h: () => viewport.home(), c: () => tool.value === "surface" && viewport.tools.sizeAgain(), "?": () => (dialog.value = "help"),
-        "[": () => (brush.value = Math.max(0.005, brush.value - 0.005)), "]": () => (brush.value = Math.min(0.15, brush.value + 0.005)), escape: () => act("pick_names", { names: [] }) }[key];
+        "[": () => (brush.value = Math.max(0.005, brush.value - 0.005)), "]": () => (brush.value = Math.min(0.15, brush.value + 0.005)), delete: () => act("remove_picked"), escape: () => act("pick_names", { names: [] }) }[key];
   if (!does || (hello.value.readonly && !["h", "?"].includes(key))) return;
   event.preventDefault();
   does();

@@ -59,8 +59,10 @@ export class Overlay {
     this.draw();
   }
 
-  // The tint goes when a painting begins
+  // The tint goes when a painting begins, and all of it when nothing is picked any more
   tintAgain() {
+    const { objects, selection } = state.value;
+    if (this.picked?.inside && !selection && !objects.some((each) => each.picked)) this.setGlow({ ...this.picked, names: [], inside: null, shares: null });
     if (this.picked && this.picked.tint !== glowing(this.picked.names)) this.setGlow(this.picked);
   }
 

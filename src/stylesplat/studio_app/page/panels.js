@@ -1,7 +1,8 @@
 // The panels: tools, objects, and style pictures
 
-import { above, brush, dialog, how, part, radius, reach, regions, settings, shows, size, SIZES, soft, strip, tool } from "./choices.js";
+import { above, brush, dialog, how, part, radius, reach, regions, settings, shows, size, SIZES, soft, strip, tolerance, tool } from "./choices.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
+import { useSignal } from "./libraries/signals.js";
 import { act, hello, newest, note, state, upload } from "./connection.js";
 import { activeLayer } from "./layers.js";
 import { Leveling, ViewStrip, ViewTools } from "./views.js";
@@ -11,12 +12,14 @@ const TOOLS = [
   ["object", "Pick objects: click. Shift adds, Ctrl removes; both with a drag, too"],
   ["surface", "Pick what ends around a click: a part, an object or a group; C or another click there changes which. Shift adds, Ctrl removes"],
   ["wand", "Pick what looks alike around a click. Shift adds, Ctrl removes"],
+  ["color", "Select a colour, as it is seen from here. Shift adds, Ctrl removes"],
   ["ball", "Pick a ball around a place"],
   ["brush", "Brush over what is meant. Ctrl removes; hold Alt to turn"],
   ["lasso", "Draw a line around what is meant. Shift adds, Ctrl removes; hold Alt to turn"],
   ["rectangle", "Draw a rectangle around what is meant. Shift adds, Ctrl removes; hold Alt to turn"],
   ["box", "Pick what lies inside a box"],
   ["mask", "Brush the layer that is chosen out and in. Shift brushes in, Ctrl out; hold Alt to turn"],
+  ["mend", "Mend: brush over a fault, and what is around it is continued. Hold Alt to turn"],
   ["strokes", "Size and direction of the strokes of the picked object"],
 ];
 
@@ -57,13 +60,17 @@ export function Toolbar() {
   const chosen = tool.value, { extent } = hello.value;
   return html`<div class="toolbar" role="toolbar" aria-label="Picking tools">
     <div class="tools">${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}</div>
-    ${!["mask", "strokes", "box"].includes(chosen) && html`<div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"], ["within", "Keep"]].map(([key, words]) =>
+    ${!["mask", "mend", "strokes", "box"].includes(chosen) && html`<div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"], ["within", "Keep"]].map(([key, words]) =>
       html`<button type="button" title=${key === "within" ? "Keep what both have" : words} aria-pressed=${how.value === key} onClick=${() => (how.value = key)}>${words}</button>`)}</div>`}
     ${chosen === "surface" && html`<div class="options segments" role="group" aria-label="Size">
       ${SIZES.map((each) => html`<button type="button" aria-pressed=${size.value === each} onClick=${() => window.studio.tools.sizeAgain(each)}>${each}</button>`)}</div>`}
     ${chosen === "wand" && html`<div class="options"><${Slider} label="Reach" value=${reach.value} low=${extent / 100} high=${extent} step=${extent / 200}
       show=${(value) => value.toPrecision(2)} onInput=${(value) => { reach.value = value; window.studio.tools.reachAgain(); }} />
       </div>`}
+    ${chosen === "color" && html`<div class="options"><${Slider} label="Tolerance" value=${tolerance.value} low=${0.02} high=${0.6} step=${0.01}
+      show=${percent} onInput=${(value) => { tolerance.value = value; window.studio.tools.reachAgain(); }} /></div>`}
+    ${chosen === "mend" && html`<div class="options"><p>Brush over a fault.</p><${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005} show=${percent} onInput=${(value) => (brush.value = value)} />
+      <${Slider} label="Soft edge" value=${soft.value} show=${percent} onInput=${(value) => (soft.value = value)} /></div>`}
     ${chosen === "ball" && html`<div class="options"><${Slider} label="Radius" value=${radius.value} low=${extent / 200} high=${extent / 2} step=${extent / 400}
       show=${(value) => value.toPrecision(2)} onInput=${(value) => (radius.value = value)} /></div>`}
     ${chosen === "brush" && html`<div class="options"><${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005}
@@ -111,8 +118,23 @@ export function Objects({ viewport }) {
         onClick=${() => act("hide_objects", { names: [each.name], hide: !each.hidden })} /></li>`)}</ul>
     <${Pick} />
     ${(now.objects.length > 0 || now.selection) && html`<section aria-label="Colours"><${Recolor} /></section>`}
+    <${CleanUp} />
     <${Entry} label="Find by words" button="Find" onEnter=${(text) => act("pick_words", { text })} />
   </aside>`;
+}
+
+const EXTREMES = [["size", "The largest"], ["opacity", "The faintest"], ["distance", "Farthest from others"]];
+
+// Selects Gaussians that are often faults
+function CleanUp() {
+  const shares = useSignal({});
+  const choose = (what, value) => {
+    shares.value = { [what]: value };
+    act("pick_extreme", { by: what, share: value / 100 });
+  };
+  return html`<details><summary>Clean up</summary>
+    ${EXTREMES.map(([what, label]) => html`<${Slider} label=${label} value=${shares.value[what] ?? 0} high=${10} step=${0.1} show=${(value) => `${value} %`} onInput=${(value) => choose(what, value)} />`)}
+    <p class="hint">This selects; Remove hides what is selected.</p></details>`;
 }
 
 // What is selected or picked, and what can be made of it
@@ -132,6 +154,7 @@ function Pick() {
       ${chosen.length > 1 && html`<${Button} text="Unite" label="Select all of these together" onClick=${() => act("unite_picked")} />
         <${Button} text="Subtract" label="Select the first without the others" onClick=${() => act("subtract_picked")} />`}
       ${chosen.some((each) => each.named) && html`<${Button} text="Delete name" label="Delete the name; the Gaussians stay" onClick=${() => act("forget_picked")} />`}
+      <${Button} danger icon="trash" text="Remove" label="Hide these Gaussians, by a layer (Delete)" disabled=${state.value.painting} onClick=${() => act("remove_picked")} />
       ${selection && html`<${Button} text="Deselect" label="Select nothing (Esc)" onClick=${() => act("pick_names", { names: [] })} />`}
     </div>
     ${selection && html`<${Entry} key=${selection.origin} label="Make it an object" button="Name it" value=${selection.origin} onEnter=${(name) => act("name_selection", { name })} />`}

@@ -1,15 +1,15 @@
 // What the pointer does to objects: clicks, rectangles, lassos, brushes, balls and a box
 
 import { effect } from "./libraries/signals.js";
-import { brush, how, radius, reach, shows, size, SIZES, soft, tool } from "./choices.js";
+import { brush, how, radius, reach, shows, size, SIZES, soft, tolerance, tool } from "./choices.js";
 import { act, hello, note, state } from "./connection.js";
 import { KNOB_NEAR, KNOB_STEP } from "./overlay.js";
 import { activeLayer } from "./layers.js";
 import { setStrokes } from "./panels.js";
 
 const STILL = 5; // pixels: less is a click
-const DRAWING = ["brush", "mask", "lasso", "rectangle"];
-const BRUSHES = ["brush", "mask"];
+const DRAWING = ["brush", "mask", "mend", "lasso", "rectangle"];
+const BRUSHES = ["brush", "mask", "mend"];
 const REST = 150; // milliseconds without motion of a slider
 const GRIP = 16; // pixels around a handle
 
@@ -114,6 +114,10 @@ export class Tools {
       this.pickIn(begin, at, how);
       return;
     }
+    if (tool.value === "mend") {
+      act("mend_drawn", { points: thinned(line).map((each) => this.share(each)), radius: brush.value, soft: soft.value });
+      return;
+    }
     if (tool.value === "mask") {
       const layer = activeLayer();
       if (!layer) note("Choose a layer on the right: its mask is what the brush paints.", true);
@@ -135,7 +139,7 @@ export class Tools {
       this.sizeAgain();
       return;
     }
-    if (tool.value === "surface" || tool.value === "wand") {
+    if (["surface", "wand", "color"].includes(tool.value)) {
       this.spot = { at, place: this.share(at), look: this.viewport.number, how };
       this.pickSpot();
     }
@@ -157,7 +161,8 @@ export class Tools {
 
   pickSpot() {
     const { place, how } = this.spot;
-    act("pick_at", { place, how, ...(tool.value === "wand" ? { reach: reach.value } : { size: size.value }) });
+    const wanted = { wand: { reach: reach.value }, color: { tolerance: tolerance.value } }[tool.value];
+    act("pick_at", { place, how, ...(wanted ?? { size: size.value }) });
   }
 
   isAgain([x, y]) {
