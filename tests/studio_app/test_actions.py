@@ -31,6 +31,7 @@ from stylesplat.studio_app.pictures import camera_of, most_visible
 from stylesplat.studio_app.selecting import pick_names
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.studio import StudioServer, studio
+from stylesplat.studio_app.variants import Variants
 from stylesplat.studio_app.views import Views
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
@@ -389,6 +390,29 @@ def test_a_variant_changes_its_object_alone(page: Page):
     page.act("use_variant", number=2)
     page.look(3, before=True)
     assert page.pictures["before"][1] == page.pictures["after"][1]
+
+    page.act("star_variant", number=1, starred=True)
+    state = page.act("name_variant", number=0, name="calm")
+    assert [each.title for each in state.variants] == ["calm", "stripes", "turned"]
+    page.act("save")
+    folder, wanted = page.session.folder, page.session.state.scene.layers[0]
+    page.act("save_as", name="moved")
+    for each in (folder, page.session.folder):  # as after a restart
+        session = Session(open(each), folder=each)
+        kept = Variants(session, Files(), readonly=False)
+        assert [(v.object, v.title, v.starred) for v in kept.cards()] == [
+            ("3", "calm", False),
+            ("7", "stripes", True),
+            ("3", "turned", False),
+        ]
+        assert kept.current(session.state.scene) == [1, 2]
+        layer, title = kept.layer(2)
+        assert title == "turned" and torch.equal(layer.sh0, wanted.sh0)
+        assert all(v.thumbnail for v in kept.cards())
+    state = page.act("delete_variant", number=0)
+    assert [each.title for each in state.variants] == ["stripes", "turned"]
+    page.act("use_variant", number=7)
+    assert "not there any more" in page.said.pop() and len(state.layers) == 2
 
 
 def test_a_snapshot_brings_the_whole_scene_back(page: Page):

@@ -114,6 +114,10 @@ def test_a_variant_is_swapped_by_its_thumbnail(opened: StudioServer, tab: Tab, t
     tab.press_button("After")
     tab.press_button("Undo: Switched 3 to stripes")
     assert_shows(tab, before)
+    tab.press_button("Name or delete 3: plain")
+    tab.assert_accessible()
+    tab.press_button("Delete for good")
+    until(lambda: len(opened.server.actions.variants) == 2, "one less")
 
 
 def test_layers_are_dragged_and_brushed_out(opened: StudioServer, tab: Tab):

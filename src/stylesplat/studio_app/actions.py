@@ -52,6 +52,7 @@ from stylesplat.studio_app.pictures import (
 )
 from stylesplat.studio_app.session import Display, Session, Stopped
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
+from stylesplat.studio_app.variants import Variants
 from stylesplat.studio_app.views import Views
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
 from stylesplat.stylization.style import Style
@@ -98,7 +99,7 @@ class Actions:
         self.thumbnails = ObjectThumbnails(session, gallery.files)
         self.exporter = Exporter(session)
         self.previews = StylePreviews(session, gallery, **options)
-        self.variants = list[tuple[m.Variant, Layer]]()
+        self.variants = Variants(session, gallery.files, readonly=store is None)
         self.snapshots = list[tuple[str, CompactState]]()
         self.compared: int | None = None
         self.client = 0
@@ -122,6 +123,7 @@ class Actions:
         methods += [self.mask_drawn, self.repaint_layer, self.copy_settings]
         methods += [self.mend_drawn, self.remove_picked, self.pick_extreme]
         methods += [self.queue.resume, self.queue.remove, self.previews.try_all, self.use_variant]
+        methods += [self.variants.star_variant, self.variants.name_variant, self.delete_variant]
         methods += [self.compare_with, self.snapshot, self.restore, session.step, self.export]
         methods += [self.exporter.cancel, self.picture, self.turntable, self.background]
         methods += [self.views.show_views, self.views.keep_view, self.views.forget_view]
@@ -331,6 +333,10 @@ class Actions:
     def use_variant(self, number: int) -> StudioState:
         return self._with_variant(self.session.state, number)
 
+    def delete_variant(self, number: int) -> None:
+        self.compared = None
+        self.variants.delete_variant(number)
+
     def compare_with(self, number: int | None = None) -> None:
         """Show a variant on the left of the handle, or the scene before painting."""
         if number is not None:
@@ -404,6 +410,7 @@ class Actions:
         assert self._store is not None  # without it no page may ask
         self._store.save_as(name)
         self.views.write()
+        self.variants.move_along()
 
     def background(self, color: tuple[m.Share, m.Share, m.Share]) -> None:
         self.pictures.background = color
@@ -446,15 +453,18 @@ class Actions:
         return known[2]
 
     def _with_variant(self, state: StudioState, number: int) -> StudioState:
-        variant, layer = _item(self.variants, number, "variant")
+        layer, title = self.variants.layer(number)
         layers.refuse_locked(state, layer.name)
         shown = shown_like(layer, state.scene.layer(layer.name), len(state.scene.base))
-        return layers.replace_layer(state, shown, f"Switched {layer.object} to {variant.title}")
+        return layers.replace_layer(state, shown, f"Switched {layer.object} to {title}")
 
     def _painted(self, name: str, title: str) -> None:
         layer = find_layer(self.session.state.scene, name)
-        settings, url = describe_settings(layer.settings), self.thumbnails.paint_url(layer.object)
-        self.variants.append((m.Variant(layer.object, title, settings, url), layer))
+        picture = self.thumbnails.paint_picture(layer.object)
+        count = len(self.variants)
+        self.variants.add(layer, title, describe_settings(layer.settings), picture)
+        if len(self.variants) == count:  # an older one has gone, so that numbers are others
+            self.compared = None
         self.session.on_change.call()
 
     def hello(self, title: str) -> m.Hello:
@@ -489,7 +499,6 @@ class Actions:
                 centre=_vector(box.centre),
                 sides=_vector(box.size),
             )
-        shown = {id(layer.sh0) for layer in scene.layers}
         return m.StateMessage(
             objects=[self._object(name) for name in object_names(scene)],
             selection=selection,
@@ -497,8 +506,8 @@ class Actions:
             layers=[_layer_info(state, each) for each in scene.layers],
             views=self.views.cards(),
             up=self.views.levelled,
-            variants=[variant for variant, _ in self.variants],
-            current=[n for n, (_, each) in enumerate(self.variants) if id(each.sh0) in shown],
+            variants=self.variants.cards(),
+            current=self.variants.current(scene),
             snapshots=[name for name, _ in self.snapshots],
             styles=[*self.gallery.pictures.values()],
             previews=self.previews.urls,

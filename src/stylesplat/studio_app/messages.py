@@ -129,6 +129,7 @@ class Variant(msgspec.Struct, frozen=True):
     title: str
     settings: str
     thumbnail: str
+    starred: bool = False
 
 
 class ViewCard(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -48,6 +48,7 @@ class StudioServer:
         try:
             with ExitStack() as rest:  # runs all callbacks, the last one first, whatever fails
                 rest.callback(self.server.actions.gallery.close)
+                rest.callback(self.server.actions.variants.close)
                 rest.callback(self.server.stop)
                 rest.callback(self._autosave_at_the_end)
                 self.session.interrupt()  # which keeps the result of a painting so far

@@ -55,13 +55,13 @@ class ObjectThumbnails:
             session.ask(partial(self._make, name), kind=f"thumbnail {name}", patient=True)
         return self._made[name][1] if name in self._made else ""
 
-    def paint_url(self, name: str) -> str:
-        """The address of a picture of an object as it is now; nothing if no view shows it."""
+    def paint_picture(self, name: str) -> bytes:
+        """A picture of an object as it is now; nothing if no view shows it."""
         scene = self._session.state.scene
         with suppress(StyleSplatError):
             picked = scene.to_splats(self._session.masks.of(scene, name))
-            return self._files.add(object_picture(scene.splats, self._camera(name), picked))
-        return ""
+            return object_picture(scene.splats, self._camera(name), picked)
+        return b""
 
     def _camera(self, name: str) -> Cameras:
         """A small square view of an object. Raises a StyleSplatError if no view shows it."""
@@ -78,7 +78,8 @@ class ObjectThumbnails:
             picked, splats = scene.to_splats(self._session.masks.of(scene, name)), scene.splats
             looks = torch.cat([splats.sh0[picked, 0], splats.opacities[picked, None]], dim=1)
             if name not in self._made or not torch.equal(self._made[name][0], looks):
-                self._made[name] = looks, self.paint_url(name)
+                picture = self.paint_picture(name)
+                self._made[name] = looks, self._files.add(picture) if picture else ""
                 self._session.ask(self._session.on_change.call, kind="thumbnails", patient=True)
 
 

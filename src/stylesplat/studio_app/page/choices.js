@@ -28,6 +28,7 @@ export const background = signal([0.086, 0.086, 0.094]);
 export const settings = kept("settings", {}); // of paintings, where they are not the defaults
 export const regions = signal({}); // the parts of style pictures to use, by number
 export const dialog = signal(null); // keep, settings, part, view, help
+export const variant = signal(null); // the number of the variant that is being named
 export const part = signal(null); // the style picture whose part is being chosen
 export const hint = kept("hint", 0, localStorage); // how many hints were seen
 export const tab = signal("styles"); // on narrow screens

@@ -2,18 +2,32 @@
 
 import { useRef } from "./libraries/hooks.js";
 import { useSignal } from "./libraries/signals.js";
-import { background, dialog, part, regions, settings, showPhotos, turntable as turn } from "./choices.js";
+import { background, dialog, part, regions, settings, showPhotos, turntable as turn, variant } from "./choices.js";
 import { act, hello, note, state } from "./connection.js";
 import { Button, Dialog, Entry, html, Select, Slider } from "./widgets.js";
 
 export function Dialogs({ viewport }) {
-  const close = () => (dialog.value = part.value = null);
+  const close = () => (dialog.value = part.value = variant.value = null);
+  const named = variant.value !== null && state.value.variants[variant.value];
+  if (named) return html`<${NamedVariant} each=${named} number=${variant.value} onClose=${close} />`;
   if (part.value) return html`<${Part} style=${part.value} onClose=${close} />`;
   if (dialog.value === "keep") return html`<${Keep} onClose=${close} />`;
   if (dialog.value === "settings") return html`<${Settings} onClose=${close} />`;
   if (dialog.value === "help") return html`<${Keys} onClose=${close} />`;
   if (dialog.value === "view") return html`<${View} viewport=${viewport()} onClose=${close} />`;
   return null;
+}
+
+function NamedVariant({ each, number, onClose }) {
+  const done = (what, fields = {}) => {
+    act(what, { number, ...fields });
+    onClose();
+  };
+  return html`<${Dialog} title=${`${each.object}: ${each.title}`} onClose=${onClose}>
+    <p class="hint">${each.settings}</p>
+    <${Entry} label="Name" button="Rename" value=${each.title} onEnter=${(name) => done("name_variant", { name })} />
+    <div class="row"><${Button} danger icon="trash" text="Delete for good" label="Delete this variant for good; what is painted with it stays" onClick=${() => done("delete_variant")} /></div>
+  </${Dialog}>`;
 }
 
 function Settings({ onClose }) {

@@ -1,6 +1,6 @@
 // The panel of layers, the highest first, with variants and snapshots below
 
-import { above, active, mode, tool } from "./choices.js";
+import { above, active, mode, tool, variant } from "./choices.js";
 import { useRef } from "./libraries/hooks.js";
 import { useSignal } from "./libraries/signals.js";
 import { act, hello, note, state } from "./connection.js";
@@ -21,7 +21,7 @@ export function Layers() {
   const now = state.value, chosen = now.objects.filter((each) => each.picked).map((each) => each.name);
   const layers = [...now.layers].reverse(), list = useRef(null), moving = useSignal(null);
   const variants = now.variants.map((each, number) => ({ ...each, number, current: now.current.includes(number) }))
-    .filter((each) => !chosen.length || chosen.includes(each.object));
+    .filter((each) => !chosen.length || chosen.includes(each.object)).sort((a, b) => b.starred - a.starred);
   const move = (name, row) => act("move_layer", { name, to: layers.length - 1 - row });
   // A drag by the handle: the place is that of the row whose middle the pointer has passed
   const grip = (name, row) => ({
@@ -61,7 +61,9 @@ export function Layers() {
         <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { number: each.number })}>
           <img src=${each.thumbnail} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span>
           <span class="name quiet">${each.settings}</span></button>
-        <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></li>`)}</ul></section>`}
+        <span class="corner-buttons"><${Button} small icon="star" label=${`${each.starred ? "Unstar" : "Star"} ${each.object}: ${each.title}`} active=${each.starred} onClick=${() => act("star_variant", { number: each.number, starred: !each.starred })} />
+        <${Button} small icon="more" label=${`Name or delete ${each.object}: ${each.title}`} onClick=${() => (variant.value = each.number)} />
+        <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></span></li>`)}</ul></section>`}
     <section aria-label="Snapshots"><h3>Snapshots</h3>
       ${now.snapshots.map((name, number) => html`<div class="line" key=${number}><span>${name}</span>
         <${Button} small text="Restore" label=${`Restore ${name}`} onClick=${() => act("restore", { number })} /></div>`)}
