@@ -100,12 +100,12 @@ function Layer({ layer, lowest, grip, dragged, place }) {
 // What else can be changed of the layer that is chosen
 function Controls({ layer, what, fixed, lowest }) {
   const { name, values } = layer;
-  const set = (setting, value) => act("repaint_layer", { name, settings: { [setting]: value } });
+  const set = (settings) => act("repaint_layer", { name, settings });
   const offered = hello.value.settings, size = offered.find((each) => each.name === "scale"), colors = offered.find((each) => each.name === "color");
   return html`${layer.kind === "paint" && html`<${Slider} label="Form" value=${layer.form} high=${1.5} show=${percent} disabled=${fixed} onInput=${(form) => act("adjust_layer", { name, form })} />
-      <${Resting} key=${values.scale} control=${size} value=${values.scale} disabled=${layer.locked} onRest=${(value) => set("scale", value)} />
-      <div class="row"><${Select} label="Colours" value=${values.color} choices=${colors.choices} disabled=${layer.locked} onChange=${(value) => set("color", value)} />
-        ${values.quality === "draft" && html`<${Button} text="Finish" label="Paint it at full quality" disabled=${fixed} onClick=${() => set("quality", "normal")} />`}</div>`}
+      <${Resting} key=${values.scale} control=${size} value=${values.scale} disabled=${layer.locked} onRest=${(scale) => set({ scale, quality: "draft" })} />
+      <div class="row"><${Select} label="Colours" value=${values.color} choices=${colors.choices} disabled=${layer.locked} onChange=${(color) => set({ color, quality: "draft" })} />
+        ${values.quality === "draft" && html`<${Button} text="Finish" label="Paint it at full quality" disabled=${fixed} onClick=${() => set({ quality: "normal" })} />`}</div>`}
     ${!layer.title.startsWith("removed") && html`<${Select} label=${lowest ? "Blend with the scene" : "Blend with what is below"} value=${layer.blend} choices=${BLENDS} disabled=${fixed} onChange=${(blend) => act("set_blend", { name, blend })} />`}
     <div class="row"><${Button} icon="mask" text="Mask" label="Brush the layer out, and in again" active=${tool.value === "mask"} disabled=${fixed} onClick=${() => brushMask()} />
       <${Button} text="To selection" label="Show the layer within the selection alone" disabled=${fixed || !state.value.selection} onClick=${() => act("mask_by_selection", { name })} />
