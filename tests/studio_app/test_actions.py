@@ -336,6 +336,18 @@ def test_a_selection_becomes_an_object_by_paint_which_fades_with_its_border(page
     mask = page.session.state.scene.layers[0].mask
     assert mask is not None and 0 < mask.min() < mask.max() == 1
     page.act("step", rows=-1)
+    page.act("pick_names", names=["7"])
+    page.act("resize_picked", share=0.01)
+
+    def queue_both() -> None:
+        page.actions.queue.paint(["3"], own, "stripes")
+        page.actions.queue.paint_selection(own, "stripes")
+
+    page.session.ask(queue_both)
+    assert page.session.worker.wait_until_idle()
+    names = [each.name for each in page.session.state.scene.layers]
+    assert names == ["3", "painted part"], "it waited for its turn"
+    page.act("step", rows=-2)
     page.act("pick_drawn", points=[place("7")], shape="brush", radius=0.02)
     page.session.ask(lambda: page.actions.queue.paint_selection(own, "stripes"))
     assert page.session.worker.wait_until_idle()

@@ -23,7 +23,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.studio_app.edits import refuse_locked
-from stylesplat.studio_app.history import StudioState, hidden_rows, replace_scene
+from stylesplat.studio_app.history import Selected, StudioState, hidden_rows, replace_scene
 from stylesplat.studio_app.messages import Progress
 from stylesplat.studio_app.selecting import with_object_of_selection
 from stylesplat.studio_app.session import Display, Session, Stopped
@@ -47,6 +47,8 @@ class PaintJob:
     title: str
     instead: bool = False
     """Whether the picture so far stays until there are strokes."""
+    selected: Selected | None = None
+    """What becomes an object as soon as it is painted."""
     weights: Float[Tensor, " B"] | None = None
     """What the paint is to show through."""
     blend: Blend | None = None
@@ -111,14 +113,12 @@ class PaintQueue:
 
     def paint_selection(self, style: Style, title: str) -> None:
         """Make an object of the selection and paint it, in one step of the history."""
-        state, merge = self.session.state, object()
-        assert state.selection is not None
+        selected = self.session.state.selection
+        assert selected is not None
         style.read()
-        weights = state.selection.weights / 255 if state.selection.is_soft else None
-        changed = with_object_of_selection(state, "painted")
-        self.session.history.add(changed, merge=merge)
-        (name,) = changed.picked
-        job = PaintJob(next(self._numbers), name, style, title, weights=weights, merge=merge)
+        self.waiting = deque(each for each in self.waiting if each.selected is not selected)
+        number = next(self._numbers)
+        job = PaintJob(number, "the selection", style, title, selected=selected, merge=object())
         self.waiting.append(job)
         if self.session.painting:
             self.session.on_change.call()
@@ -168,6 +168,8 @@ class PaintQueue:
         if not self.waiting:
             return
         job, session = self.waiting.popleft(), self.session
+        if job.selected is not None:
+            job = self._as_object(job, job.selected)
         state = session.state
         own = session.masks.of(state.scene, split_name(job.name)[0])
         picked = state.scene.to_splats(own)
@@ -178,6 +180,17 @@ class PaintQueue:
             session.preview = replace(session.display_of(state), splats=splats)
         lives = stylize_live(state.scene, job.name, job.style, **self.options)
         self._begin(job, lives)
+
+    def _as_object(self, job: PaintJob, selected: Selected) -> PaintJob:
+        """Make an object of what a job is to paint; it is picked if it is still selected."""
+        before = self.session.state
+        state = with_object_of_selection(replace(before, selection=selected), "painted")
+        (name,) = state.picked
+        if before.selection is not selected:
+            state = replace(state, picked=before.picked, selection=before.selection)
+        self.session.history.add(state, merge=job.merge)
+        weights = selected.weights / 255 if selected.is_soft else None
+        return replace(job, name=name, weights=weights)
 
     def _begin(self, job: PaintJob, lives: Iterator[Live], latest: Live | None = None) -> None:
         """Begin a painting, or go on with one from its latest result."""
