@@ -87,6 +87,7 @@ def test_evaluate_measures_the_same(cuda: str, styled: Scene, tmp_path: Path):  
 def test_renders_and_comparisons_are_the_same(cuda: str, tmp_path: Path):  # noqa: F811
     capture = load(write_ball_capture(tmp_path / "capture"))
     # Principal components that are as long as each other have any direction
+    assert TRAINED.splats.identities is not None
     uneven = TRAINED.splats.identities * torch.linspace(1, 3, 16)
     scene = replace(TRAINED, base=replace(TRAINED.splats, identities=uneven))
     for what in ("color", "label-colors", "identities", "depth", "object:red"):
