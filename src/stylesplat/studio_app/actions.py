@@ -1,4 +1,4 @@
-"""What the page may ask for, what that does to a session, and what the page is told of it.
+"""What the page may ask for, and what that does to a session.
 
 Each action is a function of the state or a method, and its parameters are the message:
 `pick_names(state, names, how)` is for `{"do": "pick_names", "names": ["vase"]}`. They run in the
@@ -7,7 +7,7 @@ worker's thread; methods of `Actions` for the browser `client`. What returns a s
 
 import inspect
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from operator import or_
@@ -26,15 +26,15 @@ from stylesplat.io.style_pictures import MATERIALS, PREFIX
 from stylesplat.options import PickSize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
-from stylesplat.scene.layers import RECOLOR, Layer, shown_like, split_name
+from stylesplat.scene.layers import RECOLOR, shown_like, split_name
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.virtual_cameras import has_rendered_views, turned_view
 from stylesplat.studio_app import edits as layers
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app import selecting as picking
-from stylesplat.studio_app.edits import describe_settings, find_layer, recoloring_of
+from stylesplat.studio_app.edits import describe_settings, find_layer
 from stylesplat.studio_app.files import FORMATS, Exporter, SceneStore
-from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture, style_title
+from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture
 from stylesplat.studio_app.history import (
     CompactState,
     StudioState,
@@ -50,6 +50,14 @@ from stylesplat.studio_app.pictures import (
     camera_of,
     render_display,
 )
+from stylesplat.studio_app.reports import (
+    layer_info,
+    layer_title,
+    object_info,
+    photo_places,
+    selection_info,
+    vector,
+)
 from stylesplat.studio_app.session import Display, Session, Stopped
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
 from stylesplat.studio_app.variants import Variants
@@ -63,9 +71,6 @@ T = TypeVar("T")
 
 STUDIO_MOST_PIXELS = 8192  # along a side of a still picture
 PREVIEW_RATE = 20  # places a second of a path that a page flies along
-STUDIO_NEAREST = 0.1  # world units from a photo's camera to its target, at least
-IN_PLACE = ("scale", "color", "quality")  # settings of paint that a layer shows
-EDITS = {"recolour": "recoloured"}
 LEAST_TOUCH = 0.02  # of a Gaussian, by which a brush touches it
 DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
 SLOW = {
@@ -286,7 +291,7 @@ class Actions:
         """Paint a layer again in its own style, with other settings."""
         layer = layers.find_layer(self.session.state.scene, name)
         style = layers.painted_style(layer, **settings)
-        self.queue.paint([name], style, _title(layer), instead=True)
+        self.queue.paint([name], style, layer_title(layer), instead=True)
 
     def copy_settings(self, name: m.ShortText, source: m.ShortText) -> StudioState | None:
         """Give a layer the strength, form and blend of another, and paint it with its settings."""
@@ -300,7 +305,7 @@ class Actions:
             return layers.replace_layer(state, replace(layer, form=other.form), note)
         own = {"intensity": other.strength, "form": other.form}
         style = layers.painted_style(replace(layer, settings=settings), **own)
-        self.queue.paint([name], style, _title(layer), instead=True, blend=other.blend)
+        self.queue.paint([name], style, layer_title(layer), instead=True, blend=other.blend)
         return None
 
     def paint(
@@ -403,7 +408,7 @@ class Actions:
         cameras = self.views.path(max(2, round(seconds * PREVIEW_RATE)), self._camera().size)
         ahead = cameras.viewmats[:, 2, :3] * self._content.size.norm() / 2
         places = zip(cameras.positions, cameras.positions + ahead, strict=True)
-        flight = m.Flight(seconds, [(_vector(eye), _vector(target)) for eye, target in places])
+        flight = m.Flight(seconds, [(vector(eye), vector(target)) for eye, target in places])
         self.session.on_send.call(self.client, "flight", flight)
 
     def save_as(self, name: str) -> None:
@@ -469,11 +474,12 @@ class Actions:
 
     def hello(self, title: str) -> m.Hello:
         scene = self.session.state.scene
+        taken = () if has_rendered_views(scene) else photo_places(scene, self._content.centre)
         return m.Hello(
             title=title,
             readonly=self.readonly,
             start={**self._start, "up": self.views.up.tolist()},
-            photos=[] if has_rendered_views(scene) else list(_photos(scene, self._content.centre)),
+            photos=list(taken),
             settings=m.page_settings(StyleConfig),
             recolorings=m.page_settings(RecolorConfig),
             formats=FORMATS,
@@ -492,18 +498,12 @@ class Actions:
         if selected is not None:
             rows = selected.weights >= 128
             box = session.masks.extent_of(scene, (), rows)
-            selection = m.SelectionInfo(
-                count=int(rows.sum()),
-                soft=selected.is_soft,
-                origin=selected.origin,
-                centre=_vector(box.centre),
-                sides=_vector(box.size),
-            )
+            selection = selection_info(selected, int(rows.sum()), box)
         return m.StateMessage(
-            objects=[self._object(name) for name in object_names(scene)],
+            objects=[object_info(session, self.thumbnails, each) for each in object_names(scene)],
             selection=selection,
             again=self._spot is not None and self._spot[1] is state and self._is_place,
-            layers=[_layer_info(state, each) for each in scene.layers],
+            layers=[layer_info(state, each) for each in scene.layers],
             views=self.views.cards(),
             up=self.views.levelled,
             variants=self.variants.cards(),
@@ -521,23 +521,7 @@ class Actions:
             folder=str(session.folder),
             command=self._command(),
             compared=self.compared,
-            box=(_vector(box.low), _vector(box.high)),
-        )
-
-    def _object(self, name: str) -> m.ObjectInfo:
-        session, state = self.session, self.session.state
-        found = session.masks.has(state.scene, name)
-        extent = session.masks.extent(state.scene, (name,)) if found else None
-        return m.ObjectInfo(
-            name=name,
-            picked=name in state.picked,
-            hidden=name in state.hidden,
-            named=name in state.scene.objects,
-            painted=name in state.scene.painted_objects,
-            thumbnail=self.thumbnails.url(name) if found else "",
-            count=int(session.masks.of(state.scene, name).sum()) if found else None,
-            centre=_vector(extent.centre) if extent else None,
-            sides=_vector(extent.size) if extent else None,
+            box=(vector(box.low), vector(box.high)),
         )
 
     def _command(self) -> str:
@@ -553,45 +537,6 @@ def _item(items: Sequence[T], number: int, what: str) -> T:
     if not 0 <= number < len(items):
         raise StyleSplatError(f"This {what} is not there any more. Reload the page.")
     return items[number]
-
-
-def _layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
-    is_paint, title = layer.kind == "paint", _title(layer)
-    return m.LayerInfo(
-        name=layer.name,
-        object=layer.object,
-        kind=layer.kind,
-        title=title if is_paint else EDITS.get(layer.kind, layer.label or layer.object),
-        strength=layer.strength,
-        form=layer.form,
-        visible=layer.visible,
-        locked=layer.name in state.locked,
-        solo=state.solo is not None and state.solo[0] == layer.name,
-        blend=layer.blend,
-        masked=layer.mask is not None,
-        settings=describe_settings(layer.settings),
-        values={k: v for k, v in layer.settings.items() if k in IN_PLACE} if is_paint else {},
-        recolor={**recoloring_of(layer), "match": title} if layer.kind == "recolour" else None,
-    )
-
-
-def _title(layer: Layer) -> str:
-    return ", ".join(style_title(each.path) for each in layer.styles)
-
-
-def _photos(scene: Scene, middle: torch.Tensor) -> Iterator[dict[str, Any]]:
-    for camera in (scene.cameras[row] for row in range(len(scene.cameras))):
-        position, axes = camera.positions[0].double(), camera.viewmats[0, :3, :3].double()
-        distance = max(float((middle - position) @ axes[2]), STUDIO_NEAREST)
-        places = {"position": position, "target": position + distance * axes[2]}
-        places |= {"right": axes[0], "down": axes[1]}
-        places["slopes"] = camera.sizes[0] / camera.Ks[0].diagonal()[:2]
-        yield {"name": camera.names[0], **{key: each.tolist() for key, each in places.items()}}
-
-
-def _vector(values: torch.Tensor) -> m.ViewVector:
-    x, y, z = values.tolist()
-    return x, y, z
 
 
 def _struct_of(name: str, method: Callable[..., Any]) -> type[msgspec.Struct]:
