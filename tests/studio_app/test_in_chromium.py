@@ -473,7 +473,8 @@ def test_on_a_narrow_screen_everything_can_be_reached(opened: StudioServer, tmp_
             tab.press_button(label)
             tab.assert_accessible()
             assert not tab.page.evaluate(SMALL)
-        assert opened.server.actions.views.cards()[0].name == "View 1"
+        kept = opened.server.actions.views
+        until(lambda: kept.cards()[0].name == "View 1", "the view that is kept")
         assert tab.page.evaluate(OVERFLOW) == [0, 0]
         tab.press_button("Close")
         tab.press_button("Split")
