@@ -305,10 +305,10 @@ def test_what_is_removed_or_mended_is_a_layer_that_a_recipe_repeats(page: Page, 
     assert torch.equal(saved.splats.sh0, session.state.scene.splats.sh0)
     recipe = read_recipe(session.folder / "recipe.json")
     again = stylize(before, recipe, device="cpu", measured=False)
-    assert [each.name for each in again.layers] == ["3/removed", "mended", "7/recolor"]
+    assert [each.name for each in again.layers] == ["3/removed", "mending/mended", "7/recolor"]
     for name, tensor in saved.splats.tensors().items():
         assert torch.equal(tensor, again.splats.tensors()[name]), name
-    for name in ("7/recolor", "mended", "3/removed"):
+    for name in ("7/recolor", "mending/mended", "3/removed"):
         page.act("remove_paint", name=name)
     assert torch.equal(session.state.scene.splats.opacities, before.splats.opacities)
     assert torch.equal(session.state.scene.splats.sh0, before.splats.sh0) and not page.said[1:]
@@ -421,7 +421,10 @@ def test_a_variant_changes_its_object_alone(page: Page):
         layer, title = kept.layer(2)
         assert title == "turned" and torch.equal(layer.sh0, wanted.sh0)
         assert all(v.thumbnail for v in kept.cards())
-    state = page.act("delete_variant", number=0)
+    first, second = (each.thumbnail for each in state.variants[:2])
+    page.act("delete_variant", number=0, url=second)
+    assert "others by now" in page.said.pop()
+    state = page.act("delete_variant", number=0, url=first)
     assert [each.title for each in state.variants] == ["stripes", "turned"]
     page.act("use_variant", number=7)
     assert "not there any more" in page.said.pop() and len(state.layers) == 2

@@ -27,6 +27,7 @@ from stylesplat.studio_app.selecting import (
     region_of,
     rename_picked,
     resize_picked,
+    soft_brush,
     subtract_picked,
     unite_picked,
 )
@@ -135,7 +136,9 @@ def test_shapes_sizes_differences_and_names():
     assert torch.equal(selected(invert_picked(soft)), ~selected(soft))
     named = rename_picked(pick_names(STATE, ["3"]), "red ball")
     assert named.picked == ("red ball",) and "3" not in object_names(named.scene)
-    again = rename_picked(named, "ball")
+    locked = replace(named, locked=frozenset({"red ball/2", "7"}), solo=("red ball", {"7": True}))
+    again = rename_picked(locked, "ball")
+    assert again.locked == {"ball/2", "7"} and again.solo == ("ball", {"7": True})
     assert again.picked == ("ball",) and object_names(forget_picked(again).scene) == [
         "3",
         "7",
@@ -174,3 +177,10 @@ def test_words_download_no_model_while_all_browsers_wait(monkeypatch: pytest.Mon
     monkeypatch.setattr(selecting, "resolve_selection", lambda *_, **__: pytest.fail())
     with pytest.raises(StyleSplatError, match=r"pip install .*hf download IDEA-Research/"):
         pick_words(STATE, "red chair")
+
+
+def test_a_soft_brush_follows_the_line_and_does_not_close_it():
+    around = soft_brush([(0.1, 0.1), (0.1, 0.9), (0.9, 0.9)], (100, 100), 0.05, 0.5)
+    assert around[50, 10] == around[90, 50] == 1 and around[50, 50] == 0
+    point = soft_brush([(0.5, 0.5)], (100, 100), 0.05, 0.5)
+    assert point[50, 50] == 1 and 0 < point[50, 54] < 1 and point[50, 56] == 0

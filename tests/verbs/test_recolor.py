@@ -132,6 +132,9 @@ def test_paint_above_and_below():
     assert torch.equal(painted.splats.sh0[len(SPLATS) :], under.splats.sh0[len(SPLATS) :])
     again = recolor(painted, "red", hue=60)
     assert [each.name for each in again.layers] == ["red", "red/recolor"], "on top of the paint"
+    half = replace(first.layers[0], mask=torch.full((80,), 0.5), blend="colour", visible=False)
+    shown = recolor(first.with_layers([half, *under.layers]), "red", hue=60).layers[1]
+    assert shown.blend == "colour" and not shown.visible and shown.mask is not None
 
 
 def test_scenes_keep_recolourings_and_recipes_replay_them(tmp_path: Path, quick_painting: None):

@@ -20,6 +20,7 @@ from PIL import Image
 
 from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.figures.web_page import start_of
+from stylesplat.io.files import reason
 from stylesplat.io.layers import RECIPE
 from stylesplat.io.renders import write_video
 from stylesplat.io.style_pictures import MATERIALS, PREFIX
@@ -230,9 +231,10 @@ class Actions:
         if setting == "match" and value is not None:
             value = str(self._style(int(value)).path)
         state = before = self.session.state
-        if not names and state.selection is not None:
-            state = picking.with_object_of_selection(state, "recoloured")
-            names = [*state.picked]
+        if not names:
+            if state.selection is not None:
+                state = picking.with_object_of_selection(state, "recoloured")
+            names = [*state.picked]  # of a slider that is dragged, the first message named them
         found = layers.recolor_objects(state, names, setting, value)
         if found is state or before.selection is None or state is before:
             return before if found is state else found
@@ -290,7 +292,8 @@ class Actions:
     def repaint_layer(self, name: m.ShortText, settings: dict[str, Any]) -> None:
         """Paint a layer again in its own style, with other settings."""
         layer = layers.find_layer(self.session.state.scene, name)
-        style = layers.painted_style(layer, **settings)
+        now = {"intensity": layer.strength, "form": layer.form}
+        style = layers.painted_style(layer, **{**now, **settings})
         self.queue.paint([name], style, layer_title(layer), instead=True)
 
     def copy_settings(self, name: m.ShortText, source: m.ShortText) -> StudioState | None:
@@ -300,9 +303,12 @@ class Actions:
         layer, other = (layers.find_layer(state.scene, each) for each in (name, source))
         settings = {**other.settings, "region": layer.settings.get("region")}
         note = f"Gave {name} the settings of {source}"
-        layer = replace(layer, strength=other.strength, blend=other.blend)
-        if {layer.kind, other.kind} != {"paint"} or settings == layer.settings:
-            return layers.replace_layer(state, replace(layer, form=other.form), note)
+        are_paint = {layer.kind, other.kind} == {"paint"}
+        if not are_paint or settings == layer.settings:
+            form = other.form if are_paint else None
+            found = layers.adjust_layer(state, name, other.strength, form)
+            shown = replace(layers.find_layer(found.scene, name), blend=other.blend)
+            return layers.replace_layer(found, shown, note)
         own = {"intensity": other.strength, "form": other.form}
         style = layers.painted_style(replace(layer, settings=settings), **own)
         self.queue.paint([name], style, layer_title(layer), instead=True, blend=other.blend)
@@ -327,6 +333,10 @@ class Actions:
             self.queue.paint_selection(own, picture.title)
             return
         found = [*(state.picked if names is None else names)]
+        for name in found:
+            known = state.scene.layer(name)
+            if known is not None and known.kind != "paint":
+                raise StyleSplatError(f"{name} is no paint. Pick an object, and click the style.")
         if above:
             found = [layers.free_layer_name(state.scene, split_name(name)[0]) for name in found]
         self.queue.paint(found, own, picture.title, instead)
@@ -338,9 +348,9 @@ class Actions:
     def use_variant(self, number: int) -> StudioState:
         return self._with_variant(self.session.state, number)
 
-    def delete_variant(self, number: int) -> None:
+    def delete_variant(self, number: int, url: m.ShortText) -> None:
         self.compared = None
-        self.variants.delete_variant(number)
+        self.variants.delete_variant(number, url)
 
     def compare_with(self, number: int | None = None) -> None:
         """Show a variant on the left of the handle, or the scene before painting."""
@@ -467,7 +477,10 @@ class Actions:
         layer = find_layer(self.session.state.scene, name)
         picture = self.thumbnails.paint_picture(layer.object)
         count = len(self.variants)
-        self.variants.add(layer, title, describe_settings(layer.settings), picture)
+        try:
+            self.variants.add(layer, title, describe_settings(layer.settings), picture)
+        except (OSError, StyleSplatError) as error:
+            self.session.tell(f"The variant is not kept: {reason(error)}.", failure=True)
         if len(self.variants) == count:  # an older one has gone, so that numbers are others
             self.compared = None
         self.session.on_change.call()

@@ -24,7 +24,7 @@ from stylesplat.stylization.mending import mended_bands
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust, recolor
 
-MENDED = "mended"  # the object of the layer of all mending
+MENDED = "mending/mended"  # the layer of all mending
 
 
 def find_layer(scene: Scene, name: str) -> Layer:
@@ -152,6 +152,9 @@ def recolor_objects(
         if settings:
             scene = recolor(scene, name, strength=known.strength if known else 1.0, **settings)
         elif known:
+            if state.solo and state.solo[0] == own:
+                state = solo_layer(replace(state, scene=scene), own)
+                scene = state.scene
             scene = adjust(scene, objects=own, undo=True)
     words = f"{value:g}" if isinstance(value, float | int) else str(value or "none")
     note = f"Recoloured {', '.join(names)}: {setting} {words.rpartition('/')[2]}"
@@ -197,7 +200,7 @@ def mend(state: StudioState, weights: Float[Tensor, " B"]) -> StudioState:
     shN[rows] = torch.lerp(shN[rows], found[1].cpu(), part)
     shares[rows] = both
     own = shares.nonzero()[:, 0]
-    layer = edited(MENDED, "", own, shares[own], torch.ones(len(own)), sh0[own], shN[own])
+    layer = edited(*split_name(MENDED), own, shares[own], torch.ones(len(own)), sh0[own], shN[own])
     if known is not None:
         layer = replace(shown_like(layer, known, len(sh0)), strength=known.strength)
     return replace_layer(state, layer, "Mended with the brush")

@@ -1,9 +1,8 @@
 """What the page and the server tell each other: JSON over one WebSocket.
 
 The page sends `ViewRequest` and the actions of `actions.py`; the field `do` names the kind. The
-server
-sends `Hello` once, and after each change a whole `StateMessage`, `Progress` or `Note`. Pictures
-are binary, see `pictures.py`.
+server sends `Hello` once, and after each change a whole `StateMessage`, `Progress` or `Note`.
+Pictures are binary, see `pictures.py`.
 """
 
 from typing import Annotated, Any, Literal

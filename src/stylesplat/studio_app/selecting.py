@@ -21,6 +21,7 @@ from stylesplat.rendering.render import colors_of, render
 from stylesplat.rendering.weights import expected_depth, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import opaque_rows
+from stylesplat.scene.layers import split_name
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.projection import crop, project
 from stylesplat.scene.scene import Scene
@@ -212,7 +213,7 @@ def soft_brush(
     The radius is a share of the picture's height.
     """
     image, reach = Image.new("1", size), max(radius * size[1], 0.5)
-    ImageDraw.Draw(image).line([(x * size[0], y * size[1]) for x, y in (*points, *points)], 1)
+    ImageDraw.Draw(image).line([(x * size[0], y * size[1]) for x, y in (*points, points[-1])], 1)
     away = torch.from_numpy(distance_transform_edt(~np.array(image))).float()
     return ((reach - away) / max(soft * reach, 1e-3)).clamp(0, 1)
 
@@ -325,9 +326,19 @@ def rename_picked(state: StudioState, name: str) -> StudioState:
         scene = state.scene.with_object(name, found)
         return replace(state, picked=(name,), scene=scene, note=f"Named {old} {name}")
     scene = rename(state.scene, old, name)
-    hidden = frozenset(name if each == old else each for each in state.hidden)
+
+    def renamed(each: str) -> str:  # a layer, or an object
+        object, label = split_name(each)
+        return each if object != old else f"{name}/{label}" if label else name
+
+    hidden, locked = (frozenset(map(renamed, names)) for names in (state.hidden, state.locked))
+    solo = state.solo
+    if solo:
+        solo = renamed(solo[0]), {renamed(each): shown for each, shown in solo[1].items()}
     note = f"Renamed {old} to {name}"
-    return replace(state, picked=(name,), hidden=hidden, scene=scene, note=note)
+    return replace(
+        state, picked=(name,), hidden=hidden, locked=locked, solo=solo, scene=scene, note=note
+    )
 
 
 def forget_picked(state: StudioState) -> StudioState:

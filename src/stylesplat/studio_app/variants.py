@@ -105,9 +105,11 @@ class Variants:
     def name_variant(self, number: int, name: ShortText) -> None:
         self._change(number, name=name.strip())
 
-    def delete_variant(self, number: int) -> None:
-        """Delete a variant for good; layers that show it stay."""
+    def delete_variant(self, number: int, url: str | None = None) -> None:
+        """Delete a variant for good, the one of this picture; layers that show it stay."""
         each = self._item(number)
+        if url not in (None, each.url):
+            raise StyleSplatError("The variants are others by now. Choose it again.")
         shutil.rmtree(each.folder, ignore_errors=True)
         self._kept.remove(each)
         self._session.on_change.call()

@@ -15,6 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import refuse_unwritable
 from stylesplat.io.images import jpeg
 from stylesplat.io.json_yaml import read_json_as, write_json
+from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras, look_at, up_vector
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.virtual_cameras import has_rendered_views, path_of, smooth_path
@@ -46,8 +47,13 @@ class Views:
         """`slopes` are the width and the height of the first view's picture at distance 1."""
         self._session, self._files, self._slopes = session, files, slopes
         self._kept = _Kept()
-        with suppress(StyleSplatError):  # there are none, or they are damaged
-            self._kept = read_json_as(session.folder / KEPT, _Kept, "Keep the views again.")
+        self._damaged = False
+        if (session.folder / KEPT).exists():
+            try:
+                self._kept = read_json_as(session.folder / KEPT, _Kept, "Keep the views again.")
+            except StyleSplatError as error:
+                self._damaged = True
+                say(str(error))
         scene = session.state.scene
         count = 0 if has_rendered_views(scene) else len(scene.cameras)
         self._photos = evenly_spaced(range(count), MOST_SHOWN)
@@ -133,8 +139,12 @@ class Views:
     def _write(self, kept: _Kept) -> None:
         self._kept = kept
         self._session.on_change.call()
-        refuse_unwritable(self._session.folder)
-        write_json(msgspec.to_builtins(kept), self._session.folder / KEPT)
+        place = self._session.folder / KEPT
+        refuse_unwritable(place.parent)
+        if self._damaged and place.exists():
+            place.replace(place.with_suffix(".damaged.json"))
+        self._damaged = False
+        write_json(msgspec.to_builtins(kept), place)
 
     def _draw_next(self) -> None:
         """Make the picture of one view, and tell the pages."""
@@ -148,8 +158,10 @@ class Views:
         missing += [(row, partial(cameras.__getitem__, row)) for row in rows]
         if missing:
             key, camera = missing[0]
-            pixels = render_display(session.display, camera().at_most(CARD_SIDE), BEHIND)
-            self._pictures[key] = self._files.add(jpeg(pixels))
+            self._pictures[key] = ""  # of a view along what has become the up direction
+            with suppress(StyleSplatError):
+                pixels = render_display(session.display, camera().at_most(CARD_SIDE), BEHIND)
+                self._pictures[key] = self._files.add(jpeg(pixels))
             session.ask(self._draw_next, kind="views", patient=True)
             session.on_change.call()
 

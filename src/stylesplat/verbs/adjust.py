@@ -122,14 +122,13 @@ def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) 
     if not mask.any():
         raise StyleSplatError(f"Cannot recolor {name}: it has no Gaussians. Select it again.")
     own = f"{name}{RECOLOR}"
-    below = scene.below(own)
+    below, before = scene.below(own), scene.layer(own)
     if any(each.object == name for each in scene.layers[len(below.layers) + 1 :]):
         say(f"{name} was painted since it was recolored: the new colours go on top of the paint.")
         below = scene = scene.without_layers([own])
     picture = None
     if config.match:
         picture = all_colors([resize(read_style(config.match), PICTURE_SIDE)])
-    known = scene.layer(own)
     layer = recoloring(
         name,
         mask.nonzero()[:, 0].cpu(),
@@ -137,5 +136,6 @@ def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) 
         strength=strength,
         styles=(source_of(config.match),) if config.match else (),
         settings={key: value for key, value in config.changed.items() if key != "match"},
+        visible=before is None or before.visible,
     )
-    return scene.with_layer(shown_like(layer, known, len(scene.base)))
+    return scene.with_layer(shown_like(layer, before, len(scene.base)))

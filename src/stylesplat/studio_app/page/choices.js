@@ -9,7 +9,7 @@ export function kept(name, value, storage = sessionStorage) {
   return choice;
 }
 
-export const tool = signal("object"); // or surface, wand, ball, brush, lasso, rectangle, box, strokes, mask
+export const tool = signal("object"); // or surface, wand, color, ball, brush, lasso, rectangle, box, strokes, mask, mend
 export const active = signal(null); // the name of the layer whose controls are shown
 export const above = signal(false); // whether the next style goes on a new layer
 export const shows = signal(false); // whether the brush of a mask paints the layer in

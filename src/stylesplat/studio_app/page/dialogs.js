@@ -26,7 +26,7 @@ function NamedVariant({ each, number, onClose }) {
   return html`<${Dialog} title=${`${each.object}: ${each.title}`} onClose=${onClose}>
     <p class="hint">${each.settings}</p>
     <${Entry} label="Name" button="Rename" value=${each.title} onEnter=${(name) => done("name_variant", { name })} />
-    <div class="row"><${Button} danger icon="trash" text="Delete for good" label="Delete this variant for good; what is painted with it stays" onClick=${() => done("delete_variant")} /></div>
+    <div class="row"><${Button} danger icon="trash" text="Delete for good" label="Delete this variant for good; what is painted with it stays" onClick=${() => done("delete_variant", { url: each.thumbnail })} /></div>
   </${Dialog}>`;
 }
 

@@ -51,7 +51,7 @@ export function paint(style, names = null) {
   }
   const region = regions.value[style], layer = activeLayer(), isNew = above.value;
   // Into the layer that is chosen, where that is paint of what is picked
-  if (!names && !isNew && layer && !layer.recolor && String(picked().map((each) => each.name)) === layer.object) names = [layer.name];
+  if (!names && !isNew && layer?.kind === "paint" && String(picked().map((each) => each.name)) === layer.object) names = [layer.name];
   above.value = false;
   act("paint", { style, names, above: isNew, settings: { ...settings.value, ...(region ? { region } : {}) } });
 }
