@@ -257,6 +257,10 @@ def test_an_object_has_several_layers_with_blends_masks_and_settings_of_others(p
     assert [each.visible for each in state.layers] == [False, True] and state.layers[1].solo
     state = changes("solo_layer", name="3/2")
     assert [each.visible for each in state.layers] == [True, True] and not page.said
+    page.act("solo_layer", name="3/2")
+    state = page.act("save")
+    assert not any(each.solo for each in state.layers) and "Saved" in page.said.pop()
+    assert all(each.visible for each in open(session.folder).layers), "alone is to look at"
     first = session.state.scene.layers[0].sh0
     state = page.act("repaint_layer", name="3", settings={"scale": 1.0})
     assert state.layers[0].values["scale"] == 1.0 and state.layers[0].masked

@@ -15,6 +15,7 @@ from stylesplat.io import scene_folder
 from stylesplat.io.atomic import locked_folder, refuse_unwritable
 from stylesplat.io.splats.splat_files import COMPRESSED
 from stylesplat.scene.scene import Scene
+from stylesplat.studio_app.edits import solo_layer
 from stylesplat.studio_app.gallery import NO_NAME
 from stylesplat.studio_app.history import StudioState, replace_scene
 from stylesplat.studio_app.messages import Progress
@@ -38,6 +39,7 @@ class SceneStore:
 
     def save(self) -> None:
         session, folder = self._session, self._session.folder
+        self._show_all()
         with locked_folder(folder):
             if _stamp(folder) != self._stamp:
                 raise StyleSplatError(
@@ -54,8 +56,15 @@ class SceneStore:
         folder = self._session.folder.resolve().parent / name
         if folder.exists():
             raise StyleSplatError(f"There is a folder {folder} already. Choose another name.")
+        self._show_all()
         scene_folder.save(self._session.state.scene, folder)
         self._finish_save(folder)
+
+    def _show_all(self) -> None:
+        """End that a layer is shown alone: that is to look at it, and is not saved."""
+        state = self._session.state
+        if state.solo:
+            self._session.history.add(solo_layer(state, state.solo[0]))
 
     def _finish_save(self, folder: Path) -> None:
         session = self._session
