@@ -37,7 +37,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let `cuda` run its kernels on the CPU for one test."""
     if sys.platform != "linux" or shutil.which("g++") is None:
         pytest.skip("emulates CUDA's kernels by g++, on Linux")
-    monkeypatch.setattr(nvrtc, "load", load)
+    monkeypatch.setattr(nvrtc, "load_kernels", load)
 
 
 @cache

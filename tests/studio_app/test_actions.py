@@ -32,7 +32,7 @@ from stylesplat.studio_app.selecting import pick_names
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.studio import StudioServer, studio
 from stylesplat.studio_app.variants import Variants
-from stylesplat.studio_app.views import Views
+from stylesplat.studio_app.views import KeptViews
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.stylize import stylize
@@ -482,7 +482,7 @@ def test_views_are_kept_beside_the_scene_and_a_video_leads_through_them(page: Pa
     folder = page.session.folder
     state = page.act("save_as", name="moved")
     for each in (folder, page.session.folder):
-        kept = Views(Session(open(each), folder=each), Files(), (1.0, 1.0))
+        kept = KeptViews(Session(open(each), folder=each), Files(), (1.0, 1.0))
         assert [view.name for view in kept.cards()[:2]] == ["View 2", "View 1"]
         assert kept.levelled is not None
     state = page.act("forget_view", number=0)

@@ -19,7 +19,7 @@ from stylesplat.io.splats.splat_ply import FULL_BANDS, pad_bands
 from stylesplat.io.tensors import GAUSSIANS, Declared, read_tensors, write_tensors
 from stylesplat.options import MAX_INTENSITY
 from stylesplat.scene.layers import (
-    LABEL,
+    LAYER_LABEL,
     Blend,
     Layer,
     LayerKind,
@@ -57,7 +57,7 @@ class _Layer(msgspec.Struct):
     file: Annotated[str, Meta(pattern=LAYER_FILE)]
     object: str
     kind: LayerKind = "paint"
-    label: Annotated[str, Meta(pattern=LABEL)] = ""
+    label: Annotated[str, Meta(pattern=LAYER_LABEL)] = ""
     blend: Blend = "normal"
     strength: Intensity = 1.0
     form: Intensity = 0.0
@@ -281,7 +281,7 @@ def _read(path: Path, entry: _Layer, count: int) -> Layer:
     )
 
 
-def read_mask(path: Path, count: int, kind: LayerKind) -> Float[Tensor, " B"]:
+def read_layer_mask(path: Path, count: int, kind: LayerKind) -> Float[Tensor, " B"]:
     """The mask in the file of a layer, for all rows of a base of `count` Gaussians."""
     tensors = read_tensors(path, _declared(count, kind), N=count)
     if "mask" not in tensors:

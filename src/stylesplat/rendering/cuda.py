@@ -45,7 +45,7 @@ SH_CONSTANTS = {
 }
 
 
-class Tiled(NamedTuple):
+class TiledView(NamedTuple):
     """Projected Gaussians, sorted into the tiles of one image."""
 
     means2d: Float[Tensor, "N 2"]
@@ -71,14 +71,14 @@ def _float32(*tensors: Tensor) -> list[Tensor]:
     return [tensor.detach().contiguous() for tensor in tensors]
 
 
-def tile(projected: Projected, size: tuple[int, int]) -> Tiled:
+def tile(projected: Projected, size: tuple[int, int]) -> TiledView:
     """Sort projected Gaussians into the tiles of an image; the host waits once, for a number."""
     (width, height), count = size, len(projected.depths)
     side = SMALL_TILE if width * height <= SMALL_IMAGE else LARGE_TILE
     columns, rows = -(-width // side), -(-height // side)
     means2d, conics, opacities, depths = _float32(*projected[:4])
     given = means2d, conics, opacities, depths, projected.radii.contiguous(), columns, rows, count
-    kernels, new = nvrtc.load(TILES, means2d.device, TILE=side), depths.new_empty
+    kernels, new = nvrtc.load_kernels(TILES, means2d.device, TILE=side), depths.new_empty
     counts = depths.new_zeros(columns * rows + 1, dtype=torch.int32)  # behind a 0
     grid = -(-count // THREADS), 1
     kernels.launch("list_tiles", grid, THREADS, *given, counts[1:], None, None)
@@ -87,15 +87,15 @@ def tile(projected: Projected, size: tuple[int, int]) -> Tiled:
     keys, order = new(pairs, dtype=torch.int64), new(pairs, dtype=torch.int32)
     kernels.launch("list_tiles", grid, THREADS, *given, counts[1:], starts, keys)
     kernels.launch("sort_tiles", (columns * rows, 1), THREADS, starts, keys, order)
-    return Tiled(means2d, conics, opacities, starts, order, width, height, side)
+    return TiledView(means2d, conics, opacities, starts, order, width, height, side)
 
 
-def _blend(name: str, tiled: Tiled, part: slice, stride: int, *arguments: Argument) -> None:
+def _blend(name: str, tiled: TiledView, part: slice, stride: int, *arguments: Argument) -> None:
     """Run a kernel of `blend.cu` on some channels of rows that have `stride` of them."""
     *tensors, width, height, side = tiled
     count = part.stop - part.start
     compiled = next(channels for channels in CHANNELS if channels >= count)
-    kernels = nvrtc.load(BLEND, tiled.means2d.device, TILE=side, CHANNELS=compiled)
+    kernels = nvrtc.load_kernels(BLEND, tiled.means2d.device, TILE=side, CHANNELS=compiled)
     grid = -(-width // side), -(-height // side)
     given = *tensors, width, height, stride, part.start, count, *arguments
     kernels.launch(name, grid, side * side, *given)
@@ -266,12 +266,12 @@ def rasterize(
     return render_colors, render_alphas, info._asdict()
 
 
-def composite(tiled: Tiled, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W D"]:
+def composite(tiled: TiledView, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W D"]:
     """Composite values of projected Gaussians; see `reference.composite`."""
     return _Composite.apply(tiled, values)
 
 
-def backproject(tiled: Tiled, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
+def backproject(tiled: TiledView, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
     """The adjoint of `composite`; see `reference.backproject`."""
     (image,), channels = _float32(image), image.shape[-1]
     sums = image.new_zeros(len(tiled.opacities), channels)

@@ -118,7 +118,7 @@ def _layout(types: tuple[type, ...]) -> struct.Struct:
 
 
 @cache
-def load(source: Path, device: torch.device, **defines: int | float) -> Kernels:
+def load_kernels(source: Path, device: torch.device, **defines: int | float) -> Kernels:
     """The kernels of a source with constants defined, for a GPU."""
     major, minor = torch.cuda.get_device_capability(device)
     return Kernels(cached_cubin(source, f"sm_{major}{minor}", **defines), device)
@@ -134,7 +134,7 @@ def for_each_row(
 ) -> None:
     """Run a kernel with a thread for each row."""
     grid = -(-count // THREADS), 1
-    load(source, device, **defines).launch(kernel, grid, THREADS, *arguments)
+    load_kernels(source, device, **defines).launch(kernel, grid, THREADS, *arguments)
 
 
 def cached_cubin(source: Path, architecture: str, **defines: int | float) -> bytes:

@@ -37,9 +37,10 @@ def pick_device(name: torch.device | str = "auto") -> torch.device:
         StyleSplatError: If it is none of these, or `cuda` is asked for and torch sees no GPU.
     """
     if name == "auto":
-        if not has_nvidia_gpu():
-            _say_unused_gpu()
-        return torch.device("cuda" if has_nvidia_gpu() else "cpu")
+        if has_nvidia_gpu():
+            return torch.device("cuda")
+        _say_unused_gpu()
+        return torch.device("cpu")
     try:
         device = torch.device(name)
     except (RuntimeError, TypeError):  # torch's own words for what is no device

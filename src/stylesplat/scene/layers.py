@@ -144,7 +144,7 @@ def shown_like(layer: Layer, other: Layer | None, count: int) -> Layer:
     return replace(layer, blend=other.blend, mask=mask)
 
 
-LABEL = r"\A(?!recolor\Z)[\w .-]{0,40}\Z"
+LAYER_LABEL = r"\A(?!recolor\Z)[\w .-]{0,40}\Z"
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -157,7 +157,7 @@ def check_layer_name(name: str) -> None:
     """Refuse a name that no layer of paint can have."""
     object, label = split_name(name)
     check_name_or_id(object)
-    if not re.match(LABEL, label) or (not label and "/" in name):
+    if not re.match(LAYER_LABEL, label) or (not label and "/" in name):
         raise StyleSplatError(
             f"No layer can be called {shorten(name)!r}: behind the slash come up to 40 letters and "
             "digits, as in vase/2. Choose another name."

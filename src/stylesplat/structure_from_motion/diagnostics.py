@@ -26,7 +26,7 @@ DIAGNOSIS_FEW = 20  # photos; with fewer from one side only, even that side is p
 MIN_SHARED = 50  # points that a photo has to share with others
 MIN_SHARED_SHARE = 0.1  # of what photos of the capture share in the median
 SAME_DISTANCE = 1.2  # ratio of distances that is not worth a number
-ELSEWHERE = "shows another place"  # how the reason begins that such a photo has no pose
+ANOTHER_PLACE = "shows another place"  # how the reason begins that such a photo has no pose
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def diagnose_poses(posed: int, unposed: Mapping[str, str], left_out: int) -> Fin
         "Take more photos between those without a pose and the rest, in small steps, and pose "
         "them again."
     )
-    if unposed and all(reason.startswith(ELSEWHERE) for reason in unposed.values()):
+    if unposed and all(reason.startswith(ANOTHER_PLACE) for reason in unposed.values()):
         advice = "Pose each place in a folder of its own, or take photos that connect them."
     return _graded("posed", posed / total, (0.95, 0.8), says, advice)
 
@@ -357,7 +357,7 @@ def why_unregistered(
             return f"too little texture: {counts[name]} features"
         for group in others:
             if name in group:
-                return f"{ELSEWHERE}, with {count_noun(len(group) - 1, 'other photo')}"
+                return f"{ANOTHER_PLACE}, with {count_noun(len(group) - 1, 'other photo')}"
         shared = max((table.matches.get((name, other), 0) for other in posed), default=0)
         if shared < MIN_INLIERS:
             return (

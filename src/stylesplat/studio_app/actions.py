@@ -55,14 +55,14 @@ from stylesplat.studio_app.reports import (
     layer_info,
     layer_title,
     object_info,
-    photo_places,
+    photo_views,
     selection_info,
     vector,
 )
 from stylesplat.studio_app.session import Display, Session, Stopped
 from stylesplat.studio_app.thumbnails import ObjectThumbnails, StylePreviews
 from stylesplat.studio_app.variants import Variants
-from stylesplat.studio_app.views import Views
+from stylesplat.studio_app.views import KeptViews
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.export import export
@@ -116,7 +116,7 @@ class Actions:
         scene = session.state.scene
         self._content = content_of(scene.splats).extent
         self._start = start_of(scene.splats, None if has_rendered_views(scene) else scene.cameras)
-        self.views = Views(session, gallery.files, tuple(self._start["slopes"]))
+        self.views = KeptViews(session, gallery.files, tuple(self._start["slopes"]))
         session.on_painted.append(self._painted)
         changes = [picking.pick_names, picking.pick_box, picking.pick_words, picking.resize_picked]
         changes += [picking.unite_picked, picking.subtract_picked, picking.forget_picked]
@@ -236,8 +236,10 @@ class Actions:
                 state = picking.with_object_of_selection(state, "recoloured")
             names = [*state.picked]  # of a slider that is dragged, the first message named them
         found = layers.recolor_objects(state, names, setting, value)
-        if found is state or before.selection is None or state is before:
-            return before if found is state else found
+        if found is state:
+            return before
+        if before.selection is None or state is before:
+            return found
         return layers.mask_layer(found, f"{names[0]}{RECOLOR}", before.selection.weights / 255)
 
     def mask_drawn(
@@ -487,7 +489,7 @@ class Actions:
 
     def hello(self, title: str) -> m.Hello:
         scene = self.session.state.scene
-        taken = () if has_rendered_views(scene) else photo_places(scene, self._content.centre)
+        taken = () if has_rendered_views(scene) else photo_views(scene, self._content.centre)
         return m.Hello(
             title=title,
             readonly=self.readonly,

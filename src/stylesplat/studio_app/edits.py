@@ -29,10 +29,10 @@ MENDED = "mending/mended"  # the layer of all mending
 
 def find_layer(scene: Scene, name: str) -> Layer:
     """The layer of a name. Raises a StyleSplatError if there is none."""
-    for layer in scene.layers:
-        if layer.name == name:
-            return layer
-    raise StyleSplatError(f"{name} is not painted.")
+    layer = scene.layer(name)
+    if layer is None:
+        raise StyleSplatError(f"{name} is not painted.")
+    return layer
 
 
 def adjust_layer(
@@ -146,7 +146,7 @@ def recolor_objects(
     for name in names:
         own = f"{name}{RECOLOR}"
         refuse_locked(state, own)
-        known = next((layer for layer in scene.layers if layer.name == own), None)
+        known = scene.layer(own)
         settings = {**(recoloring_of(known) if known else {}), setting: value}
         settings = {k: v for k, v in settings.items() if v != getattr(RecolorConfig, k, None)}
         if settings:

@@ -75,7 +75,7 @@ def layer_title(layer: Layer) -> str:
     return ", ".join(style_title(each.path) for each in layer.styles)
 
 
-def photo_places(scene: Scene, middle: torch.Tensor) -> Iterator[dict[str, Any]]:
+def photo_views(scene: Scene, middle: torch.Tensor) -> Iterator[dict[str, Any]]:
     """Where each photo was taken, and how its camera stood."""
     for camera in (scene.cameras[row] for row in range(len(scene.cameras))):
         position, axes = camera.positions[0].double(), camera.viewmats[0, :3, :3].double()

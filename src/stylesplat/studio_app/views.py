@@ -42,7 +42,7 @@ class _Kept(msgspec.Struct):
     views: Annotated[list[KeptView], Meta(max_length=MOST_KEPT)] = []
 
 
-class Views:
+class KeptViews:
     def __init__(self, session: Session, files: Files, slopes: tuple[float, float]) -> None:
         """`slopes` are the width and the height of the first view's picture at distance 1."""
         self._session, self._files, self._slopes = session, files, slopes

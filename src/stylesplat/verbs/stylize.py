@@ -10,7 +10,7 @@ import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.style import flat_metrics, measure_painted
-from stylesplat.io.layers import read_edit, read_mask
+from stylesplat.io.layers import read_edit, read_layer_mask
 from stylesplat.io.style_pictures import Picture
 from stylesplat.options import check_arguments
 from stylesplat.progress import say
@@ -164,7 +164,7 @@ def _as_in(scene: Scene, name: str, entry: StyledObject | RecoloredObject) -> Sc
         return scene
     layer = scene.layer(name)
     assert layer is not None  # it was made just now
-    mask = entry.mask and read_mask(entry.mask, len(scene.base), layer.kind)[layer.rows]
+    mask = entry.mask and read_layer_mask(entry.mask, len(scene.base), layer.kind)[layer.rows]
     return scene.with_layer(replace(layer, blend=entry.blend, mask=mask))
 
 

@@ -16,7 +16,7 @@ struct Batch {
     alignas(16) float colors[THREADS][CHANNELS];
 };
 
-// Sorted Gaussians; see `Tiled` of rendering/cuda.py.
+// Sorted Gaussians; see `TiledView` of rendering/cuda.py.
 struct Tiles {
     const float *means2d, *conics, *opacities;
     const long long* starts;
