@@ -152,13 +152,19 @@ def pick_drawn(
     rows = (within > beside) & (within > LEAST_SHOWN)
     if not rows.any():
         raise StyleSplatError("Nothing shows inside the line. Draw it around an object.")
-    places, depths = project(base.means, camera)
-    column, row = places.floor().long().unbind(1)
-    height, width = inside.shape
-    seen = (depths > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    below = inside[row.clamp(0, height - 1), column.clamp(0, width - 1)] & seen
-    rows |= grow(base, rows, BENEATH) & below
+    pixels, is_seen, _ = _pixels_over(base.means, camera)
+    rows |= grow(base, rows, BENEATH) & inside[pixels] & is_seen
     return _combined(state, how, rows)
+
+
+def _pixels_over(
+    means: Float[Tensor, "B 3"], camera: Cameras
+) -> tuple[tuple[Tensor, Tensor], Bool[Tensor, " B"], Float[Tensor, " B"]]:
+    """The row and column of the pixel over each mean, whether it has one, and the mean's depth."""
+    (width, height), (places, depths) = camera.size, project(means, camera)
+    column, row = places.floor().long().unbind(1)
+    seen = (depths > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return (row.clamp(0, height - 1), column.clamp(0, width - 1)), seen, depths
 
 
 def _rounded(places: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
@@ -183,15 +189,11 @@ def brushed(
     within, shown = scene.to_base(pixels_in(scene.splats, camera, [parts])).unbind(dim=1)
     share = torch.where(shown > LEAST_SHOWN, within / shown.clamp(min=LEAST_SHOWN), 0.0)
     depths, alphas = expected_depth(scene.splats, camera)
-    places, own = project(base.means, camera)
-    column, row = places.floor().long().unbind(1)
-    height, width = region.shape
-    seen = (own > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height) & rows
-    pixels = row.clamp(0, height - 1), column.clamp(0, width - 1)
+    pixels, is_seen, own = _pixels_over(base.means, camera)
     if reach is None:
         reach = BENEATH * robust_diameter(base.means[opaque_rows(base, rows)])
     near = (alphas[pixels] > LEAST_SHOWN) & (own <= depths[pixels] + reach)
-    beneath = torch.where(seen & near, region[pixels].to(own), 0.0)
+    beneath = torch.where(is_seen & rows & near, region[pixels].to(own), 0.0)
     return torch.where(rows, share.maximum(beneath), 0.0).cpu()
 
 
@@ -388,9 +390,9 @@ def _combined(
     record: Selection | None = None,
 ) -> StudioState:
     """Select something, or change the selection by it: what is picked is one, too."""
-    own = found.cpu() if found.dtype == torch.uint8 else 255 * found.cpu().byte()
+    own = _in_255ths(found)
     if how == "new":
-        return _selected(state, own, BY[how], record)
+        return _selected(replace(state, picked=(), selection=None), own, BY[how], record)
     before = picked_weights(state)
     if not before.any() and how != "add":
         raise StyleSplatError("Nothing is selected that could be changed. Select something first.")
@@ -400,18 +402,20 @@ def _combined(
     return _selected(state, own, BY[how])
 
 
+def _in_255ths(rows: Bool[Tensor, " B"] | UInt8[Tensor, " B"]) -> UInt8[Tensor, " B"]:
+    return rows.cpu() if rows.dtype == torch.uint8 else 255 * rows.cpu().byte()
+
+
 def _selected(
     state: StudioState,
     weights: Bool[Tensor, " B"] | UInt8[Tensor, " B"],
     note: str,
     record: Selection | None = None,
 ) -> StudioState:
-    weights = weights if weights.dtype == torch.uint8 else 255 * weights.cpu().byte()
+    weights = _in_255ths(weights)
     if not (weights >= 128).any():
         raise StyleSplatError("Nothing is left of the selection. Remove less.")
     known = state.selection
     origin = known.origin if known else state.picked[0] if len(state.picked) == 1 else ""
-    if note == BY["new"]:
-        origin = ""
     found = Selected(weights, record or Selection(rows=IN_MEMORY), origin)
     return replace(state, selection=found, picked=(), note=note)
