@@ -39,6 +39,12 @@ def random_splats(count: int = 200, *, seed: int = 0, sh_degree: int = 3) -> Spl
     )
 
 
+def write_checkpoint(splats: Splats, path: Path) -> None:
+    """The file of gsplat's `simple_trainer`."""
+    names = ("means", "quats", "scales", "opacities", "sh0", "shN")
+    torch.save({"step": 6999, "splats": {name: getattr(splats, name) for name in names}}, path)
+
+
 def two_cameras() -> Cameras:
     """Two views of the origin whose sizes are no multiples of a tile."""
     viewmats = torch.eye(4).repeat(2, 1, 1)

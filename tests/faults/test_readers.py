@@ -20,7 +20,7 @@ from balls import CAMERAS
 from capture_files import save_noise, write_ball_capture, write_capture
 from ksplat_files import write_ksplat
 from processes import VERBS, write_jobs
-from scenes import COUNT, full_scene, random_splats
+from scenes import COUNT, full_scene, random_splats, write_checkpoint
 from stylesplat.batch_jobs.job_file import plan_batch
 from stylesplat.io.gaussian_lists import read_objects
 from stylesplat.io.splats import splat_files
@@ -45,6 +45,8 @@ def write_splats(folder: Path, suffix: str) -> None:
     folder.mkdir(parents=True)
     if suffix == "ksplat":  # which is read only
         write_ksplat(folder / "a.ksplat", [random_splats(COUNT)], 1, 1)
+    elif suffix == "pt":
+        write_checkpoint(random_splats(COUNT), folder / "a.pt")
     else:
         ss.export(random_splats(COUNT), folder / f"a.{suffix}")
 
@@ -149,7 +151,10 @@ FORMATS = {
             (f"a.{suffix}",),
             partial(read_splats, suffix=suffix),
         )
-        for suffix in ("ply", "compressed.ply", "spz", "splat", "ksplat", "sog", "glb", "gltf")
+        for suffix in (
+            *("ply", "compressed.ply", "spz", "splat", "ksplat", "sog", "glb", "gltf"),
+            *("usda", "usdc", "usdz", "pt"),
+        )
     },
     "scene": Format(
         lambda folder: ss.save(full_scene(), folder / "scene"),

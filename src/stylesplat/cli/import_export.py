@@ -34,8 +34,8 @@ class Import(MakingCommand):
     """
 
     splat: Positional[Path]
-    """A .ply (also SuperSplat's compressed one), .spz, .splat, .ksplat, .sog, .glb or .gltf file,
-    or the meta.json of a SOG folder."""
+    """A .ply (also SuperSplat's compressed one), .spz, .splat, .ksplat, .sog, .glb, .gltf or .usd*
+    file, the meta.json of a SOG folder, or a checkpoint: gsplat's .pt, splatfacto's .ckpt."""
     output: Output
     """Folder of the scene to make."""
     capture: Positional[Path | None] = None
@@ -106,8 +106,8 @@ class Export(MakingCommand):
     scene: SceneFolder
     file: Positional[Path | None] = None
     """File to make: .ply keeps every bit; .compressed.ply, .spz, .splat and .sog are smaller; .glb
-    and .gltf are glTF; .html is a page for any browser, with before and
-    after; .npz lists the objects' Gaussians. Or name it with -o."""
+    and .gltf are glTF; .usdz, .usdc and .usda are USD; .html is a page for any browser, with before
+    and after; .npz lists the objects' Gaussians. Or name it with -o."""
     output: OptionalOutput = None
     """File to make, where it does not follow the scene."""
     object: UseAppendAction[tuple[str, ...]] = ()

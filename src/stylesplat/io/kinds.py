@@ -16,7 +16,9 @@ PHOTOS = (
     *(".bmp", ".dib", ".gif", ".ppm", ".pgm", ".pnm", ".tga", *HEIC),
 )
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".3gp", ".mts", ".m2ts", ".mpg", ".wmv")
-SPLATS = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".gltf")
+USD = (".usd", ".usda", ".usdc", ".usdz")
+CHECKPOINTS = (".pt", ".ckpt")  # of gsplat and nerfstudio
+SPLATS = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".gltf", *USD, *CHECKPOINTS)
 SOG_META = "meta.json"  # of a SOG that is a folder
 SCENE = "scene.json"  # makes a folder a scene
 CAMERAS = "cameras.json"  # of a scene

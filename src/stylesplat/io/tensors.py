@@ -89,7 +89,7 @@ def check_tensors(
         raise ValueError(f"it holds {unknown!r:.40}, which is no part of such files")
     known = dict(sizes)
     for name, tensor in tensors.items():
-        _check_form(name, tensor, declared[name], known)
+        check_form(name, tensor, declared[name], known)
         check_range(name, tensor, declared[name])
 
 
@@ -122,7 +122,7 @@ def as_rows(tensor: Shaped[Tensor, "N *_"]) -> Shaped[Tensor, "N D"]:
     return tensor.reshape(len(tensor), math.prod(tensor.shape[1:]))
 
 
-def _check_form(name: str, tensor: Tensor, declared: Declared, known: dict[str, int]) -> None:
+def check_form(name: str, tensor: Tensor, declared: Declared, known: dict[str, int]) -> None:
     """Check type and shape; a letter that is not known yet gets the size of this tensor."""
     if tensor.dtype != declared.dtype or tensor.layout != torch.strided:
         expected = str(declared.dtype).removeprefix("torch.")

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
@@ -33,6 +34,34 @@ class Frame:
     def inverse(self) -> "Frame":
         shift = None if self.shift is None else -(self.shift @ self.rotation) / self.scale
         return Frame(self.rotation.T, 1 / self.scale, shift)
+
+
+FRAME_TOLERANCE = 1e-3  # of a rotation times its transpose; files round to about six digits
+EXACT_WITHIN = 1e-6  # of quarter turns and of scale 1, which are then taken as exact
+
+
+def similarity(
+    linear: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"], what: str
+) -> Frame | None:
+    """The frame of an affine transform that a file has; None for the identity.
+
+    A ValueError if it is no similarity; `what` names the transform in it.
+    """
+    with np.errstate(all="ignore"):  # an overflow is refused below
+        scale = float(np.cbrt(np.linalg.det(linear)))
+        rotation = linear / scale
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if not (scale > 0 and error < FRAME_TOLERANCE and np.isfinite([*linear, shift]).all()):
+        fault = f"{what} mirrors, shears or stretches its splats"
+        raise ValueError(f"{fault}. Apply its transform where you made it")
+    u, _, vt = np.linalg.svd(rotation)
+    rotation = u @ vt
+    if np.abs(rotation - rotation.round()).max() < EXACT_WITHIN:
+        rotation = rotation.round() + 0.0  # no -0
+    scale = 1.0 if abs(scale - 1) < EXACT_WITHIN else scale
+    if scale == 1 and (rotation == np.eye(3)).all() and not shift.any():
+        return None
+    return Frame(torch.from_numpy(rotation), scale, torch.from_numpy(shift))
 
 
 FRAME_SAME = Frame(torch.eye(3))

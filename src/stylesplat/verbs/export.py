@@ -48,7 +48,8 @@ def export(
         path: A file name ending in `.ply`, which keeps every bit; in `.compressed.ply`,
             SuperSplat's form, four times smaller; in `.spz`, about six times smaller; in
             `.sog`, seven times or more; in `.splat`, one colour per Gaussian; in `.glb` or
-            `.gltf`, glTF with Khronos' KHR_gaussian_splatting, as float32; or in `.html`, a page
+            `.gltf`, glTF with Khronos' KHR_gaussian_splatting, as float32; in `.usd`, `.usda`,
+            `.usdc` or `.usdz`, which needs `stylesplat[usd]`; or in `.html`, a page
             that any browser opens without a network, and that compares a styled scene with what
             it was before. A `.npz` gets the rows and shares of the objects instead.
         objects: Names or label ids of the objects to write; by default everything. Positions are

@@ -61,7 +61,8 @@ def import_(
     left out, and a line says how many.
 
     Args:
-        splat: A .ply, .spz, .splat, .ksplat, .sog, .glb or .gltf file, or a SOG folder's meta.json;
+        splat: A file that `read_splats` reads, such as a .ply, .spz, .sog, .glb or .usdz, a
+            checkpoint of gsplat or splatfacto, or a SOG folder's meta.json;
             or splats in memory.
         capture: The photos that it was made from. Without them the scene gets views around
             the content, most of which show all of it.

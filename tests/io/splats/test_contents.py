@@ -13,11 +13,14 @@ import torch
 from PIL import Image
 
 from ksplat_files import write_ksplat
-from scenes import random_splats
+from scenes import random_splats, write_checkpoint
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 
-KINDS = [".ply", ".compressed.ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".gltf"]
+KINDS = [
+    *(".ply", ".compressed.ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".gltf"),
+    *(".usdc", ".usda", ".usdz", ".pt"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +29,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for kind in KINDS:
         if kind == ".ksplat":
             write_ksplat(folder / f"a{kind}", [splats], 1, 1)
+        elif kind == ".pt":
+            write_checkpoint(splats, folder / f"a{kind}")
         else:
             write_splats(splats, folder / f"a{kind}")
     return folder

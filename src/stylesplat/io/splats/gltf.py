@@ -7,7 +7,6 @@ harmonics are the INRIA code's. Programs that do not know it show a cloud of col
 
 import base64
 import json
-import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -42,11 +41,11 @@ from stylesplat.io.splats.gltf_file import (
     open_gltf,
     padded_json,
 )
-from stylesplat.io.splats.packing import PACKED_SMALLEST, unit_quats
+from stylesplat.io.splats.packing import PACKED_SMALLEST, logits, unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, of_degree, refuse_faulty
 from stylesplat.io.splats.spz import OWN_AXES, SPZ_LARGEST_RATIO, pack_spz, unpack_spz
 from stylesplat.progress import say
-from stylesplat.scene.frames import Frame, move_splats
+from stylesplat.scene.frames import Frame, move_splats, similarity
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.scene.world_offset import Offset
 
@@ -56,13 +55,10 @@ OF_FIRST_DRAFT = re.compile(r"splat-transform v?(\d+)\.(\d+)")
 FIRST_LINEAR = (2, 7)  # version of splat-transform, June 2026
 MOST_NEGATIVE = 0.5  # share of scales, beyond which they are logarithms: a unit is large for splats
 GLTF_DRAFT = "release candidate of April 2026: linear scales"  # of the extension, that we write
-GLTF_LARGEST = 1 - 2.0**-25  # of an opacity: 1 has no logit, and float32 has no number between
 # glTF's x left, y up, z forward to our (COLMAP's) x right, y down, z forward, and back
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 HALF_TURN_XYZW = [0.0, 0.0, 1.0, 0.0]
 VERSION_INSIDE = 2  # of SPZ, which the extension is named after
-GLTF_TOLERANCE = 1e-3  # of a rotation times its transpose; files round to about six digits
-EXACT_WITHIN = 1e-6  # of quarter turns and of scale 1, which are then taken as exact
 GLTF_POINTS = 0  # the mode of a primitive that is drawn as points
 KINDS_OF = {torch.float32: GL_FLOAT, torch.uint16: SHORT, torch.uint8: BYTE}
 VERTICES = 34962  # the target of a view that holds attributes
@@ -128,8 +124,6 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
         return torch.from_numpy(rows)
 
     quats, scales = column(attribute("ROTATION"), 4), column(attribute("SCALE"), 3)
-    opacities = column(attribute("OPACITY"), 1)[:, 0].double()
-    impossible = (opacities < 0) | (opacities > 1)  # `drawable` leaves them out
     first, *higher = harmonics(_degree(gltf, primitive))
     shN = torch.empty(len(means), len(higher), 3)
     for band, name in enumerate(higher):
@@ -138,10 +132,7 @@ def _splats(gltf: Gltf, primitive: Primitive) -> Splats:
         means=means,
         quats=quats[:, [3, 0, 1, 2]],
         scales=_log_scales(gltf, scales),
-        opacities=opacities.clamp(PACKED_SMALLEST, GLTF_LARGEST)
-        .logit()
-        .where(~impossible, math.nan)
-        .float(),
+        opacities=logits(column(attribute("OPACITY"), 1)[:, 0]),
         sh0=column(first, 3)[:, None],
         shN=shN,
     )
@@ -231,22 +222,7 @@ def _matrix(node: Node) -> Float[np.ndarray, "4 4"]:
 
 def _frame(matrix: Float[np.ndarray, "4 4"]) -> Frame | None:
     """A transform to glTF's world as one to ours; None for the identity."""
-    with np.errstate(all="ignore"):  # an overflow is refused below
-        linear = matrix[:3, :3]
-        scale = float(np.cbrt(np.linalg.det(linear)))
-        rotation = linear / scale
-        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if not (scale > 0 and error < GLTF_TOLERANCE and np.isfinite(matrix).all()):
-        fault = "a node mirrors, shears or stretches its splats"
-        raise ValueError(f"{fault}. Apply the transforms of its nodes where you made it")
-    u, _, vt = np.linalg.svd(HALF_TURN @ rotation)
-    rotation, shift = u @ vt, HALF_TURN @ matrix[:3, 3]
-    if np.abs(rotation - rotation.round()).max() < EXACT_WITHIN:
-        rotation = rotation.round() + 0.0  # no -0
-    scale = 1.0 if abs(scale - 1) < EXACT_WITHIN else scale
-    if scale == 1 and (rotation == np.eye(3)).all() and not shift.any():
-        return None
-    return Frame(torch.from_numpy(rotation), scale, torch.from_numpy(shift))
+    return similarity(HALF_TURN @ matrix[:3, :3], HALF_TURN @ matrix[:3, 3], "a node")
 
 
 def write_glb(splats: Splats, path: Path | str, *, spz: bool = False) -> None:

@@ -13,6 +13,7 @@ from stylesplat.progress import track
 
 PACKED_SMALLEST = torch.finfo(torch.float32).tiny  # a standard deviation of 0 has no logarithm
 PACKED_NEAR = 1e-6  # of an opacity to 0 and 1, which have no logit; splat-transform's bound for SOG
+OPAQUE = 1 - 2.0**-25  # an opacity: 1 has no logit, and float32 has no number between
 MORTON_BITS = 21  # of each coordinate: three of them fill a signed integer of 64 bits
 # Shifts and masks that spread the bits of a coordinate three apart
 SPREADS = (
@@ -56,6 +57,13 @@ def to_bytes(values: Float[Tensor, "*B"]) -> UInt8[np.ndarray, "*B"]:
 
 def to_floats(values: Shaped[np.ndarray, "*B"]) -> Float[Tensor, "*B"]:
     return torch.from_numpy(np.array(values, np.float32))
+
+
+def logits(opacities: Float[Tensor, " N"]) -> Float[Tensor, " N"]:
+    """Logits of opacities from 0 to 1, and NaN of others, which `drawable` leaves out."""
+    alphas = opacities.double()
+    impossible = (alphas < 0) | (alphas > 1)
+    return alphas.clamp(PACKED_SMALLEST, OPAQUE).logit().where(~impossible, math.nan).float()
 
 
 def unit_quats(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:

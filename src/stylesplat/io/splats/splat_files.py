@@ -5,7 +5,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -19,9 +19,10 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, check_choice, join_names, shorten
 from stylesplat.io.atomic import refuse_file
 from stylesplat.io.files import is_there, open_binary, read_bytes, reading
-from stylesplat.io.kinds import SOG_META, SPLATS, wrong_kind_error
+from stylesplat.io.kinds import CHECKPOINTS, SOG_META, SPLATS, USD, wrong_kind_error
 from stylesplat.io.ply import BOM, read_header
 from stylesplat.io.ply import PLY_MAGIC as PLY
+from stylesplat.io.splats.checkpoints import TORCH_LIST, read_checkpoint
 from stylesplat.io.splats.compressed_ply import (
     is_compressed,
     read_compressed_ply,
@@ -50,15 +51,18 @@ from stylesplat.io.splats.splat_ply import (
 )
 from stylesplat.io.splats.spz import MAGIC as SPZ
 from stylesplat.io.splats.spz import read_spz, write_spz
+from stylesplat.io.splats.usd import USD_BINARY, USD_INSIDE, USD_TEXT, read_usd, write_usd
 from stylesplat.io.tensors import GAUSSIANS, LARGEST_LOG, LARGEST_POSITION, as_rows, rows_in_range
 from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import ORIGIN, announced, choose_offset, offset_text
 
-Format = Literal["PLY", "SPZ", "SOG", "glTF", ".ksplat", ".splat"]
+Format = Literal["PLY", "SPZ", "SOG", "glTF", "USD", "a checkpoint", ".ksplat", ".splat"]
 CONTENT_FORMATS: dict[str, Format] = {  # by what a name ends in
     **{".ply": "PLY", ".spz": "SPZ", ".sog": "SOG", ".glb": "glTF", ".gltf": "glTF"},
     **{".ksplat": ".ksplat", ".splat": ".splat", SOG_META: "SOG"},
+    **dict.fromkeys(USD, "USD"),
+    **dict.fromkeys(CHECKPOINTS, "a checkpoint"),
 }
 JSONS = (".gltf", SOG_META)  # names of formats that are JSON
 CONTENT_HEAD = 1 << 12  # bytes that are looked at
@@ -124,8 +128,10 @@ def _marked(head: bytes, path: Path) -> Format | None:
         return "SPZ"
     if head.startswith(KSPLAT):
         return ".ksplat"
+    if head.startswith((USD_BINARY, USD_TEXT)):
+        return "USD"
     if head.startswith(ZIP):
-        return "SOG" if any(each.endswith(SOG_META) for each in _members(path)) else None
+        return _zipped(_members(path))
     if head.removeprefix(BOM).lstrip()[:1] in (b"{", b"["):
         content = read_bytes(path)
         if b'"means"' in content and b'"quats"' in content:
@@ -133,6 +139,15 @@ def _marked(head: bytes, path: Path) -> Format | None:
         is_json = path.name.lower().endswith(JSONS)
         return "glTF" if b'"asset"' in content else named_format(path) if is_json else None
     return None
+
+
+def _zipped(members: Sequence[str]) -> Format | None:
+    """The format that an archive of these files has."""
+    if members and members[0].lower().endswith(USD_INSIDE):
+        return "USD"
+    if any(each.endswith(f"/{TORCH_LIST}") for each in members):
+        return "a checkpoint"
+    return "SOG" if any(each.endswith(SOG_META) for each in members) else None
 
 
 def _something_else(head: bytes, path: Path) -> tuple[str, str] | None:
@@ -263,11 +278,12 @@ WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but pla
     ".sog": write_sog,
     ".glb": write_glb,
     ".gltf": write_gltf,
+    **dict.fromkeys(USD, write_usd),
 }
 SPZ_INSIDE = {".glb": write_glb, ".gltf": write_gltf}  # if a version of SPZ is asked for
-UNMARKED = (".splat", ".glb", ".gltf")  # formats without a place for the anti-aliasing mark
+UNMARKED = (".splat", ".glb", ".gltf", *USD)  # formats without a place for the anti-aliasing mark
 DRAWABLE_DEGREE = 3
-WITH_OFFSET = (".ply", ".glb", ".gltf")  # formats that hold coordinates in 64 bits
+WITH_OFFSET = (".ply", ".glb", ".gltf", *USD)  # formats that hold coordinates in 64 bits
 
 
 def _read_ply(path: Path) -> Splats:
@@ -282,6 +298,8 @@ READERS: dict[Format, Callable[[Path], Splats]] = {
     "SPZ": read_spz,
     "SOG": read_sog,
     "glTF": read_gltf,
+    "USD": read_usd,
+    "a checkpoint": read_checkpoint,
     ".ksplat": read_ksplat,
     ".splat": read_dot_splat,
 }
@@ -291,10 +309,10 @@ def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
     PLY as INRIA, gsplat, nerfstudio, Postshot and Brush write it, SuperSplat's compressed PLY, SPZ,
-    .splat, .ksplat, glTF, and SOG, as a bundle or as the meta.json of a folder; contents count, not
-    names. No memory is allocated for a count that was not checked against the file. Gaussians that
-    cannot be drawn are left out, with a line. Where coordinates are too large for float32 the
-    splats get a `world_offset`, and a line says so.
+    .splat, .ksplat, glTF, USD, checkpoints of gsplat and splatfacto, and SOG, as a bundle or as the
+    meta.json of a folder; contents count, not names. No memory is allocated for a count that was
+    not checked against the file. Gaussians that cannot be drawn are left out, with a line. Where
+    coordinates are too large for float32 the splats get a `world_offset`, and a line says so.
     """
     return read_drawable(path)[0]
 
