@@ -339,7 +339,10 @@ def test_a_selection_becomes_an_object_by_paint_which_fades_with_its_border(page
     assert [each.name for each in state.layers] == ["recoloured part/recolor"]
     mask = page.session.state.scene.layers[0].mask
     assert mask is not None and 0 < mask.min() < mask.max() == 1
-    page.act("step", rows=-1)
+    page.act("recolor", names=[], setting="hue", value=120)  # before the page knows the object
+    page.act("recolor", names=["recoloured part"], setting="hue", value=150)
+    page.act("step", rows=-1)  # the drag is one step, and a selection before it
+    assert page.session.state.selection is selection and not page.session.state.scene.layers
     page.act("pick_names", names=["7"])
     page.act("resize_picked", share=0.01)
 
@@ -437,13 +440,17 @@ def test_a_variant_changes_its_object_alone(page: Page):
 def test_a_snapshot_brings_the_whole_scene_back(page: Page):
     painted(page, "3")
     full = page.session.state.scene.splats
-    assert page.act("snapshot", name="first").snapshots == ["first"]
+    (kept,) = page.act("snapshot", name="first").snapshots
+    assert kept.note == "first" and kept.picture
     page.act("remove_paint", name="3")
-    state = page.act("restore", number=0)
+    state = page.act("restore", number=kept.number)
     assert torch.equal(page.session.state.scene.splats.sh0, full.sh0)
     assert state.undo == "Restored first"
     page.act("step", rows=-1)
     assert not page.session.state.scene.layers
+    assert not page.act("forget_snapshot", number=kept.number).snapshots
+    page.act("restore", number=kept.number)
+    assert "not there any more" in page.said.pop()
 
 
 def test_the_picture_before_painting_is_there_to_compare(page: Page):
@@ -580,7 +587,7 @@ def test_files_are_delivered(page: Page):
     assert len(page.files["balls.splat"]) == 32 * len(SPLATS)
     assert b"ftyp" in page.files["balls-turntable.mp4"][:16]
     page.files.clear()
-    page.session.on_progress.append(page.actions.exporter.cancel)
+    page.session.on_progress.append(page.actions.deliveries.exporter.cancel)
     page.act("turntable", seconds=1, fps=10, width=64)
     assert not page.files and "cancelled" in page.said[-1]
     page.act("export", ending=".exe")

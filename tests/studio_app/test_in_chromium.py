@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -272,14 +273,41 @@ def test_a_page_goes_on_after_a_restart_once_the_new_address_was_opened(
     tab.wait_until_idle()
     distance = tab.page.evaluate("(window.isOld = true) && studio.camera.distance")
     opened.close()
-    again = studio(opened.session.folder, port=opened.server.port, block=False, device="cpu")
-    try:
+    with restarted(opened) as again:
         assert again.server.port == opened.server.port
         until(lambda: "was started anew" in tab.text(), "a word about the restart")
         assert tab.page.evaluate(f"fetch({again.url!r}).then((answer) => answer.ok)")
         until(lambda: tab.page.evaluate("Boolean(window.studio) && !window.isOld"), "the page")
         assert "was started anew" not in tab.text()
         assert tab.page.evaluate("studio.camera.distance") == distance
+
+
+def test_the_history_goes_back_to_any_step_after_a_restart_too(opened: StudioServer, tab: Tab):
+    before = settled(tab)
+    opened.session.do(lambda state: recolor_objects(state, ["3"], "hue", 90.0))
+    opened.session.do(lambda state: recolor_objects(state, ["7"], "hue", 90.0))
+    pictures = "document.querySelectorAll('.history img').length"
+    until(lambda: tab.page.evaluate(pictures) >= 2, "pictures of steps")
+    painted = settled(tab)
+    opened.close()
+    with restarted(opened) as again:
+        tab.open(again.url)
+        assert_shows(tab, painted)
+        tab.press_button("Go to: Opened")
+        until(lambda: not again.session.state.scene.layers, "the first step")
+        assert_shows(tab, before)
+        current = "document.querySelector('.history [aria-current=step]').innerText"
+        until(lambda: tab.page.evaluate(current) == "Opened", "the present step")
+        tab.assert_accessible()
+        tab.press_button("Go to: Recoloured 7: hue 90")
+        assert_shows(tab, painted)
+
+
+@contextmanager
+def restarted(opened: StudioServer) -> Iterator[StudioServer]:
+    again = studio(opened.session.folder, port=opened.server.port, block=False, device="cpu")
+    try:
+        yield again
     finally:
         again.close()
 

@@ -17,7 +17,6 @@ from stylesplat.io.scene_folder import open, save
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.selection import Selection
-from stylesplat.studio_app.files import AUTOSAVE
 from stylesplat.studio_app.history import replace_scene
 from stylesplat.studio_app.selecting import pick_names, rename_picked
 from stylesplat.studio_app.studio import studio
@@ -37,7 +36,7 @@ def test_closing_keeps_what_is_not_saved_and_opening_goes_on_with_it(folder: Pat
     opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
     assert opened.session.worker.wait_until_idle()
     opened.close()
-    assert "Autosaved" in said[-1]
+    assert "Not saved, but kept" in said[-1]
     assert not open(folder).objects, "the scene itself is as it was"
     again = studio(folder, port=0, block=False)
     try:
@@ -62,29 +61,13 @@ def test_closing_keeps_what_there_is_of_a_painting(folder: Path):
     opened.session.ask(lambda: queue.paint(("3",), Style(stripes(), config=LONG), "stripes"))
     assert strokes.wait(LIMIT)
     opened.close()
-    kept = open(folder / AUTOSAVE)
-    assert kept.painted_objects == ("3",)
-    assert not torch.equal(kept.splats.sh0, SPLATS.sh0)
-
-
-def test_nothing_is_kept_while_something_is_painted_but_as_soon_as_it_is_done(folder: Path):
-    opened = studio(folder, port=0, block=False, device="cpu")
-    kept, queue = list[bool](), opened.server.actions.queue
-
-    def look() -> None:
-        if opened.session.painting:
-            opened.autosave()
-            kept.append((folder / AUTOSAVE).exists())
-
+    again = studio(folder, port=0, block=False)
     try:
-        opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
-        opened.session.on_change.append(look)
-        opened.session.ask(lambda: queue.paint(("red",), Style(stripes(), config=QUICK), "stripes"))
-        assert opened.session.worker.wait_until_idle()
-        assert kept and not any(kept)
-        assert open(folder / AUTOSAVE).painted_objects == ("red",)
+        kept = again.session.state.scene
+        assert kept.painted_objects == ("3",)
+        assert not torch.equal(kept.splats.sh0, SPLATS.sh0)
     finally:
-        opened.close()
+        again.close()
 
 
 def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, said: list[str]):
@@ -105,20 +88,6 @@ def test_a_failure_at_closing_is_told_and_the_studio_is_closed(folder: Path, sai
         assert probe.connect_ex(("127.0.0.1", number)) != 0
 
 
-def test_a_damaged_autosave_is_told_and_ends_nothing(folder: Path, said: list[str]):
-    opened = studio(folder, port=0, block=False)
-    opened.session.do(lambda state: rename_picked(pick_names(state, ["3"]), "red"))
-    assert opened.session.worker.wait_until_idle()
-    opened.close()
-    (folder / AUTOSAVE / "splats.ply").write_bytes(b"ply")
-    again = studio(folder, port=0, block=False)
-    try:
-        assert not again.session.unsaved
-        assert "Cannot recover" in said[-1] and "splats.ply" in said[-1]
-    finally:
-        again.close()
-
-
 @needs_permissions
 def test_where_nothing_can_be_written_save_says_so_and_all_else_works(
     tmp_path: Path, said: list[str]
@@ -135,7 +104,7 @@ def test_where_nothing_can_be_written_save_says_so_and_all_else_works(
         with pytest.raises(StyleSplatError, match="Cannot write"):
             opened.store.save_as("other")
         opened.close()
-    assert "Cannot autosave" in said[-1]
+    assert "Cannot keep the history" in said[-1]
     assert not open(tmp_path / "balls").objects
 
 

@@ -53,7 +53,9 @@ class _Source(msgspec.Struct):
     sha256: Word | None = None
 
 
-class _Layer(msgspec.Struct):
+class LayerRecord(msgspec.Struct):
+    """What `layers.json` has of a layer."""
+
     file: Annotated[str, Meta(pattern=LAYER_FILE)]
     object: str
     kind: LayerKind = "paint"
@@ -70,7 +72,7 @@ class _Layer(msgspec.Struct):
 
 
 class _Stack(msgspec.Struct):
-    layers: Annotated[list[_Layer], Meta(min_length=1)]
+    layers: Annotated[list[LayerRecord], Meta(min_length=1)]
 
 
 def write_layers(layers: Sequence[Layer], folder: Path, before: Sequence[Layer] = ()) -> None:
@@ -87,21 +89,21 @@ def write_layers(layers: Sequence[Layer], folder: Path, before: Sequence[Layer] 
     old = folder / f"{LAYERS}.before"
     if place.exists():
         place.rename(old)
-    files = {_identity(layer): file_name(n, layer) for n, layer in enumerate(before)}
+    files = {layer_identity(layer): file_name(n, layer) for n, layer in enumerate(before)}
     try:
         for number, layer in enumerate(layers):
-            path, known = place / file_name(number, layer), files.get(_identity(layer))
+            path, known = place / file_name(number, layer), files.get(layer_identity(layer))
             if known is not None and (old / known).is_file():
                 path.parent.mkdir(exist_ok=True)
                 (old / known).rename(path)
             else:
-                write_tensors(_tensors(layer), path)
+                write_layer(layer, path)
     finally:
         shutil.rmtree(old, ignore_errors=True)
     for name in (STACK, RECIPE):
         (folder / name).unlink(missing_ok=True)
     if layers:
-        stack = [_entry(number, layer) for number, layer in enumerate(layers)]
+        stack = [layer_record(layer, file_name(n, layer)) for n, layer in enumerate(layers)]
         write_json({"layers": stack}, folder / STACK)
         write_json(recipe_of(layers), folder / RECIPE)
 
@@ -118,7 +120,7 @@ def read_layers(folder: Path, count: int) -> tuple[Layer, ...]:
         names = [(entry.object, entry.kind, entry.label) for entry in stack.layers]
         if len({*names}) < len(names):
             raise StyleSplatError(f"an object has two layers of a name. {LAYER_AGAIN}")
-    return tuple(_read(folder / LAYERS / entry.file, entry, count) for entry in stack.layers)
+    return tuple(read_layer(folder / LAYERS, entry, count) for entry in stack.layers)
 
 
 def file_name(number: int, layer: Layer) -> str:
@@ -173,22 +175,27 @@ def _recipe_entry(number: int, layer: Layer, shared: Mapping[str, Any]) -> dict[
     return entry | ({"precision": layer.precision} if layer.precision else {})
 
 
-def _identity(layer: Layer) -> tuple[int, ...]:
+def layer_identity(layer: Layer) -> tuple[int, ...]:
     """Equal for two layers only if their files have the same content."""
     own = layer.rows, layer.sh0, layer.relief, layer.parents, layer.sculpture, layer.mask
     return tuple(id(tensor) for tensor in own)
 
 
-def _entry(number: int, layer: Layer) -> dict[str, Any]:
+def layer_record(layer: Layer, file: str) -> dict[str, Any]:
+    """What `layers.json` has of a layer in a file; see `LayerRecord`."""
     return {
-        "file": file_name(number, layer),
+        "file": file,
         **{name: getattr(layer, name) for name in LAYER_PLAIN},
         "styles": [vars(source) for source in layer.styles],
         "weights": layer.weights and vars(layer.weights),
     }
 
 
-def _tensors(layer: Layer) -> dict[str, Tensor]:
+def write_layer(layer: Layer, path: Path) -> None:
+    write_tensors(layer_tensors(layer), path)
+
+
+def layer_tensors(layer: Layer) -> dict[str, Tensor]:
     """The content of a layer's file; higher bands that are all 0 are left out."""
     mask = {} if layer.mask is None else {"mask": layer.mask}
     if layer.color_map is not None:
@@ -248,7 +255,9 @@ def _declared(count: int, kind: LayerKind) -> dict[str, Declared]:
     }
 
 
-def _read(path: Path, entry: _Layer, count: int) -> Layer:
+def read_layer(folder: Path, entry: LayerRecord, count: int) -> Layer:
+    """Read a layer of a base of `count` Gaussians from its file in a folder."""
+    path = folder / entry.file
     tensors = read_tensors(path, _declared(count, entry.kind), N=count)
     if entry.kind == "recolour":
         columns = {
@@ -292,8 +301,8 @@ def read_layer_mask(path: Path, count: int, kind: LayerKind) -> Float[Tensor, " 
 def read_edit(path: Path, name: str, count: int, strength: float, blend: Blend) -> Layer:
     """Read the file of a layer that removes or recolours, of a base of `count` Gaussians."""
     object, label = split_name(name)
-    entry = _Layer(path.name, object, "edit", label, blend, strength)
-    return _read(path, entry, count)
+    entry = LayerRecord(path.name, object, "edit", label, blend, strength)
+    return read_layer(path.parent, entry, count)
 
 
 def _source(each: _Source) -> Source:

@@ -6,57 +6,56 @@ worker's thread; methods of `Actions` for the browser `client`. What returns a s
 """
 
 import inspect
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial, reduce
+from functools import reduce
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 import msgspec
-import torch
-from PIL import Image
 
 from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.figures.web_page import start_of
 from stylesplat.io.files import reason
+from stylesplat.io.images import jpeg
 from stylesplat.io.layers import RECIPE
-from stylesplat.io.renders import write_video
 from stylesplat.io.style_pictures import MATERIALS, PREFIX
 from stylesplat.options import PickSize
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import content_of
 from stylesplat.scene.layers import RECOLOR, shown_like, split_name
-from stylesplat.scene.scene import Scene
-from stylesplat.scene.virtual_cameras import has_rendered_views, turned_view
+from stylesplat.scene.virtual_cameras import has_rendered_views
 from stylesplat.studio_app import edits as layers
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app import selecting as picking
+from stylesplat.studio_app.brushes import Brushes
+from stylesplat.studio_app.deliveries import Deliveries
 from stylesplat.studio_app.edits import describe_settings, find_layer
-from stylesplat.studio_app.files import FORMATS, Exporter, SceneStore
-from stylesplat.studio_app.gallery import MOST_BYTES, Gallery, StylePicture
+from stylesplat.studio_app.files import FORMATS, SceneStore
+from stylesplat.studio_app.gallery import (
+    MOST_BYTES,
+    Gallery,
+    StylePicture,
+    ThumbnailPixels,
+    shrunk,
+)
 from stylesplat.studio_app.history import (
-    CompactState,
     StudioState,
+    find_step,
     hidden_rows,
     object_names,
     require_picked,
 )
+from stylesplat.studio_app.history_files import HistoryFolder
 from stylesplat.studio_app.paint_queue import PaintQueue
-from stylesplat.studio_app.pictures import (
-    MAP,
-    STUDIO_PICTURE_PIXELS,
-    Pictures,
-    camera_of,
-    render_display,
-)
+from stylesplat.studio_app.pictures import MAP, Pictures
 from stylesplat.studio_app.reports import (
     layer_info,
     layer_title,
     object_info,
     photo_views,
     selection_info,
+    step_cards,
     vector,
 )
 from stylesplat.studio_app.session import Display, Session, Stopped
@@ -65,14 +64,11 @@ from stylesplat.studio_app.variants import Variants
 from stylesplat.studio_app.views import KeptViews
 from stylesplat.stylization.config import RecolorConfig, StyleConfig
 from stylesplat.stylization.style import Style
-from stylesplat.verbs.export import export
-from stylesplat.verbs.render import orbit, render
 
 T = TypeVar("T")
 
-STUDIO_MOST_PIXELS = 8192  # along a side of a still picture
-PREVIEW_RATE = 20  # places a second of a path that a page flies along
-LEAST_TOUCH = 0.02  # of a Gaussian, by which a brush touches it
+STEP_SIDE = 112  # pixels of the longer side of the picture of a step
+RECOLORED = "recoloured"  # begins the name of what was a selection
 DRAGGED = ("adjust_layer", "recolor")  # one after the other is one step of undo
 SLOW = {
     "pick_at": "Looking for what belongs to the click",
@@ -88,6 +84,7 @@ SLOW = {
     "save": "Saving",
     "save_as": "Saving",
     "step": "Going back or forth",
+    "go_to": "Going back or forth",
 }
 """What is said while an action takes long."""
 WHOLE = ("save", "save_as")  # what nobody cancels
@@ -95,20 +92,22 @@ WHOLE = ("save", "save_as")  # what nobody cancels
 
 class Actions:
     def __init__(
-        self, session: Session, gallery: Gallery, store: SceneStore | None, **options: Any
+        self,
+        session: Session,
+        gallery: Gallery,
+        store: SceneStore | None,
+        kept: HistoryFolder | None = None,
+        **options: Any,
     ) -> None:
         """`options` are those of `stylize_live`; without a store nothing can be changed."""
         self.session, self.gallery, self.readonly = session, gallery, store is None
-        self._store = store
+        self._store, self._kept = store, kept
         self.queue = PaintQueue(session, **options)
         self.pictures = Pictures(session, self._before)
         self.thumbnails = ObjectThumbnails(session, gallery.files)
-        self.exporter = Exporter(session)
         self.previews = StylePreviews(session, gallery, **options)
         self.variants = Variants(session, gallery.files, readonly=store is None)
-        self.snapshots = list[tuple[str, CompactState]]()
         self.compared: int | None = None
-        self.client = 0
         self._reference: tuple[object, object, Display] | None = None
         self._spot: tuple[object, StudioState, StudioState] | None = None
         """Where was picked last, what became of it, and what was before."""
@@ -117,6 +116,9 @@ class Actions:
         self._content = content_of(scene.splats).extent
         self._start = start_of(scene.splats, None if has_rendered_views(scene) else scene.cameras)
         self.views = KeptViews(session, gallery.files, tuple(self._start["slopes"]))
+        self.brushes = Brushes(self.pictures)
+        self.deliveries = files = Deliveries(self.pictures, self.views, gallery.files)
+        self.pictures.on_rest.append(self._picture_step)
         session.on_painted.append(self._painted)
         changes = [picking.pick_names, picking.pick_box, picking.pick_words, picking.resize_picked]
         changes += [picking.unite_picked, picking.subtract_picked, picking.forget_picked]
@@ -126,14 +128,15 @@ class Actions:
         changes += [layers.solo_layer, layers.set_blend, layers.mask_by_selection]
         changes += [layers.remove_mask]
         methods = [self.pick_at, self.pick_drawn, self.recolor, self.paint, self.stop]
-        methods += [self.mask_drawn, self.repaint_layer, self.copy_settings]
-        methods += [self.mend_drawn, self.remove_picked, self.pick_extreme]
+        methods += [self.repaint_layer, self.copy_settings, self.remove_picked]
+        methods += [self.brushes.mask_drawn, self.brushes.mend_drawn, self.pick_extreme]
         methods += [self.queue.resume, self.queue.remove, self.previews.try_all, self.use_variant]
         methods += [self.variants.star_variant, self.variants.name_variant, self.delete_variant]
-        methods += [self.compare_with, self.snapshot, self.restore, session.step, self.export]
-        methods += [self.exporter.cancel, self.picture, self.turntable, self.background]
+        methods += [self.compare_with, self.snapshot, self.restore, self.forget_snapshot]
+        methods += [session.step, session.go_to, self.background]
+        methods += [files.export, files.exporter.cancel, files.picture, files.turntable]
         methods += [self.views.show_views, self.views.keep_view, self.views.forget_view]
-        methods += [self.views.move_view, self.views.level, self.preview_path, self.save_as]
+        methods += [self.views.move_view, self.views.level, files.preview_path, self.save_as]
         methods += [] if store is None else [store.save]
         self._methods = {each.__name__: each for each in methods}
         self._changes = {each.__name__: each for each in changes}
@@ -152,7 +155,7 @@ class Actions:
         values = msgspec.structs.asdict(message)
 
         def change(state: StudioState) -> StudioState | None:
-            self.client = client
+            self.pictures.client = client
             try:
                 if name in WHOLE:
                     return self._methods[name](**values)
@@ -174,7 +177,12 @@ class Actions:
         if name in DRAGGED:
             whats = [k for k, v in values.items() if v is not None and k in ("strength", "form")]
             key = name, values.get("name"), str(values.get("names")), values.get("setting"), *whats
-        self.session.do(change, merge=key, kind=str(key or ""))
+
+        def merge(state: StudioState) -> object:
+            names = values.get("names") == [] and self._recolored(state)
+            return (key[0], None, str(names), *key[3:]) if key and names else key
+
+        self.session.do(change, merge=merge, kind=str(key or ""))
         return m.Busy(SLOW.get(name, "Working"), cancel=name not in WHOLE)
 
     def warm_up(self) -> None:
@@ -197,8 +205,8 @@ class Actions:
 
         The same place once more, of another size or reach, is picked in place of the last pick.
         """
-        state, camera = self.session.state, self._camera()
-        spot = place, how, self._look_number(self.client)
+        state, camera = self.session.state, self.pictures.camera()
+        spot = place, how, self._look_number(self.pictures.client)
         known, picked, before = self._spot or (None, None, state)
         if known == spot and picked is state:
             state = before
@@ -220,7 +228,7 @@ class Actions:
     def pick_drawn(
         self, shape: m.Shape, points: m.DrawnLine, how: m.How = "new", radius: m.Share = 0.02
     ) -> StudioState:
-        camera = self._camera(MAP)
+        camera = self.pictures.camera(MAP)
         inside = picking.region_of(shape, points, camera.size, radius)
         return picking.pick_drawn(self.session.state, camera, inside, how)
 
@@ -232,9 +240,9 @@ class Actions:
             value = str(self._style(int(value)).path)
         state = before = self.session.state
         if not names:
+            names = self._recolored(state)
             if state.selection is not None:
-                state = picking.with_object_of_selection(state, "recoloured")
-            names = [*state.picked]  # of a slider that is dragged, the first message named them
+                state = picking.with_object_of_selection(state, RECOLORED)
         found = layers.recolor_objects(state, names, setting, value)
         if found is state:
             return before
@@ -242,31 +250,14 @@ class Actions:
             return found
         return layers.mask_layer(found, f"{names[0]}{RECOLOR}", before.selection.weights / 255)
 
-    def mask_drawn(
-        self,
-        name: m.ShortText,
-        points: m.DrawnLine,
-        shows: bool,
-        radius: m.Share = 0.03,
-        soft: m.Share = 0.5,
-    ) -> StudioState:
-        """Paint a layer in or out by a brush, whose edge is as soft as that share of its radius."""
-        state, camera = self.session.state, self._camera()
-        rows = layers.find_layer(state.scene, name).covered(len(state.scene.base))
-        region = picking.soft_brush(points, camera.size, radius, soft)
-        weights = picking.brushed(state.scene, camera, region, rows)
-        return layers.show_within(state, name, weights, shows)
+    def _recolored(self, state: StudioState) -> list[str]:
+        """The objects that a recolouring of the selection means, which is an object after it.
 
-    def mend_drawn(
-        self, points: m.DrawnLine, radius: m.Share = 0.03, soft: m.Share = 0.5
-    ) -> StudioState:
-        """Recolour what a brush touches from what is around it."""
-        state, camera = self.session.state, self._camera()
-        region = picking.soft_brush(points, camera.size, radius, soft)
-        every = torch.ones(len(state.scene.base), dtype=torch.bool)
-        reach = picking.reach_of(state.scene, camera, region, radius)
-        weights = picking.brushed(state.scene, camera, region, every, reach)
-        return layers.mend(state, torch.where(weights > LEAST_TOUCH, weights, 0.0))
+        Of a slider that is dragged, the first message made the object and picked it.
+        """
+        if state.selection is not None:
+            return [picking.free_part_name(state, RECOLORED)]
+        return [*state.picked]
 
     def remove_picked(self) -> StudioState:
         """Hide what is picked or selected, by a layer."""
@@ -362,70 +353,34 @@ class Actions:
         self.session.on_change.call()
 
     def snapshot(self, name: m.ShortText) -> None:
-        name = name.strip() or f"Snapshot {len(self.snapshots) + 1}"
-        self.snapshots.append((name, CompactState(self.session.state)))
+        history = self.session.history
+        history.keep_snapshot(name.strip() or f"Snapshot {len(history.snapshots) + 1}")
         self.session.on_change.call()
 
     def restore(self, number: int) -> StudioState:
-        name, kept = _item(self.snapshots, number, "snapshot")
-        return replace(kept.state(), note=f"Restored {name}")
+        history = self.session.history
+        kept = find_step(history.snapshots, number)
+        return replace(history.state_of(kept), note=f"Restored {kept.note}")
 
-    def export(self, ending: m.ShortText) -> None:
-        if ending not in FORMATS:
-            raise StyleSplatError(f"There is no format {ending}. Use {', '.join(FORMATS)}.")
-        make = partial(export, self.session.state.scene)
-        self.exporter.start(f"Exporting {ending}", make, ending, self._deliver(ending))
+    def forget_snapshot(self, number: int) -> None:
+        snapshots = self.session.history.snapshots
+        snapshots.remove(find_step(snapshots, number))
+        self.session.on_change.call()
 
-    def picture(self, width: Annotated[int, msgspec.Meta(ge=1, le=STUDIO_MOST_PIXELS)]) -> None:
-        camera = self._camera(10**9)
-        camera = camera.downscale(camera.size[0] / width).at_most(STUDIO_MOST_PIXELS)
-        pixels = render_display(self.session.display, camera, self.pictures.background)
-        file = io.BytesIO()
-        Image.fromarray(pixels).save(file, "PNG")
-        self._deliver("-view.png")(file.getvalue())
-
-    def turntable(
-        self,
-        seconds: Annotated[float, msgspec.Meta(gt=0, le=60)] = 4.0,
-        fps: Annotated[int, msgspec.Meta(ge=1, le=60)] = 30,
-        width: Annotated[int, msgspec.Meta(ge=64, le=3840)] = 960,
-        around: m.ShortText = "",
-        path: Literal["photos", "circle", "swing", "views"] = "photos",
-    ) -> None:
-        """Make a video around an object or the scene: where the photos were taken, or of the view
-        of the page in a circle, or to and fro; or along the kept views."""
-        scene, frames = self.session.state.scene, max(2, round(seconds * fps))
-        if path == "photos":
-            cameras = orbit(scene, around=around or None, frames=frames)
-        elif path == "views":
-            cameras = self.views.path(frames, self._camera(10**9).size)
-        else:
-            known = self.session.masks.extent(scene, (around,)) if around else self._content
-            view = self._camera(10**9)
-            cameras = turned_view(view, known.centre, self.views.up, frames, path)
-        across, down = cameras.size
-        cameras = cameras.resize(width, max(2, round(width * down / across)))
-        behind = "#" + bytes(round(255 * each) for each in self.pictures.background).hex()
-        visible = Scene(self.session.display.visible, scene.cameras)
-
-        def make(file: Path) -> None:
-            pictures = render(visible, cameras, background=behind).pictures
-            write_video(pictures, file, fps=fps)
-
-        deliver = self._deliver(f"-{'path' if path == 'views' else 'turntable'}.mp4")
-        self.exporter.start("Video", make, ".mp4", deliver, renders=True)
-
-    def preview_path(self, seconds: Annotated[float, msgspec.Meta(gt=0, le=60)] = 4.0) -> None:
-        """Let the page fly along the kept views."""
-        cameras = self.views.path(max(2, round(seconds * PREVIEW_RATE)), self._camera().size)
-        ahead = cameras.viewmats[:, 2, :3] * self._content.size.norm() / 2
-        places = zip(cameras.positions, cameras.positions + ahead, strict=True)
-        flight = m.Flight(seconds, [(vector(eye), vector(target)) for eye, target in places])
-        self.session.on_send.call(self.client, "flight", flight)
+    def _picture_step(self, display: Display, pixels: ThumbnailPixels) -> None:
+        """Keep a small copy of what a page shows, as the picture of the present step."""
+        session = self.session
+        step = session.history.step_now
+        if not step.picture and session.preview is None and display is session.display:
+            step.picture = jpeg(shrunk(pixels, STEP_SIDE))
+            session.ask(session.on_change.call, kind="thumbnails", patient=True)
 
     def save_as(self, name: str) -> None:
         assert self._store is not None  # without it no page may ask
+        before = self.session.folder
         self._store.save_as(name)
+        if self._kept is not None:
+            self._kept.move_along(before)
         self.views.write()
         self.variants.move_along()
 
@@ -433,26 +388,8 @@ class Actions:
         self.pictures.background = color
         self.pictures.refresh()
 
-    def _camera(self, pixels: int = STUDIO_PICTURE_PIXELS) -> Cameras:
-        look = self.pictures.looks.get(self.client)
-        if look is None:
-            raise StyleSplatError("This page has no picture yet.")
-        return camera_of(look, pixels)
-
     def _style(self, number: int) -> StylePicture:
         return _item([*self.gallery.pictures.values()], number, "picture")
-
-    def _deliver(self, ending: str) -> Callable[[bytes], None]:
-        """The function that lets the present page download a file."""
-        session, client = self.session, self.client
-        name = session.folder.resolve().name + ending
-
-        def deliver(content: bytes) -> None:
-            url = self.gallery.files.add(content, name)
-            session.on_send.call(client, ("download", url), m.Download(url, name))
-            session.tell(f"{name}: {len(content) / 1e6:.1f} MB")
-
-        return deliver
 
     def _before(self) -> Display:
         """What lies on the left of the handle."""
@@ -523,7 +460,9 @@ class Actions:
             up=self.views.levelled,
             variants=self.variants.cards(),
             current=self.variants.current(scene),
-            snapshots=[name for name, _ in self.snapshots],
+            history=step_cards(self.gallery.files, history.steps),
+            now=history.step_now.number,
+            snapshots=step_cards(self.gallery.files, history.snapshots),
             styles=[*self.gallery.pictures.values()],
             previews=self.previews.urls,
             waiting=[(each.number, each.name, each.title) for each in self.queue.waiting],

@@ -1,10 +1,7 @@
-"""Files of the studio: saved and autosaved scenes, exports, turntables."""
+"""Files of the studio: saved scenes, exports, turntables."""
 
-import shutil
 import threading
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,14 +11,10 @@ from stylesplat.figures.web_page import WEB_SUFFIX
 from stylesplat.io import scene_folder
 from stylesplat.io.atomic import locked_folder, refuse_unwritable
 from stylesplat.io.splats.splat_files import COMPRESSED
-from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.edits import solo_layer
 from stylesplat.studio_app.gallery import NO_NAME
-from stylesplat.studio_app.history import StudioState, replace_scene
 from stylesplat.studio_app.messages import Progress
 from stylesplat.studio_app.session import Session, Stopped
-
-AUTOSAVE = "autosave"  # the folder inside a scene's
 
 Stamp = dict[Path, tuple[int, int]]
 
@@ -31,11 +24,6 @@ class SceneStore:
 
     def __init__(self, session: Session) -> None:
         self._session, self._stamp = session, _stamp(session.folder)
-        self._autosaved: tuple[Scene, Stamp] | None = None  # content of `AUTOSAVE`, if known
-
-    @property
-    def _autosave_folder(self) -> Path:
-        return self._session.folder / AUTOSAVE
 
     def save(self) -> None:
         session, folder = self._session, self._session.folder
@@ -68,45 +56,9 @@ class SceneStore:
 
     def _finish_save(self, folder: Path) -> None:
         session = self._session
-        self._remove_autosave()
         session.folder, session.saved, self._stamp = folder, session.state, _stamp(folder)
         session.tell(f"Saved {folder}.")
         session.on_change.call()
-
-    def _remove_autosave(self) -> None:
-        self._autosaved = None
-        with suppress(OSError):
-            shutil.rmtree(self._autosave_folder)
-
-    def autosave(self) -> bool:
-        """Save an unsaved scene into its own autosave folder; returns whether it was unsaved."""
-        scene, folder = self._session.state.scene, self._autosave_folder
-        last, stamp = self._autosaved or (None, None)
-        if _stamp(folder) != stamp:  # another program has changed it
-            last = None
-        if not self._session.unsaved:
-            if last is not None:  # all changes were undone
-                self._remove_autosave()
-            return False
-        if last is not None and scene is last:
-            return True
-        refuse_unwritable(self._session.folder)
-        self._autosaved = None  # until all is written
-        if last is not None:
-            scene_folder.revise(last, scene, folder)
-        else:
-            scene_folder.save(scene, folder, overwrite=True)
-        self._autosaved = scene, _stamp(folder)
-        return True
-
-    def recover(self) -> StudioState | None:
-        state, folder = self._session.state, self._autosave_folder
-        if not folder.is_dir():
-            return None
-        stamp = _stamp(folder)
-        scene = replace(scene_folder.open(folder), path=state.scene.path)
-        self._autosaved = scene, stamp
-        return replace_scene(state, scene, "Recovered what was not saved")
 
 
 def _stamp(folder: Path) -> Stamp:

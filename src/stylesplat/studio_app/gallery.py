@@ -9,9 +9,8 @@ from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from PIL import Image
-from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import to_uint8
@@ -76,7 +75,7 @@ class Gallery:
         while title in self.pictures:
             title, number = f"{name} {number}", number + 1
         height, width = picture.shape[:2]
-        url = self.files.add(jpeg(shrunk(picture)))
+        url = self.files.add(jpeg(shrunk(to_uint8(picture).numpy(), GALLERY_SIDE)))
         self.pictures[title] = StylePicture(title, path, (width, height), url)
         return self.pictures[title]
 
@@ -111,7 +110,8 @@ def too_large(size: int) -> str:
     return f"The file has {size / 2**20:.0f} MB. Send {MOST_BYTES >> 20} MB at most."
 
 
-def shrunk(picture: Float[Tensor, "_ _ 3"]) -> ThumbnailPixels:
-    image = Image.fromarray(to_uint8(picture).numpy())
-    image.thumbnail((GALLERY_SIDE, GALLERY_SIDE), Image.Resampling.LANCZOS)
+def shrunk(pixels: UInt8[np.ndarray, "_ _ 3"], side: int) -> ThumbnailPixels:
+    """A picture whose longer side has so many pixels at most."""
+    image = Image.fromarray(pixels)
+    image.thumbnail((side, side), Image.Resampling.LANCZOS)
     return np.array(image)

@@ -1,7 +1,8 @@
 """The states of a studio, and its history, which undo and redo step through."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from weakref import ref
 
 import torch
@@ -15,6 +16,9 @@ from stylesplat.scene.selection import Selection
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import object_ids
 from stylesplat.selection.resolve import find_object, names_of
+
+MOST_STEPS = 200  # of a history: the oldest make room
+MOST_SNAPSHOTS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,43 +133,111 @@ class CompactState:
     """
 
     def __init__(self, state: StudioState) -> None:
-        self.note, self._scene = state.note, ref(state.scene)
-        self._state = replace(state, scene=replace(state.scene, composed=None))
+        self._scene = ref(state.scene)
+        self.bare = replace(state, scene=replace(state.scene, composed=None))
+
+    @property
+    def scene(self) -> Scene | None:
+        """The scene, if somebody else has it, too."""
+        return self._scene()
 
     def state(self) -> StudioState:
-        scene = self._scene() or replace(self._state.scene)
+        scene = self._scene() or replace(self.bare.scene)
         self._scene = ref(scene)
-        return replace(self._state, scene=scene)
+        return replace(self.bare, scene=scene)
+
+
+@dataclass(eq=False)
+class Step:
+    """A state that can be gone back to: of the history, or a snapshot."""
+
+    number: int
+    """Its own for as long as it is there, unlike its place."""
+    note: str
+    kept: CompactState | None = None
+    """None if it is on the disk alone."""
+    picture: bytes = b""
+    """A small JPEG of what a page showed then."""
 
 
 class History:
     def __init__(self, first: StudioState) -> None:
         self.now = first
-        self._states, self._row = [CompactState(first)], 0
+        self.steps, self.row = [Step(1, first.note, CompactState(first))], 0
+        self.snapshots = list[Step]()
+        self.read: Callable[[Step], StudioState] | None = None
+        """Reads a state that is on the disk alone."""
+        self._numbers = count(2)
         self._merge: object = None
 
     @property
+    def step_now(self) -> Step:
+        return self.steps[self.row]
+
+    @property
     def undo_note(self) -> str:
-        return self.now.note if self._row else ""
+        return self.now.note if self.row else ""
 
     @property
     def redo_note(self) -> str:
-        later = self._states[self._row + 1 :]
+        later = self.steps[self.row + 1 :]
         return later[0].note if later else ""
 
     def add(self, state: StudioState, *, merge: object = None) -> None:
         """Add a state and display it. It replaces the last one if both have the same `merge`."""
-        self._row += not (merge is not None and merge == self._merge)
-        self._states[self._row :] = [CompactState(state)]
+        before, again = self.step_now, merge is not None and merge == self._merge
+        alike = state.scene is self.now.scene and state.hidden == self.now.hidden
+        number = before.number if again else next(self._numbers)
+        step = Step(number, state.note, CompactState(state), before.picture if alike else b"")
+        self.row += not again
+        self.steps[self.row :] = [step]
         self._merge, self.now = merge, state
+        self.drop_oldest(len(self.steps) - MOST_STEPS)
 
     def take_back(self, merge: object) -> None:
         """Drop the last state, if it was added with this `merge`."""
         if merge is not None and self._merge is merge:
             self.step(-1)
-            del self._states[self._row + 1 :]
+            del self.steps[self.row + 1 :]
 
     def step(self, rows: int) -> None:
         """Go back or forth, as far as there are states."""
-        self._row = min(max(self._row + rows, 0), len(self._states) - 1)
-        self._merge, self.now = None, self._states[self._row].state()
+        row = min(max(self.row + rows, 0), len(self.steps) - 1)
+        self.now = self.state_of(self.steps[row])
+        self._merge, self.row = None, row
+
+    def row_of(self, number: int) -> int:
+        return self.steps.index(find_step(self.steps, number))
+
+    def state_of(self, step: Step) -> StudioState:
+        if step.kept is not None:
+            return step.kept.state()
+        assert self.read is not None  # else all are kept
+        return self.read(step)
+
+    def keep_snapshot(self, name: str) -> None:
+        """Keep the present state under a name, whatever becomes of the history."""
+        if len(self.snapshots) >= MOST_SNAPSHOTS:
+            raise StyleSplatError(f"{MOST_SNAPSHOTS} snapshots are kept. Delete one first.")
+        compact, picture = CompactState(self.now), self.step_now.picture
+        self.snapshots.append(Step(next(self._numbers), name, compact, picture))
+
+    def drop_oldest(self, count: int) -> None:
+        """Drop states of long ago, but not the present one."""
+        count = min(max(count, 0), self.row)
+        del self.steps[:count]
+        self.row -= count
+
+    def go_on_with(self, steps: Sequence[Step], row: int, snapshots: Sequence[Step]) -> None:
+        """Take the place of this history by an earlier one."""
+        now = self.state_of(steps[row])
+        self.steps, self.row, self.now, self.snapshots = [*steps], row, now, [*snapshots]
+        self._numbers = count(1 + max(each.number for each in (*steps, *snapshots)))
+
+
+def find_step(steps: Sequence[Step], number: int) -> Step:
+    """The step of a number, which a page may have from before a restart."""
+    found = next((each for each in steps if each.number == number), None)
+    if found is None:
+        raise StyleSplatError("This step is not there any more. Choose another one.")
+    return found

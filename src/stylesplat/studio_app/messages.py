@@ -131,6 +131,14 @@ class Variant(msgspec.Struct, frozen=True):
     starred: bool = False
 
 
+class StepCard(msgspec.Struct, frozen=True):
+    """A step of the history, or a snapshot."""
+
+    number: int
+    note: str
+    picture: str  # its address; empty until there is one
+
+
 class ViewCard(msgspec.Struct, frozen=True, omit_defaults=True):
     """A kept view, or a photo's own."""
 
@@ -150,7 +158,9 @@ class StateMessage(ServerMessage, frozen=True, tag="state"):
     up: ViewVector | None  # as it was set by hand
     variants: list[Variant]
     current: list[int]  # the variants that are shown
-    snapshots: list[str]
+    history: list[StepCard]  # the first one first
+    now: int  # the number of the present step
+    snapshots: list[StepCard]
     styles: list[StylePicture]
     previews: dict[str, str]  # the addresses of pictures of what is picked, by the titles of styles
     waiting: list[tuple[int, str, str]]  # number, object and style of paintings that wait

@@ -36,7 +36,7 @@ from stylesplat.selection.labels import MIN_COVERAGE
 from stylesplat.studio_app.gallery import ThumbnailPixels
 from stylesplat.studio_app.history import object_names
 from stylesplat.studio_app.messages import ViewRequest
-from stylesplat.studio_app.session import Display, Session
+from stylesplat.studio_app.session import Callbacks, Display, Session
 
 STUDIO_PICTURE_PIXELS = 960 * 540  # of the first picture at rest, which is there at once
 SHARP_PIXELS = 2560 * 1440  # of the second, at most
@@ -79,6 +79,10 @@ class Pictures:
         self.session, self._before = session, before
         self.background: RgbColor = (0.086, 0.086, 0.094)
         self.looks = dict[int, ViewRequest]()
+        self.on_rest = Callbacks()
+        """Called with what is displayed and a picture of it that a page gets."""
+        self.client = 0
+        """The page that asks for what the worker does."""
         self._sent = dict[tuple[int, str], object]()  # what each browser has of each kind
         self._packed: tuple[Display, bytes] | None = None
         session.on_change.append(self.refresh)
@@ -86,6 +90,13 @@ class Pictures:
     def look(self, client: int, look: ViewRequest) -> None:
         self.looks[client] = look
         self._ask(client)
+
+    def camera(self, pixels: int = STUDIO_PICTURE_PIXELS) -> Cameras:
+        """The camera of the page that asks."""
+        look = self.looks.get(self.client)
+        if look is None:
+            raise StyleSplatError("This page has no picture yet.")
+        return camera_of(look, pixels)
 
     def leave(self, client: int) -> None:
         self.looks.pop(client, None)
@@ -127,6 +138,8 @@ class Pictures:
             value = look.number, look.moving, display, self.background
             if self._is_new(client, f"{which} {pixels}", value):
                 content = render_display(display, camera, self.background)
+                if which == "after" and not look.moving:
+                    self.on_rest.call(display, content)
                 content = jpeg(content, MOVING_QUALITY if look.moving else QUALITY)
                 header = {"which": which, "moving": look.moving, "drawn": self._has_splats(client)}
                 self._send(client, which, "picture", content, look, **header)

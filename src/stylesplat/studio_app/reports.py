@@ -1,6 +1,6 @@
 """What the page is told of the things in a scene: objects, layers, the selection, photos."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import torch
@@ -10,8 +10,8 @@ from stylesplat.scene.layers import Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.edits import describe_settings, recoloring_of
-from stylesplat.studio_app.gallery import style_title
-from stylesplat.studio_app.history import Selected, StudioState
+from stylesplat.studio_app.gallery import Files, style_title
+from stylesplat.studio_app.history import Selected, Step, StudioState
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails
 
@@ -73,6 +73,14 @@ def layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
 def layer_title(layer: Layer) -> str:
     """The names of the pictures whose style a layer has."""
     return ", ".join(style_title(each.path) for each in layer.styles)
+
+
+def step_cards(files: Files, steps: Iterable[Step]) -> list[m.StepCard]:
+    """What the page shows of steps."""
+    return [
+        m.StepCard(each.number, each.note, files.add(each.picture) if each.picture else "")
+        for each in steps
+    ]
 
 
 def photo_views(scene: Scene, middle: torch.Tensor) -> Iterator[dict[str, Any]]:

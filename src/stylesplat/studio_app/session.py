@@ -235,31 +235,47 @@ class Session:
     def unsaved(self) -> bool:
         return self.state.scene is not self.saved.scene
 
-    def do(self, change: Change, *, merge: object = None, kind: str = "") -> None:
-        """Ask for a change of the state; `merge` as for `History.add`, `kind` as for `ask`."""
+    def do(
+        self,
+        change: Change,
+        *,
+        merge: Callable[[StudioState], object] = lambda state: None,
+        kind: str = "",
+    ) -> None:
+        """Ask for a change of the state; `kind` as for `ask`.
+
+        `merge` tells, by the state before, what `History.add` merges it by.
+        """
 
         def job() -> None:
-            state = change(self.state)
+            before = self.state
+            key, state = merge(before), change(before)
             if state is None or state is self.state:
                 return
             if self.painting and state.scene is not self.state.scene:
                 raise StyleSplatError(SESSION_BUSY)
-            self.history.add(state, merge=merge)
+            self.history.add(state, merge=key)
             self.on_change.call()
 
         self.ask(job, kind=kind)
 
     def step(self, rows: int) -> None:
         """Ask for undo or redo. Undo first ends a painting, and takes its result so far back."""
+        self._move(lambda: rows)
 
+    def go_to(self, number: int) -> None:
+        """Ask for a step of the history by its number, as `step` does."""
+        self._move(lambda: self.history.row_of(number) - self.history.row)
+
+    def _move(self, rows: Callable[[], int]) -> None:
         def job() -> None:
             if self.painting:
                 before = self.state
-                if rows > 0 or not self.interrupt():
+                if rows() > 0 or not self.interrupt():
                     raise StyleSplatError(SESSION_BUSY)
                 if self.state is before:  # the painting had no step yet
                     return
-            self.history.step(rows)
+            self.history.step(rows())
             self.preview = None
             self.on_change.call()
 

@@ -21,26 +21,28 @@ from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.files import SceneStore
 from stylesplat.studio_app.gallery import Gallery
 from stylesplat.studio_app.guard import LOOPBACK, SERVER_ADDRESS
+from stylesplat.studio_app.history_files import HistoryFolder
 from stylesplat.studio_app.server import PageServer
 from stylesplat.studio_app.session import Session
 
-AUTOSAVE_SECONDS = 60.0
+HISTORY_SECONDS = 0.5  # between two looks for what the disk does not have yet
 
 
 class StudioServer:
     """A running studio, or without a store a viewer."""
 
-    def __init__(self, server: PageServer, store: SceneStore | None = None) -> None:
-        self.server, self.store, self.session = server, store, server.session
+    def __init__(
+        self, server: PageServer, store: SceneStore | None = None, kept: HistoryFolder | None = None
+    ) -> None:
+        self.server, self.store, self.kept, self.session = server, store, kept, server.session
         self.url = server.url
         """The address that opens it, with the token."""
         self._has_warned = False
-        if store is not None:
-            self.session.on_painted.append(lambda name, title: self.autosave())
-            threading.Thread(target=self._autosaves, daemon=True).start()
+        if kept is not None:
+            threading.Thread(target=self._keep, args=(kept,), daemon=True).start()
 
     def close(self) -> None:
-        """End it. An unsaved scene is autosaved for the next time."""
+        """End it. What is not saved is in the history, for the next time."""
         if self.session.stopping.is_set():
             return
         self.session.stopping.set()
@@ -50,32 +52,29 @@ class StudioServer:
                 rest.callback(self.server.actions.gallery.close)
                 rest.callback(self.server.actions.variants.close)
                 rest.callback(self.server.stop)
-                rest.callback(self._autosave_at_the_end)
+                rest.callback(self._write)
                 self.session.interrupt()  # which keeps the result of a painting so far
         except Exception as error:
             say(f"Closing the studio failed, and something may be lost: {error!r}")
             raise
 
-    def _autosave_at_the_end(self) -> None:
-        if self.autosave():
-            folder = self.session.folder
-            say(f"Autosaved {folder}: `stylesplat studio` recovers what is not saved.")
+    def _keep(self, kept: HistoryFolder) -> None:
+        while not self.session.stopping.wait(HISTORY_SECONDS):
+            if kept.is_behind:
+                self.session.ask(self._write, kind="history")
 
-    def _autosaves(self) -> None:
-        while not self.session.stopping.wait(AUTOSAVE_SECONDS):
-            self.session.ask(self.autosave, kind="autosave", patient=True)
-
-    def autosave(self) -> bool:
-        """Autosave in the worker's thread, unless an object is being painted."""
-        if self.store is None or self.session.painting:
-            return False
+    def _write(self) -> None:
+        """Write the history in the worker's thread, or as the last thing."""
+        is_over, folder = self.session.stopping.is_set(), self.session.folder
+        if self.kept is None:
+            return
         try:
-            return self.store.autosave()
+            if not self.kept.write() and is_over:
+                say(f"Not saved, but kept with {folder}: `stylesplat studio` goes on with it.")
         except StyleSplatError as error:
-            if not self._has_warned or self.session.stopping.is_set():
+            if not self._has_warned or is_over:
                 self._has_warned = True
-                say(f"Cannot autosave the scene: {error}")
-            return False
+                say(f"Cannot keep the history: {error}")
 
 
 @check_arguments
@@ -112,11 +111,11 @@ def studio(
     _refuse_empty(scene.splats)
     gallery = Gallery(None if styles is None else Path(styles))
     session = Session(scene, folder=scene.path)
-    store = SceneStore(session)
-    _recover(session, store)
-    server = PageServer("StyleSplat studio", Actions(session, gallery, store, **options))
+    store, kept = SceneStore(session), HistoryFolder(session)
+    kept.resume()
+    server = PageServer("StyleSplat studio", Actions(session, gallery, store, kept, **options))
     server.start(host, port)
-    opened = StudioServer(server, store)
+    opened = StudioServer(server, store, kept)
     if host not in LOOPBACK:
         say(
             f"{host} is open to the network: whoever has this address sees, changes, saves and "
@@ -177,14 +176,3 @@ def _block(stop: Callable[[], object]) -> None:
 def _refuse_empty(splats: Splats) -> None:
     if not len(splats):
         raise StyleSplatError("These splats are empty, so there is nothing to view.")
-
-
-def _recover(session: Session, store: SceneStore) -> None:
-    try:
-        kept = store.recover()
-    except StyleSplatError as error:
-        say(f"Cannot recover the autosave of the last time. {error}")
-        return
-    if kept is not None:
-        session.history.add(kept)
-        say("Recovered what was not saved the last time. Undo goes back to the saved scene.")

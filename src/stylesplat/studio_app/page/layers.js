@@ -1,7 +1,7 @@
 // The panel of layers, the highest first, with variants and snapshots below
 
 import { above, active, mode, tool, variant } from "./choices.js";
-import { useRef } from "./libraries/hooks.js";
+import { useEffect, useRef } from "./libraries/hooks.js";
 import { useSignal } from "./libraries/signals.js";
 import { act, hello, note, state } from "./connection.js";
 import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
@@ -65,12 +65,28 @@ export function Layers() {
         <${Button} small icon="more" label=${`Name or delete ${each.object}: ${each.title}`} onClick=${() => (variant.value = each.number)} />
         <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></span></li>`)}</ul></section>`}
     <section aria-label="Snapshots"><h3>Snapshots</h3>
-      ${now.snapshots.map((name, number) => html`<div class="line" key=${number}><span>${name}</span>
-        <${Button} small text="Restore" label=${`Restore ${name}`} onClick=${() => act("restore", { number })} /></div>`)}
+      <ul class="steps">${now.snapshots.map((each) => html`<li class="line" key=${each.number}>
+        <${StepButton} step=${each} title=${`Restore ${each.note}`} onClick=${() => act("restore", { number: each.number })} />
+        <${Button} small icon="trash" label=${`Delete the snapshot ${each.note}`} onClick=${() => act("forget_snapshot", { number: each.number })} /></li>`)}</ul>
       <${Entry} key=${now.snapshots.length} label="Keep the whole scene as" button="Keep" value=${`Snapshot ${now.snapshots.length + 1}`} onEnter=${(name) => act("snapshot", { name })} />
     </section>
+    <${History} />
   </aside>`;
 }
+
+// All steps, the last one first: a click goes back to one, or forth
+function History() {
+  const { history, now } = state.value, present = useRef(null);
+  const later = history.findIndex((each) => each.number === now);
+  useEffect(() => present.current?.scrollIntoView({ block: "nearest" }), [now]);
+  return html`<section aria-label="History"><h3>History</h3>
+    <ul class="steps history">${[...history.entries()].reverse().map(([row, each]) => html`<li key=${each.number} class=${row > later ? "undone" : ""} ref=${each.number === now ? present : null}>
+      <${StepButton} step=${each} current=${each.number === now} title=${`Go to: ${each.note}`} onClick=${() => each.number !== now && act("go_to", { number: each.number })} /></li>`)}</ul>
+    <p class="hint">It stays with the scene: the last 200 steps, in 2 GB at most.</p></section>`;
+}
+
+const StepButton = ({ step, title, current, onClick }) => html`<button type="button" class="card flat step" title=${title} aria-current=${current && "step"} onClick=${onClick}>
+  ${step.picture ? html`<img src=${step.picture} alt="" />` : html`<span class="blank"></span>`}<span>${step.note}</span></button>`;
 
 function compare(number) {
   const other = state.value.compared === number ? null : number;
