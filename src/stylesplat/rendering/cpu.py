@@ -29,7 +29,6 @@ from stylesplat.rendering.reference import (
     Projected,
     ProjectedView,
     View,
-    adjoint,
     stacked,
     unstacked,
     views_of,
@@ -39,6 +38,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import sh_bases
 
 CHANNELS = 3, 6, 19  # colours; with some features; with identities: compiled for these alone
+SUMMED = 4, 16  # and for the sums of weights times so many channels
 PARTIAL_BYTES = 2**30  # a million Gaussians in view with 19 channels take 128 MB a thread
 
 Struct = TypeVar("Struct", bound=tuple)
@@ -152,17 +152,20 @@ class Raster(NamedTuple):
 def rasterize_to_pixels(projected: Projected, colors: Tensor, size: tuple[int, int]) -> Raster:
     """Blend projected Gaussians, without gradients, into an image of a width and height."""
     (width, height), channels = size, colors.shape[1]
-    depths, radii = _as_arrays(projected.depths, projected.radii)
-    order = tiles.depth_order(depths, radii)
-    stride = tiles.row_stride(channels)
-    flat = colors.new_zeros(len(order) * stride).numpy()  # torch aligns, numpy not
-    rows = FlatRows(flat, stride)
-    ellipses = Ellipses(*projected[:3], colors)
-    tiles.pack_rows(order, arrays(ellipses), rows)
+    order, rows, radii = _pack(projected, colors)
     image = colors.new_empty(height, width, channels)
     alphas = colors.new_empty(height, width, 1)
     lists = _blend_groups(order, rows, radii, flat_image(image, alphas), channels)
     return Raster(Tiled(order, rows, lists), image, alphas)
+
+
+def _pack(projected: Projected, colors: Tensor) -> tuple[np.ndarray, FlatRows, np.ndarray]:
+    """What is visible of projected Gaussians, nearest first; their packed rows; all radii."""
+    depths, radii = _as_arrays(projected.depths, projected.radii)
+    order, stride = tiles.depth_order(depths, radii), tiles.row_stride(colors.shape[1])
+    rows = FlatRows(colors.new_zeros(len(order) * stride).numpy(), stride)  # numpy aligns not
+    tiles.pack_rows(order, arrays(Ellipses(*projected[:3], colors)), rows)
+    return order, rows, radii
 
 
 def _blend_groups(
@@ -176,9 +179,7 @@ def _blend_groups(
     states = np.zeros(blocks * blend.state_length(channel_vecs), np.float32)
     for totals in groups:
         some = slice(first, first + len(totals) - 1)
-        some_rows = rows._replace(
-            flat=rows.flat[some.start * rows.stride : some.stop * rows.stride]
-        )
+        some_rows = rows.part(some)
         lists = tiles.tile_lists(order[some], some_rows, radii, size, totals, threads)
         blend.blend_forward(channel_vecs, some_rows, lists, picture, states, not parts, threads)
         if len(groups) == 1:
@@ -307,7 +308,25 @@ def composite(tiled: ProjectedView, values: Float[Tensor, "N D"]) -> Float[Tenso
 
 def backproject(tiled: ProjectedView, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
     """The adjoint of `composite`; see `reference.backproject`."""
-    return adjoint(composite, tiled, len(tiled.projected.depths), image)
+    projected, size, wanted = tiled.projected, tiled.size, image.shape[-1]
+    channels = next((count for count in SUMMED if count >= wanted), wanted)
+    flat = torch.nn.functional.pad(image, (0, channels - wanted)).contiguous().view(-1).numpy()
+    order, rows, radii = _pack(projected, image.new_empty(len(projected.depths), 0))
+    light = np.empty(tiles.tile_count(size) * blend.BLOCKS * blend.PIXELS, np.float32)
+    linear_blocks.open_light(light, size)
+    by_rank, first = image.new_empty(len(order), wanted), 0
+    for totals in tiles.rank_groups(order, rows, radii, size):
+        some = slice(first, first + len(totals) - 1)
+        part = rows.part(some)
+        lists = tiles.tile_lists(order[some], part, radii, size, totals, get_num_threads())
+        out = partial_sums(len(totals) - 1, LANES)
+        linear_blocks.sum_weights(
+            vec.channels(channels), part, lists, light, flat, size, out.flatten(1).numpy()
+        )
+        by_rank[some] = out.sum(dim=0)[:, :wanted]
+        first = some.stop
+    sums = image.new_zeros(len(projected.depths), wanted)
+    return sums.index_copy_(0, torch.from_numpy(order).long(), by_rank)
 
 
 def front_depth(

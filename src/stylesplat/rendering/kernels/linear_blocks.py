@@ -1,4 +1,4 @@
-"""What each Gaussian contributes to each pixel, stored, and images made from it.
+"""What each Gaussian contributes to each pixel: summed over an image, or stored.
 
 With geometry and opacities frozen an image is linear in the colours. The weights of the picked
 Gaussians are stored for the 16 pixels of each block that they touch, as float16, tile by tile and
@@ -99,17 +99,17 @@ def store_weights(rows, lists, picked, size, blocks, threads):
 
 
 @inner
-def read_tile(state, image, corner, size):
-    """Three channels of a tile's pixels, block by block, from a flat image; 0 outside it."""
+def read_tile(state, image, depth, corner, size):
+    """The channels of a tile's pixels, block by block, from a flat image; 0 outside it."""
     width, height = size
     for block in range(BLOCKS):
         left, top = block_corner(corner, block)
         for lane in range(PIXELS):
             x, y = left + (lane & 3), top + (lane >> 2)
             inside = x < width and y < height
-            for c in range(3):
-                value = image[(y * width + x) * 3 + c] if inside else np.float32(0)
-                state[(block * 3 + c) * PIXELS + lane] = value
+            for c in range(depth):
+                value = image[(y * width + x) * depth + c] if inside else np.float32(0)
+                state[(block * depth + c) * PIXELS + lane] = value
 
 
 @inner
@@ -132,7 +132,7 @@ def render_linear(blocks, colors, background, image, size, threads):
         state = aligned(3 * BLOCKS * PIXELS)
         for tile in range(thread, firsts.shape[0], threads):
             corner = tile_corner(tile, size[0])
-            read_tile(state, background, corner, size)
+            read_tile(state, background, 3, corner, size)
             pair = firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 row, todo = np.int64(gaussians[entry]) * 4, np.int64(masks[entry])
@@ -157,7 +157,7 @@ def compose_backward(blocks, v_image, size, out):
         for tile in range(thread, firsts.shape[0], out.shape[0]):
             if starts[tile] == starts[tile + 1]:
                 continue
-            read_tile(state, v_image, tile_corner(tile, size[0]), size)
+            read_tile(state, v_image, 3, tile_corner(tile, size[0]), size)
             pair = firsts[tile]
             for entry in range(starts[tile], starts[tile + 1]):
                 todo = np.int64(masks[entry])
@@ -170,3 +170,53 @@ def compose_backward(blocks, v_image, size, out):
                     pair += 1
                 row = np.int64(gaussians[entry]) * vec.LANES
                 vec.add_lane_sums(mine, row, vec.zeros(NONE), sums)
+
+
+@kernel
+def open_light(light, size):
+    """Fill `light` [tiles * BLOCKS * PIXELS] with 1 inside an image and 0 outside."""
+    width, height = size
+    for tile in numba.prange(light.shape[0] // (BLOCKS * PIXELS)):
+        corner = tile_corner(tile, width)
+        for block in range(BLOCKS):
+            x, y = block_corner(corner, block)
+            first = (tile * BLOCKS + block) * PIXELS
+            open_block(light[first : first + PIXELS], width - x, height - y)
+
+
+@kernel
+def sum_weights(channels, rows, lists, light, image, size, out):
+    """Add a flat image times the weights of ranks to each thread's flat rows `out` [threads, M*16].
+
+    `light` [tiles * BLOCKS * PIXELS] is what nearer Gaussians leave of each pixel; it becomes what
+    these leave.
+    """
+    starts, ranks, masks = lists
+    depth = len(channels)
+    for thread in numba.prange(out.shape[0]):
+        state = aligned(depth * BLOCKS * PIXELS)
+        mine = out[thread]
+        for tile in range(thread, starts.shape[0] - 1, out.shape[0]):
+            if starts[tile] == starts[tile + 1]:
+                continue
+            corner, first = tile_corner(tile, size[0]), tile * BLOCKS * PIXELS
+            read_tile(state, image, depth, corner, size)
+            unfinished = np.int64(2**BLOCKS - 1)
+            for entry in range(starts[tile], starts[tile + 1]):
+                rank, todo = ranks[entry], np.int64(masks[entry]) & unfinished
+                if todo == 0:
+                    continue
+                row, sums = RowPlace(rows.flat, rank * rows.stride), vec.zeros(channels)
+                while todo != 0:
+                    block = vec.lowest_bit(todo)
+                    todo &= todo - 1
+                    pixel_x, pixel_y = block_pixels(*block_corner(corner, block))
+                    dx, dy = pixel_x - spread_row(row, 0), pixel_y - spread_row(row, 1)
+                    place = first + block * PIXELS
+                    step = composite_pixels(row, dx, dy, vec.load_vec(light, place))
+                    vec.store_vec(light, place, step.after)
+                    values = vec.load_vecs(state, block * depth * PIXELS, channels)
+                    sums = vec.add_products(sums, step.weight, values)
+                    if vec.bits(step.live) == 0:
+                        unfinished &= ~(np.int64(1) << block)
+                vec.add_lane_sums(mine, np.int64(rank) * vec.LANES, vec.zeros(NONE), sums)

@@ -37,6 +37,10 @@ class FlatRows(NamedTuple):
     stride: int
     """Length of a row: a multiple of 16 floats, one cache line."""
 
+    def part(self, some: slice) -> "FlatRows":
+        """Some of the rows."""
+        return self._replace(flat=self.flat[some.start * self.stride : some.stop * self.stride])
+
 
 class RowPlace(NamedTuple):
     """Where a row, or the pixels of a block, begin."""
