@@ -81,7 +81,8 @@ def backproject(
     backend: Backend = "auto",
 ) -> Float[Tensor, "N K"]:
     """Sum an image over its pixels, times the weights of each Gaussian: adjoint to `composite`."""
-    near = in_view(splats, camera, backend=backend)
+    counted = (image != 0).any(dim=-1)
+    near = in_view(splats, camera, None if counted.all() else counted, backend)
     sums = tiled(near.projected, camera.size, backend).backproject(image)
     return sums.new_zeros(len(splats), sums.shape[1]).index_copy_(0, near.rows, sums)
 
