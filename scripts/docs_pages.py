@@ -29,6 +29,9 @@ NOUNS = ("Capture", "Cameras", "Splats", "Scene", "Style", "Stroke", "StyleSplat
 CONFIGS = ("training.config.TrainConfig", "stylization.config.StyleConfig")
 GALLERY = ROOT / "gallery-output"  # of scripts/gallery.py
 LARGEST = 4 * 2**20  # bytes of a page of the gallery that goes to the site
+DEMO = ROOT / "demo-output/styled.html"  # of `make demo`: the page of docs/live.md
+LIVE, NO_DEMO = "live/demo.html", "(This build of the site has no demo: run `make demo` first.)"
+FRAME = re.compile(r"<iframe .*?</iframe>\n\n<a .*?</a>\.", re.DOTALL)
 LINK = re.compile(r"(!?)\[((?:[^][]|\[[^]]*\])*)\]\(([^)\s]+)\)")
 EXPORT = re.compile(r"^from (?:stylesplat)?\.(\S+) import (\w+) as (\w+)$", re.MULTILINE)
 
@@ -40,6 +43,8 @@ def on_files(files: Files, config: Any) -> Files:
         files.append(File.generated(config, page, content=text))
     for name, path in gallery_pages().items():
         files.append(File.generated(config, name, abs_src_path=str(path)))
+    if DEMO.is_file():
+        files.append(File.generated(config, LIVE, abs_src_path=str(DEMO)))
     return files
 
 
@@ -52,6 +57,8 @@ def gallery_pages() -> dict[str, Path]:
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
     """Point links of the repository to pages of the site."""
     here = page.file.src_uri
+    if here == "live.md" and not DEMO.is_file():
+        markdown = FRAME.sub(NO_DEMO, markdown)
     sources = {site: path for path, site in OUTSIDE.items()}
     folder = sources.get(here, f"docs/{here}").rpartition("/")[0]
 

@@ -43,7 +43,7 @@ def test_one_view_into_one_picture(scene: Path, tmp_path: Path, capsys):
     line = complaint(capsys, "render", scene, "-o", tmp_path / "b.png", "--views", "orbit")
     assert line.endswith("180 views. Choose one with --view NAME, or name a folder.")
     line = complaint(capsys, "render", scene, "-o", tmp_path / "b", "--views", "orbit", *two)
-    assert "--views and --view each say what views there are. Choose one" in line
+    assert "--views and --view each choose the views" in line
     assert "'cat'" in complaint(capsys, "render", scene, "-o", tmp_path / "b", "--view", "cat")
     assert not [*tmp_path.glob("b*")]
 
@@ -80,7 +80,7 @@ def test_a_round_trip_about_an_object_shows_it_large(scene: Path, tmp_path: Path
         assert abs(float(rows.float().mean()) - 17.5) < 3
         assert abs(float(columns.float().mean()) - 23.5) < 3
     line = complaint(capsys, *about, "-o", tmp_path / "b", "--view", "0000")
-    assert "--view and --around each say" in line
+    assert "--view and --around each choose" in line
     assert "'cat'" in complaint(capsys, "render", scene, "-o", tmp_path / "b", "--around", "cat")
 
 
@@ -95,9 +95,9 @@ def test_a_camera_path(scene: Path, tmp_path: Path, capsys):
     assert run("render", scene, "-o", tmp_path / "b.png", "--view", "0000") == 0
     first = read_image(min((tmp_path / "a").iterdir()))
     assert (first.float() - read_image(tmp_path / "b.png").float()).abs().max() <= 1
-    assert "Choose one" in complaint(capsys, *made, "-o", tmp_path / "c", "--around", "7")
+    assert "choose the views" in complaint(capsys, *made, "-o", tmp_path / "c", "--around", "7")
     line = complaint(capsys, *made, "-o", tmp_path / "c", "--views", "orbit")
-    assert "--views and --path each say" in line
+    assert "--views and --path each choose" in line
 
 
 def test_an_object_cut_out(scene: Path, tmp_path: Path, capsys):

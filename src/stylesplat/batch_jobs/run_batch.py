@@ -121,7 +121,7 @@ def run_batch(
     if workers < 1:
         raise StyleSplatError(f"Jobs need at least one worker, got {workers}. Use --workers 1.")
     if ray is not None and workers != 1:
-        raise StyleSplatError("Ray shares out its own cores. Leave --workers out with --ray.")
+        raise StyleSplatError("Ray distributes its cores itself. Leave out --workers with --ray.")
     refuse_address(output)
     output = output.resolve()
     refuse_occupied(output, marker=RECORDS, overwrite=True)

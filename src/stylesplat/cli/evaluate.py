@@ -30,8 +30,8 @@ EXAMPLE = "`stylesplat evaluate A B --compare -o page.html`"
 class Evaluate(MakingCommand):
     """Measure a scene's held-out views: PSNR and SSIM, and IoU of the objects.
 
-    Of a styled scene also what `stylize` measured: how close each object is to its style, what is
-    left of it, whether views agree, and what changed around it.
+    For a styled scene also what `stylize` measured: how close each object is to its style, how much
+    of it is kept, whether views agree, and what changed around it.
 
     Example: stylesplat evaluate garden-scene --masks exact-masks
     """

@@ -109,7 +109,7 @@ class Export(MakingCommand):
     and .gltf are glTF; .usdz, .usdc and .usda are USD; .html is a page for any browser, with before
     and after; .npz lists the objects' Gaussians. Or name it with -o."""
     output: OptionalOutput = None
-    """File to make, where it does not follow the scene."""
+    """File to make, if it is not the second argument."""
     object: UseAppendAction[tuple[str, ...]] = ()
     """Write this object alone, where it lies in the scene. May be repeated."""
     without: UseAppendAction[tuple[str, ...]] = ()

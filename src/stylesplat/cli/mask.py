@@ -52,13 +52,13 @@ class MaskCommand(MakingCommand):
     """
 
     capture: Positional[Path]
-    """Folder with the posed photos; the label maps go into its object_mask/. Of photos without
-    poses, or a video, `sfm` makes a capture first, beside them; the label maps go into that one.
-    Or a scene that was imported without photos: views of it are masked, as `render` draws them,
-    and the objects go into the scene."""
+    """Folder with the posed photos; the label maps go into its object_mask/. Given photos
+    without poses, or a video, `sfm` makes a capture beside them first, and the label maps go there.
+    Or a scene that was imported without photos: its views are masked, as `render` draws them, and
+    the objects go into the scene."""
     method: OfferedMethod | None = None
-    """files takes masks of another program (--from, then the default), grabcut cuts out what the
-    boxes hold (otherwise the default), and the others find all objects with that model."""
+    """files imports masks of another program (the default with --from), grabcut cuts out what the
+    boxes hold (the default otherwise), and the others find all objects with that model."""
     box: UseAppendAction[tuple[str, ...]] = ()
     """NAME=VIEW:x0,y0,x1,y1 around an object, in pixels of the photo itself, at its full size. May
     be repeated, for other objects and for other photos of the same; one photo often suffices."""
@@ -66,13 +66,14 @@ class MaskCommand(MakingCommand):
     """NAME=VIEW:x,y,x,y,... along a line over an object, where a cut took it for background. May
     be repeated."""
     not_stroke: UseAppendAction[tuple[str, ...]] = ()
-    """The same over what is not the object, where the cut took too much."""
+    """The same over what does not belong to the object, where the cut took too much."""
     keep: UseAppendAction[tuple[str, ...]] = ()
     """NAME=VIEW:x0,y0,x1,y1 in any photo: all that shows there belongs to the object, in all
     photos. Without --box the label maps that are there are corrected; NAME= may be left out where
     they have one object. May be repeated."""
     drop: UseAppendAction[tuple[str, ...]] = ()
-    """The same where nothing belongs to it: what it stands on, its shadow. May be repeated."""
+    """NAME=VIEW:x0,y0,x1,y1 in any photo: nothing that shows there belongs to the object, in all
+    photos; for what it stands on, or its shadow. May be repeated."""
     source: Annotated[Path | None, arg(name="from")] = None
     """Masks of another program: a folder with pictures of ids named like the photos (DEVA,
     Gaussian Grouping), or with a sub-folder of binary masks per object; or COCO JSON with RLE."""

@@ -113,7 +113,7 @@ class Select(EditingCommand):
     point: UseAppendAction[tuple[str, ...]] = ()
     """VIEW:x,y in the photo's pixels: the object that shows there. May be repeated."""
     not_point: UseAppendAction[tuple[str, ...]] = ()
-    """VIEW:x,y of an object that is not meant. May be repeated."""
+    """VIEW:x,y of an object that does not belong to the selection. May be repeated."""
     of: str | None = None
     """The name of the object that this is a part of: what of the selection lies on it becomes the
     part, and the rest stays the object's."""
@@ -134,9 +134,9 @@ class Select(EditingCommand):
     """File of row numbers or a mask (.npz, .npy), as `export` writes objects, or a .ply in
     which SuperSplat has a selection. May be repeated."""
     plus: UseAppendAction[tuple[tuple[str, ...], ...]] = ()
-    """Names of earlier selections that belong to it, several or one at a time."""
+    """Names of earlier selections to add, several or one at a time."""
     minus: UseAppendAction[tuple[tuple[str, ...], ...]] = ()
-    """Names of earlier selections that do not, likewise."""
+    """Names of earlier selections to remove, several or one at a time."""
     all: bool = False
     """Everything."""
     background: bool = False

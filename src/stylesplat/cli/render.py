@@ -104,7 +104,7 @@ class Render(MakingCommand):
         }
         if sum(ways.values()) > 1:
             given = " and ".join(name for name, is_given in ways.items() if is_given)
-            raise StyleSplatError(f"{given} each say what views there are. Choose one of them.")
+            raise StyleSplatError(f"{given} each choose the views. Pass one of them only.")
         for name, value in (("--fps", self.fps), ("--seconds", self.seconds)):
             if value is not None and not 0 < value <= MOST_RATE:
                 fact = f"Cannot render with {name} {value:g}."

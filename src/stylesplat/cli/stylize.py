@@ -51,7 +51,7 @@ class Stylize(MakingCommand):
     """OBJECT=IMAGE or OBJECT=IMAGE,IMAGE; OBJECT is a name that `select` gave, or a label id, IMAGE
     a file or a material (material:bronze, marble, gold-leaf, clay or jade). May be repeated."""
     recipe: Path | None = None
-    """YAML file with objects, styles and settings instead of --style; options given here precede
+    """YAML file with objects, styles and settings instead of --style; options given here override
     its own. A styled scene's recipe.json is one too."""
     protect: UseAppendAction[tuple[str, ...]] = ()
     """Name of an object that gets no paint, such as the eyes of a face (`select --of` makes such
@@ -173,7 +173,7 @@ class Adjust(EditingCommand):
     undo: bool = False
     """Remove the paint: write the scene as it was before, to the bit, to the --output folder."""
     picture: bool = True
-    """Draw no picture of before and after, which takes longer than the rest."""
+    """Draw no picture of before and after; drawing takes longer than the rest."""
 
     def run(self) -> Answer:
         from stylesplat.scene.scene import strengths_of

@@ -58,7 +58,7 @@ class Train(MakingCommand):
 
     capture: Positional[Path]
     """Folder with photos and poses of COLMAP, transforms.json (or transforms_train.json) or LLFF,
-    and label maps in object_mask/. Of photos without poses, or a video, `sfm` makes a capture
+    and label maps in object_mask/. Given photos without poses, or a video, `sfm` makes a capture
     first, beside the scene."""
     output: Output
     """Folder of the scene to make. An interrupted run is kept beside it, and continues."""
@@ -76,8 +76,8 @@ class Train(MakingCommand):
     restart: bool = False
     """Forget an interrupted run."""
     finish: bool = False
-    """Take no more steps: make the scene of what an interrupted run has reached. `--steps` below
-    those taken do the same."""
+    """Stop an interrupted run here and save the scene as it is. A `--steps` that the run has
+    passed does the same."""
     device: Device = "auto"
 
     @property

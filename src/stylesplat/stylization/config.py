@@ -23,9 +23,9 @@ class RecolorConfig(Config):
 
     verb: ClassVar = "recolor"
     match: str | None = None
-    """File of a picture whose colours the object is to have, in mean and covariance."""
+    """File of a picture: the object takes on the mean and covariance of its colours."""
     tint: str | None = None
-    """Colour that the object is to have, but for its light and shade: #rrggbb or a name."""
+    """Colour that the object takes on average; light and shade stay: #rrggbb or a name."""
     hue: Annotated[float, Option(-360, 360, label="Hue", slider=(-180, 180), step=5)] = 0.0
     """Degrees to turn the hues by; luma stays."""
     saturation: Annotated[float, Option(0, MAX_FACTOR, label="Saturation", slider=(0, 3))] = 1.0
@@ -147,7 +147,7 @@ class StyleConfig(Config):
         float,
         Option(0.001, 10_000, name="stroke-size", label="Stroke size", slider=(0.5, 6), step=0.1),
     ] = USUAL_SCALE
-    """Size of the strokes: the longer side of the style picture, in longer sides of the object."""
+    """Size of the strokes: the style picture's long side spans this many times the object's."""
     rotate: Annotated[
         float, Option(-10_000, 10_000, label="Stroke direction", slider=(0, 345), step=15)
     ] = 0.0

@@ -48,7 +48,7 @@ class TrainConfig(Config):
     By default the photos that the capture's files hold out, where they say which.
     """
     background: PhotoBackground = "random"
-    """What photos are laid over where they are transparent, and renders with them.
+    """Colour behind transparent photos, and behind renders that are compared with them.
 
     Over a random colour at each step the splat stays transparent there; it is measured over black.
     Over black or white it may get that colour, and is measured over it.

@@ -276,8 +276,8 @@ def finished(state: State) -> State:
     lost = len(state.splats) - len(kept.splats)
     if not len(kept.splats):
         raise StyleSplatError(
-            f"Training came to nothing: no number of its {lost:,} Gaussians is finite. Train again "
-            "with a lower means_rate, and check the poses."
+            f"Training failed: all {lost:,} Gaussians have numbers that are not finite. Train "
+            "again with a lower means_rate, and check the poses."
         )
     if lost:
         say(f"{count_noun(lost, 'Gaussian')} ran away beyond all bounds, and were left out.")

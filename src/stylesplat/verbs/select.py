@@ -91,7 +91,7 @@ def select(
         raise StyleSplatError(f"{name!r} is no part of itself. Give the part another name.")
     texts = _several(text or ())
     if model is not None and not texts:
-        raise StyleSplatError("--model finds what --text says. Pass --text, or no --model.")
+        raise StyleSplatError("--model is for --text only. Pass --text, or leave out --model.")
     if grow is not None and shrink is not None:
         raise StyleSplatError("An object cannot grow and shrink. Pass --grow or --shrink.")
     mask = _base_mask(scene, rows) if isinstance(rows, Tensor) else None
