@@ -33,4 +33,5 @@ from .verbs.sheet import sheet as sheet
 from .verbs.stylize import stylise as stylise
 from .verbs.stylize import stylize as stylize
 from .verbs.stylize import stylize_live as stylize_live
+from .verbs.stylize_mesh import stylize_mesh as stylize_mesh
 from .verbs.train import train as train

@@ -115,3 +115,17 @@ def test_adjust_one_object_into_a_new_scene(styled: Path, tmp_path: Path, capsys
     assert [layer.form for layer in ss.open(styled).layers] == [0.7, 1.0]
     assert "use 0 to 1.5" in complaint(capsys, "adjust", styled, "--form", 2)
     assert "--form F" in complaint(capsys, "adjust", styled)
+
+
+def test_a_mesh_is_painted_by_the_same_verb(style: Path, tmp_path: Path, capsys):
+    import trimesh
+
+    trimesh.creation.icosphere(subdivisions=2).export(tmp_path / "ball.ply")
+    ball, out = tmp_path / "ball.ply", tmp_path / "painted.glb"
+    wrong = ("stylize", ball, "--style", style, "-o", out)
+    assert "--recipe" in complaint(capsys, *wrong, "--recipe", "a.yaml")
+    assert "NAME=IMAGE" in complaint(capsys, *wrong, "--style", f"a={style}")
+    settings = ("--quality", "draft", "--steps", 1, "--texture-size", 64, "--device", "cpu")
+    found = result(capsys, *wrong, *settings)
+    assert (found["faces"], found["unwrapped"], found["pictures"]) == (320, 320, [64])
+    assert found["mesh"] == str(out) and out.is_file()

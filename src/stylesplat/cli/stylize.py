@@ -5,7 +5,7 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import Positional, UseAppendAction, arg
 
 import stylesplat as ss
 from stylesplat.cli.arguments import from_config, parse_style
@@ -17,7 +17,6 @@ from stylesplat.cli.command import (
     Features,
     MakingCommand,
     Output,
-    SceneFolder,
     StylePreset,
     Weights,
     draw_before_after,
@@ -39,17 +38,19 @@ SHOWN = ("intensity", "form")  # settings that a recipe may give another value a
 
 @dataclass(frozen=True)
 class Stylize(MakingCommand):
-    """Repaint objects of a scene, each in the style of a picture.
+    """Repaint objects of a scene, each in the style of a picture; or a mesh, in its texture.
 
-    Example: stylesplat stylize garden-scene --style vase=wave.jpg -o garden-wave
+    Examples: stylesplat stylize garden-scene --style vase=wave.jpg -o garden-wave;
+    stylesplat stylize model.glb --style wave.jpg -o painted.glb
     """
 
-    scene: SceneFolder
+    scene: Annotated[Positional[Path], arg(help="Folder of the scene; or a .glb, .obj or .ply.")]
     output: Output
-    """Folder of the styled scene to make."""
+    """Folder of the styled scene to make; of a mesh, a .glb file."""
     style: UseAppendAction[tuple[str, ...]] = ()
     """OBJECT=IMAGE or OBJECT=IMAGE,IMAGE; OBJECT is a name that `select` gave, or a label id, IMAGE
-    a file or a material (material:bronze, marble, gold-leaf, clay or jade). May be repeated."""
+    a file or a material (material:bronze, marble, gold-leaf, clay or jade). May be repeated. Of a
+    mesh OBJECT is a node, group or material; IMAGE alone paints all of it."""
     recipe: Path | None = None
     """YAML file with objects, styles and settings instead of --style; options given here override
     its own. A styled scene's recipe.json is one too."""
@@ -60,9 +61,45 @@ class Stylize(MakingCommand):
     preset: StylePreset = "default"
     features: Features = None
     weights: Weights = None
+    texture_size: int | None = None
+    """Of a mesh: pixels of a side of its texture, a power of two; by default 2048."""
     device: Device = "auto"
 
     def run(self) -> Answer:
+        from stylesplat.io.models.model_files import is_model
+
+        return self._run_mesh() if is_model(self.scene) else self._run_scene()
+
+    def _run_mesh(self) -> Answer:
+        from stylesplat.verbs.stylize_mesh import WHOLE, stylize_mesh
+
+        self.refuse_given(("recipe", "protect"), "a mesh")
+        settings = {"preset": self.preset, **self.settings}
+        texts = [text if "=" in text else f"{WHOLE}={text}" for text in self.style]
+        styles = {name: ss.Style(*files, **settings) for name, files in map(parse_style, texts)}
+        if not styles or (WHOLE in styles and len(texts) > 1):
+            raise StyleSplatError(
+                f"A mesh takes --style IMAGE, or --style NAME=IMAGE for parts of it; got "
+                f"{' '.join(self.style) or 'none'}."
+            )
+        options = {"features": self.features, "weights": self.weights, "device": self.device}
+        if self.texture_size is not None:
+            options["texture_size"] = self.texture_size
+        found = stylize_mesh(
+            self.scene,
+            styles.get(WHOLE, styles),
+            self.output,
+            overwrite=self.overwrite,
+            **options,
+        )
+        sides = ", ".join(f"{side} x {side}" for side in found["pictures"])
+        unwrapped = f", {found['unwrapped']:,} of them at new UVs" if found["unwrapped"] else ""
+        faces = f"{found['faces']:,} faces painted{unwrapped}"
+        lines = [f"{self.output}: {faces}, in {found['seconds']:.0f} s. Textures: {sides}."]
+        return Answer({"mesh": self.output, **found}, lines)
+
+    def _run_scene(self) -> Answer:
+        self.refuse_given(("texture_size",), "a scene")
         from stylesplat.evaluation.summary import style_lines
         from stylesplat.io.scene_folder import revise
 

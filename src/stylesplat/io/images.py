@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 import numpy as np
 import torch
@@ -101,6 +101,12 @@ def decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W D"]:
     return np.ascontiguousarray(turn(pixels)) if turn else pixels
 
 
+def decode_embedded(content: bytes, path: Path) -> UInt8[np.ndarray, "H W 4"]:
+    """The pixels of a picture within a file as RGBA."""
+    with decoding(path), warnings.catch_warnings(action="ignore"):
+        return np.array(_open(BytesIO(content), path).convert("RGBA"))
+
+
 def image_sizes(path: Path) -> tuple[tuple[int, int], tuple[int, int]]:
     """Width and height as stored and after the EXIF rotation; reads the header only."""
     with open_image(path) as image:
@@ -180,6 +186,17 @@ def jpeg(pixels: UInt8[np.ndarray, "H W 3"], quality: int = LOOK_QUALITY) -> byt
     return content.getvalue()
 
 
+def picture_bytes(pixels: UInt8[np.ndarray, "H W 4"], form: Literal["png", "jpeg"]) -> bytes:
+    """A picture to put into a file; alpha is left out where it hides nothing, and of JPEG."""
+    if form == "jpeg":
+        return jpeg(np.ascontiguousarray(pixels[..., :3]), QUALITY)
+    file, opaque = BytesIO(), pixels[..., 3].min() == WHITE
+    Image.fromarray(pixels[..., :3] if opaque else pixels).save(
+        file, "png", compress_level=PNG_LEVEL
+    )
+    return file.getvalue()
+
+
 def jpeg_thumbnail(path: Path, side: int) -> bytes:
     """A picture of at most `side` pixels in width and height, as the content of a file."""
     with open_image(path) as image:
@@ -195,7 +212,7 @@ def write_numbers(numbers: Float[Tensor, "H W"], path: Path | str) -> None:
         values.save(draft, format="TIFF", compression="tiff_adobe_deflate")
 
 
-def _open(file: BinaryIO, path: Path) -> Image.Image:
+def _open(file: BinaryIO | BytesIO, path: Path) -> Image.Image:
     start = file.read(FTYP_BYTES)
     file.seek(0)
     brands = start[8 : int.from_bytes(start[:4])]
@@ -215,7 +232,7 @@ def _open(file: BinaryIO, path: Path) -> Image.Image:
     return image
 
 
-def _open_heic(file: BinaryIO, path: Path) -> Image.Image:
+def _open_heic(file: BinaryIO | BytesIO, path: Path) -> Image.Image:
     """Upright: libheif applies the rotation, whatever the EXIF data say."""
     try:
         from pillow_heif import HeifImageFile

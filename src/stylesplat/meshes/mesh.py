@@ -9,15 +9,13 @@ from stylesplat.io.style_pictures import picture_file
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.meshes.refine import refine
 from stylesplat.meshes.surface import find_mesh_surface, mesh_views, simplify
-from stylesplat.meshes.texture import TexturedMesh, bake, unwrap
+from stylesplat.meshes.texture import TexturedMesh, bake, baked_length, unwrap
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.splats import Splats
 
 MODULES = ("skimage", "fast_simplification", "xatlas")
-BAKED = (160, 768)  # pixels of the views that give the texture, at least and at most
-TEXELS = 3  # along the texture's side, by pixel of a view's
 
 
 @torch.no_grad()
@@ -48,9 +46,7 @@ def make_mesh(
             f"{name} was photographed from one side only: the mesh is open where {open_share:.0%} "
             "of its surface would be."
         )
-    views = mesh_views(
-        splats, photos, length=min(max(config.texture_size // TEXELS, BAKED[0]), BAKED[1])
-    )
+    views = mesh_views(splats, photos, length=baked_length(config.texture_size))
     surface = refine(simplify(surface, config.faces), splats, views)
     mesh = bake(unwrap(surface, config.texture_size), splats, views)
     if not config.repaint:

@@ -86,11 +86,20 @@ class _Product(Function):
 
 @torch.no_grad()
 def repaint(
-    mesh: TexturedMesh, unpainted: Splats, views: MeshViews, layer: Layer, name: str
+    mesh: TexturedMesh,
+    unpainted: Splats,
+    views: MeshViews,
+    layer: Layer,
+    name: str,
+    *,
+    style: Style | None = None,
 ) -> TexturedMesh:
-    """Paint the texture anew, from the paint that it has; `unpainted` gives the object's form."""
+    """Paint the texture anew, from the paint that it has; `unpainted` gives the object's form.
+
+    The style is by default that of the layer's files.
+    """
     texels = texels_of(mesh)
-    setup, style = _setup(unpainted, views, layer)
+    setup, style = _setup(unpainted, views, layer, style)
     config, every = style.config, torch.ones(len(unpainted), dtype=torch.bool)
     boxes = find_boxes(unpainted, setup.cameras, every)
     side, area = np.ptp(mesh.vertices, axis=0).max(), face_areas(mesh.vertices, mesh.faces).sum()
@@ -116,10 +125,13 @@ def repaint(
     return replace(mesh, texture=texture[texels.nearest])
 
 
-def _setup(unpainted: Splats, views: MeshViews, layer: Layer) -> tuple[PaintSetup, Style]:
-    files = [source.path for source in layer.styles]
+def _setup(
+    unpainted: Splats, views: MeshViews, layer: Layer, style: Style | None
+) -> tuple[PaintSetup, Style]:
     config = with_settings(STYLE_PRESETS["default"], without_retired(layer.settings))
-    style = Style(*(file for file in files if file is not None), config=config)
+    if style is None:
+        files = [source.path for source in layer.styles]
+        style = Style(*(file for file in files if file is not None), config=config)
     network = load_network(layer.features, layer.weights, depth=config.block)
     cameras = views.cameras[views.trusted.nonzero()[0].tolist()]
     return paint_setup(unpainted, cameras, network), style

@@ -26,6 +26,8 @@ from stylesplat.rendering.weights import TINY_COVERAGE
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.views import per_view
 
+BAKED = (160, 768)  # pixels of the views that give the texture, at least and at most
+TEXELS = 3  # along the texture's side, by pixel of a view's
 TEXTURE_SOLID = 0.9  # coverage from which a pixel's colour is the object's
 THINNED = 4  # one in so many texels is searched for the nearest
 TEXTURE_HIDDEN = 0.01  # of the extent: what lies farther behind the depth buffer is hidden
@@ -83,6 +85,11 @@ def texels_of(mesh: TexturedMesh) -> Texels:
     fragments = draw_triangles(mesh.uvs * size, ones, mesh.faces, (size, size))
     rest = [fragments.of_corners(each, mesh.faces) for each in (mesh.vertices, mesh.normals)]
     return Texels(fragments.faces != NOTHING, *rest)
+
+
+def baked_length(texture_size: int) -> int:
+    """Pixels of the side of views that give a texture of so many pixels a side."""
+    return min(max(texture_size // TEXELS, BAKED[0]), BAKED[1])
 
 
 @torch.no_grad()

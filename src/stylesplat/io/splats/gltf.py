@@ -198,7 +198,7 @@ def _shown(gltf: Gltf) -> Iterator[tuple[Primitive, Float[np.ndarray, "4 4"]]]:
             raise ValueError(f"its nodes are no tree (at node {index} of {len(document.nodes)})")
         visited.add(index)
         node = document.nodes[index]
-        matrix = above @ _matrix(node)
+        matrix = above @ matrix_of(node)
         if node.mesh is not None:
             yield from ((each, matrix) for each in _primitives(gltf, node.mesh))
         stack += [(child, matrix) for child in reversed(node.children)]
@@ -211,7 +211,8 @@ def _primitives(gltf: Gltf, mesh: int) -> list[Primitive]:
     return [each for each in meshes[mesh].primitives if each.extensions.splatting is not None]
 
 
-def _matrix(node: Node) -> Float[np.ndarray, "4 4"]:
+def matrix_of(node: Node) -> Float[np.ndarray, "4 4"]:
+    """The transform of a node to that above it."""
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T  # column-major
     matrix = np.eye(4)

@@ -16,7 +16,7 @@ from urllib.parse import unquote
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from msgspec import Meta, Struct
 
 from stylesplat.errors import StyleSplatError, shorten
@@ -35,7 +35,10 @@ GLB_VERSION = 2
 MAX_COMMAS = 2**20  # in the JSON, which may take 200 bytes of memory for each; buffers have one
 GL_FLOAT, SHORT, BYTE = 5126, 5123, 5121
 COMPONENTS = {5120: "i1", BYTE: "u1", 5122: "<i2", SHORT: "<u2", GL_FLOAT: "<f4"}
+GL_UINT32 = 5125  # of indices alone
+STORED = COMPONENTS | {GL_UINT32: "<u4"}
 GLB_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+GLB_WIDTHS = {kind: width for width, kind in GLB_KINDS.items()}
 EMBEDDED = re.compile(r"data:[\w.+-]*/?[\w.+-]*;base64,")
 ELSEWHERE = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:|[/\\]")  # a scheme, a drive, or a root
 
@@ -165,21 +168,33 @@ class Gltf:
         if accessor.component_type not in COMPONENTS or accessor.type != GLB_KINDS[width]:
             kind = f"{accessor.type!r:.20} of {accessor.component_type}"
             raise ValueError(f"the rows of {name} have the wrong type: {kind}")
+        return self.fractions(index, name)
+
+    def fractions(self, index: int, name: str) -> Float[np.ndarray, "N D"]:
+        """The rows of an accessor as float32; normalized integers become fractions."""
+        values = self.stored(index, name)
+        if values.dtype.kind == "f" or not self.document.accessors[index].normalized:
+            return np.array(values, np.float32)
+        whole = np.float32(np.iinfo(values.dtype).max)
+        return np.maximum(values.astype(np.float32) / whole, np.float32(-1))
+
+    def stored(self, index: int, name: str) -> Shaped[np.ndarray, "N D"]:
+        """The rows of an accessor as they are in the file."""
+        accessor = _part(self.document.accessors, index, f"accessor of {name}")
+        if accessor.component_type not in STORED or accessor.type not in GLB_WIDTHS:
+            kind = f"{accessor.type!r:.20} of {accessor.component_type}"
+            raise ValueError(f"the rows of {name} have the wrong type: {kind}")
         if accessor.sparse is not None or accessor.buffer_view is None:
             raise ValueError(f"the rows of {name} are left out or sparse, which is not read here")
         content, stride = self.view(accessor.buffer_view, name)
-        dtype = np.dtype(COMPONENTS[accessor.component_type])
+        dtype, width = np.dtype(STORED[accessor.component_type]), GLB_WIDTHS[accessor.type]
         stride = stride or width * dtype.itemsize
         end = accessor.byte_offset + (accessor.count - 1) * stride + width * dtype.itemsize
         if stride < width * dtype.itemsize or (accessor.count and end > len(content)):
             fault = f"{accessor.count} rows of {name}, {stride} bytes apart, do not fit"
             raise ValueError(f"{fault} into {len(content)} bytes")
         shape, strides = (accessor.count, width), (stride, dtype.itemsize)
-        values = np.ndarray(shape, dtype, content, accessor.byte_offset, strides)
-        if values.dtype.kind == "f" or not accessor.normalized:
-            return np.array(values, np.float32)
-        whole = np.float32(np.iinfo(values.dtype).max)
-        return np.maximum(values.astype(np.float32) / whole, np.float32(-1))
+        return np.ndarray(shape, dtype, content, accessor.byte_offset, strides)
 
     def view(self, index: int, name: str) -> tuple[memoryview, int | None]:
         """The bytes of a buffer view, and how far its rows lie apart."""
@@ -198,7 +213,7 @@ class Gltf:
         key = buffer.uri or index
         if key not in self.loaded:
             if buffer.uri is not None:
-                self.loaded[key] = memoryview(self._load(buffer.uri))
+                self.loaded[key] = memoryview(self.load_uri(buffer.uri))
             elif index == 0 and self.binary is not None:
                 self.loaded[key] = self.binary
             else:
@@ -209,7 +224,7 @@ class Gltf:
             raise ValueError(f"buffer {index} should have {size}")
         return content[: buffer.byte_length]
 
-    def _load(self, uri: str) -> bytes:
+    def load_uri(self, uri: str) -> bytes:
         """The bytes of a data URI, or of a file in the same folder."""
         embedded = EMBEDDED.match(uri)
         if embedded:
@@ -245,7 +260,14 @@ def harmonics(degree: int) -> list[str]:
 def open_gltf(path: Path) -> Gltf:
     """Open a `.glb` or `.gltf` file; its header and JSON are checked, its buffers are not read."""
     content = read_bytes(path)
-    text, binary = _chunks(content) if content.startswith(GLB_MAGIC) else (content, None)
+    if content.startswith(GLB_MAGIC):
+        text, binary, _ = split_glb(content)
+        return parse_gltf(path, text, binary)
+    return parse_gltf(path, content, None)
+
+
+def parse_gltf(path: Path, text: bytes, binary: memoryview | None) -> Gltf:
+    """The file of this JSON and binary chunk."""
     text = text.removeprefix(BOM)
     commas = text.count(b",")
     if commas > MAX_COMMAS:
@@ -257,8 +279,8 @@ def open_gltf(path: Path) -> Gltf:
     return Gltf(path, document, binary)
 
 
-def _chunks(content: bytes) -> tuple[bytes, memoryview | None]:
-    """The JSON of a GLB, and its binary chunk if it has one."""
+def split_glb(content: bytes) -> tuple[bytes, memoryview | None, memoryview]:
+    """The JSON of a GLB, its binary chunk if it has one, and the bytes of other chunks."""
     _, version, announced = GLB_HEADER.unpack_from(content)
     if version != GLB_VERSION:
         raise ValueError(f"it is a GLB of version {version}, not {GLB_VERSION}")
@@ -272,4 +294,4 @@ def _chunks(content: bytes) -> tuple[bytes, memoryview | None]:
         rest = rest[size:]
     if JSON not in chunks:
         raise ValueError("it has no chunk of JSON")
-    return bytes(chunks[JSON]), chunks.get(BINARY)
+    return bytes(chunks[JSON]), chunks.get(BINARY), rest

@@ -1,0 +1,77 @@
+"""Meshes that others made: GLB, and what trimesh makes a GLB of (OBJ with its material, PLY)."""
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.atomic import refuse_file
+from stylesplat.io.files import is_there, read_bytes, reading
+from stylesplat.io.models.glb import parse_glb, write_glb_model
+from stylesplat.io.models.model import Model, PaintedPart
+
+GLB, CONVERTED = ".glb", (".obj", ".ply")
+MODELS = (GLB, *CONVERTED)
+MODEL_REMEDY = "Export it again as .glb."
+
+
+def is_model(path: Path) -> bool:
+    """Whether a path names a file of meshes, from its name alone."""
+    return path.suffix.lower() in MODELS and not path.is_dir()
+
+
+def refuse_model_file(source: Path, output: Path, *, overwrite: bool) -> None:
+    """Refuse files that no mesh can be read from or written to, before any work."""
+    if source.suffix.lower() not in MODELS:
+        raise StyleSplatError(f"Cannot read {source} as a mesh. Give a {', '.join(MODELS)}.")
+    if not is_there(source):
+        raise StyleSplatError(f"There is no mesh {source}. Check the name.")
+    if output.suffix.lower() != GLB:
+        raise StyleSplatError(f"Cannot write the painted mesh to {output}. Use a name in {GLB}.")
+    refuse_file(output, overwrite=overwrite)
+
+
+def read_model(path: Path) -> Model:
+    """Read a file of meshes; a StyleSplatError if it has no faces."""
+    with reading(path, MODEL_REMEDY, what=" as a mesh"):
+        is_glb = path.suffix.lower() == GLB
+        model = parse_glb(path, read_bytes(path) if is_glb else _converted(path))
+        parts = [part for part in model.parts if len(part.faces)]
+        if not parts:
+            raise ValueError("it has no faces")
+        return Model(parts, model.content)
+
+
+def write_model(
+    model: Model,
+    painted: Sequence[PaintedPart],
+    pictures: Sequence[UInt8[np.ndarray, "S S 4"]],
+    path: Path,
+) -> None:
+    """Write a mesh with the new base colours of its painted parts."""
+    write_glb_model(model, painted, pictures, path)
+
+
+def _converted(path: Path) -> bytes:
+    """The bytes of a GLB of an OBJ or PLY; points without faces are none."""
+    if find_spec("trimesh") is None:
+        raise StyleSplatError(
+            f"Reading {path} as a mesh needs trimesh. Run `pip install 'stylesplat[mesh]'`, or "
+            "save it as .glb."
+        )
+    import trimesh
+
+    scene = trimesh.load_scene(path, process=False)
+    meshes = {
+        name: each
+        for name, each in scene.geometry.items()
+        if isinstance(each, trimesh.Trimesh) and len(each.faces)
+    }
+    if not meshes:
+        raise ValueError("it has no faces")
+    content = trimesh.Scene(meshes).export(file_type="glb")
+    assert isinstance(content, bytes)
+    return content

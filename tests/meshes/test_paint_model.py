@@ -1,0 +1,249 @@
+"""Other people's meshes, painted in their textures: what changes, and what stays."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+import stylesplat as ss
+from scenes import glb_of, glb_parts
+from stylesplat.errors import StyleSplatError
+from stylesplat.io.models.model import base_colors, displayed
+from stylesplat.io.models.model_files import read_model
+from stylesplat.meshes.paint_model import in_unit_ball, lay_out, sample_discs
+from stylesplat.scene.splats import rgb_from_sh0
+
+SIZE = 128  # of textures
+QUICK: dict[str, Any] = {"quality": "draft", "steps": 2}
+
+
+def png(color: tuple[int, ...], size: int = 8) -> bytes:
+    file = io.BytesIO()
+    mode = "RGBA" if len(color) == 4 else "RGB"
+    Image.new(mode, (size, size), color).save(file, "png")
+    return file.getvalue()
+
+
+def sphere_arrays(radius: float, x: float) -> dict[str, np.ndarray]:
+    """A ball of few faces around (x, 0, 0), with UVs of one place each."""
+    ball = trimesh.creation.uv_sphere(radius=radius, count=[12, 12])
+    points = np.asarray(ball.vertices, np.float32)
+    corners = points[ball.faces.reshape(-1)]  # each face has its own place in the texture
+    side = int(np.ceil(np.sqrt(len(ball.faces))))
+    cells = np.stack(np.divmod(np.arange(len(ball.faces)), side), axis=1)
+    local = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]])
+    uvs = ((cells[:, None] + local) / side).reshape(-1, 2).astype(np.float32)
+    normals = corners / radius
+    return {"POSITION": corners + np.float32([x, 0, 0]), "NORMAL": normals, "TEXCOORD_0": uvs}
+
+
+def model(folder: Path, *, shared_uvs: bool = False) -> Path:
+    """Two balls, red and green, with bones, an animation, and a normal map on the first."""
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "extras": {"kept": [1.5]}},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 1]}],
+        "nodes": [
+            {"name": "left", "mesh": 0, "scale": [2, 2, 2]},
+            {"name": "right", "mesh": 1, "extras": {"kept": True}},
+        ],
+        "meshes": [],
+        "accessors": [],
+        "bufferViews": [],
+        "buffers": [{}],
+        "images": [{"bufferView": n, "mimeType": "image/png"} for n in range(2)],
+        "samplers": [{"wrapS": 33071}],
+        "textures": [{"source": 0, "sampler": 0}, {"source": 1}],
+        "materials": [
+            {
+                "name": "red paint",
+                "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "roughnessFactor": 0.4},
+                "normalTexture": {"index": 1},
+            },
+            {
+                "name": "green paint",
+                "pbrMetallicRoughness": {"baseColorFactor": [0.0, 1.0, 0.0, 1.0]},
+            },
+        ],
+        "extensionsUsed": ["EXT_unknown"],
+        "extensions": {"EXT_unknown": {"kept": "\u00e4"}},
+    }
+    binary = bytearray()
+
+    def view(content: bytes) -> int:
+        binary.extend(bytes(-len(binary) % 4))
+        views = document["bufferViews"]
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(content)})
+        binary.extend(content)
+        return len(views) - 1
+
+    view(png((255, 0, 0)))
+    view(png((128, 128, 255)))
+    for number in range(2):
+        attributes = {}
+        for name, rows in sphere_arrays(0.5, 2.0 * number).items():
+            rows = rows * 0.1 if shared_uvs and name == "TEXCOORD_0" else rows
+            rows = rows % 0.02 if shared_uvs and name == "TEXCOORD_0" else rows
+            attributes[name] = len(document["accessors"])
+            kind = {2: "VEC2", 3: "VEC3"}[rows.shape[1]]
+            accessor = {"bufferView": view(rows.astype("<f4").tobytes()), "componentType": 5126}
+            document["accessors"].append(accessor | {"count": len(rows), "type": kind})
+        if number == 1:
+            del attributes["TEXCOORD_0"]
+        primitive = {"attributes": attributes, "material": number}
+        document["meshes"].append({"name": f"ball {number}", "primitives": [primitive]})
+    document["buffers"][0]["byteLength"] = len(binary)
+    path = folder / "model.glb"
+    path.write_bytes(glb_of(document, bytes(binary)))
+    return path
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    path = tmp_path / "wave.png"
+    noise = np.random.default_rng(0).integers(0, 255, (48, 48, 3), np.uint8)
+    Image.fromarray(noise).save(path)
+    return path
+
+
+def texture_of(document: Any, binary: bytes, material: int) -> np.ndarray:
+    info = document["materials"][material]["pbrMetallicRoughness"]["baseColorTexture"]
+    image = document["images"][document["textures"][info["index"]]["source"]]
+    view = document["bufferViews"][image["bufferView"]]
+    content = binary[view["byteOffset"] :][: view["byteLength"]]
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+
+
+def test_discs_lie_on_the_surface_in_its_colours(tmp_path: Path):
+    parts = read_model(model(tmp_path)).parts
+    places = in_unit_ball(parts)
+    discs = sample_discs(parts, places, texture_size=SIZE, seed=0)
+    assert 300 < len(discs) <= SIZE**2 // 8
+    assert discs.means.norm(dim=1).max() <= 1 + 1e-5
+    colors = rgb_from_sh0(discs.sh0[:, 0])
+    is_red = colors[:, 0] > 0.5
+    assert torch.allclose(colors[is_red], torch.tensor([1.0, 0, 0]), atol=0.02)
+    assert torch.allclose(colors[~is_red], torch.tensor([0, 1.0, 0]), atol=0.02)
+    share = is_red.float().mean()  # the red ball is twice as large
+    assert abs(share - 0.8) < 0.03
+    # glTF's x goes to the right; ours to the left, as the world is turned by half about z
+    assert discs.means[is_red, 0].mean() > discs.means[~is_red, 0].mean()
+
+
+def test_painting_changes_base_colours_alone(tmp_path: Path, picture: Path):
+    path, output = model(tmp_path), tmp_path / "painted.glb"
+    found = ss.stylize_mesh(path, ss.Style(picture, **QUICK), output, texture_size=SIZE)
+    assert found["pictures"] == [SIZE, SIZE] and found["faces"] > found["unwrapped"] > 0
+    (before, old), (after, new) = glb_parts(path), glb_parts(output)
+    assert new[: len(old)] == old  # all bytes stay, others follow
+    for key in ("asset", "nodes", "scenes", "samplers", "extensions", "extensionsUsed"):
+        assert after[key] == before[key]
+    for key in ("images", "textures", "accessors", "bufferViews", "materials"):
+        assert len(after[key]) >= len(before[key])
+    for key in ("images", "textures", "accessors", "bufferViews"):
+        assert after[key][: len(before[key])] == before[key]
+    red, green = after["materials"]
+    assert red["normalTexture"] == {"index": 1} and red["name"] == "red paint"
+    assert red["pbrMetallicRoughness"]["roughnessFactor"] == 0.4
+    assert green["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 1]
+    assert after["meshes"][0] == before["meshes"][0]  # it keeps its UVs
+    for material, color in ((0, (255, 0, 0)), (1, (0, 255, 0))):
+        texture = texture_of(after, new, material)
+        assert texture.shape == (SIZE, SIZE, 3) and texture.std() > 5
+        assert np.abs(texture.astype(int) - color).mean() > 20
+    loaded = trimesh.load_scene(output)
+    assert sum(len(each.faces) for each in loaded.geometry.values()) == found["faces"]
+
+
+def test_what_is_named_gets_new_uvs_and_the_rest_stays(tmp_path: Path, picture: Path):
+    path, output = model(tmp_path, shared_uvs=True), tmp_path / "painted.glb"
+    style = ss.Style(picture, **QUICK)
+    found = ss.stylize_mesh(path, {"red paint": style}, output, texture_size=SIZE)
+    assert found["unwrapped"] == found["faces"]
+    document, _ = glb_parts(output)
+    (primitive,) = document["meshes"][0]["primitives"]
+    info = document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    assert info["texCoord"] == 1 and {"TEXCOORD_0", "TEXCOORD_1"} <= {*primitive["attributes"]}
+    assert document["materials"][0]["normalTexture"] == {"index": 1}  # at the UVs it had
+    given, _ = glb_parts(path)
+    assert document["materials"][1] == given["materials"][1]
+    assert document["meshes"][1] == given["meshes"][1]
+    before, after = (read_model(each).parts[0] for each in (path, output))
+    for one, other in zip(before.vertices[before.faces], after.vertices[after.faces], strict=True):
+        assert np.array_equal(one, other)  # the same faces, in their order
+    layout = lay_out([after], in_unit_ball([after]), SIZE)
+    assert layout.parts[0].unwrapped is None
+
+
+def test_ply_and_obj_are_read(tmp_path: Path):
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.visual.vertex_colors = np.tile([255, 128, 0, 255], (len(ball.vertices), 1))
+    ball.export(tmp_path / "a.ply")
+    (part,) = read_model(tmp_path / "a.ply").parts
+    assert part.faces.shape == (80, 3) and part.uvs is None
+    weights = np.full((80, 3), 1 / 3)
+    color = base_colors(part, np.arange(80), weights)
+    assert color.shape == (80, 3)
+    assert displayed(np.array([[0.0, 0.5, 1.0]]))[0, 1] == pytest.approx(0.735, abs=1e-3)
+    (tmp_path / "b.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 4 3\n")
+    assert sum(len(part.faces) for part in read_model(tmp_path / "b.obj").parts) == 2
+
+
+def no_faces(folder: Path) -> Path:
+    (folder / "points.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+        "property float z\nend_header\n0 0 0\n"
+    )
+    return folder / "points.ply"
+
+
+def splats_in_glb(folder: Path) -> Path:
+    from scenes import random_splats
+    from stylesplat.io.splats.splat_files import write_splats
+
+    write_splats(random_splats(5), folder / "splats.glb")
+    return folder / "splats.glb"
+
+
+def changed(folder: Path, **values: Any) -> Path:
+    document, binary = glb_parts(model(folder))
+    (folder / "bad.glb").write_bytes(glb_of(document | values, binary))
+    return folder / "bad.glb"
+
+
+BAD = {
+    "a cloud of points": (no_faces, "no faces"),
+    "splats": (splats_in_glb, "stylesplat import"),
+    "no meshes": (lambda folder: changed(folder, nodes=[{"name": "a"}, {"name": "b"}]), "no faces"),
+    "compression": (
+        lambda folder: changed(folder, extensionsUsed=["KHR_draco_mesh_compression"]),
+        "KHR_draco",
+    ),
+    "another suffix": (lambda folder: folder / "a.fbx", ".fbx"),
+    "nothing": (lambda folder: folder / "a.glb", "no mesh"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_cannot_be_painted_is_refused_in_one_line(tmp_path: Path, picture: Path, name: str):
+    make, fact = BAD[name]
+    path = make(tmp_path)
+    with pytest.raises(StyleSplatError) as error:
+        ss.stylize_mesh(path, picture, tmp_path / "painted.glb")
+    assert fact in str(error.value) and path.name in str(error.value)
+    assert not (tmp_path / "painted.glb").exists()
+
+
+def test_names_that_mean_nothing_are_refused(tmp_path: Path, picture: Path):
+    path = model(tmp_path)
+    with pytest.raises(StyleSplatError, match="red paint"):
+        ss.stylize_mesh(path, {"blue": picture}, tmp_path / "a.glb")
+    with pytest.raises(StyleSplatError, match="same faces"):
+        ss.stylize_mesh(path, {"left": picture, "red paint": picture}, tmp_path / "a.glb")
+    with pytest.raises(StyleSplatError, match=r"\.glb"):
+        ss.stylize_mesh(path, picture, tmp_path / "a.obj")
