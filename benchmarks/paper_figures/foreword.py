@@ -29,6 +29,21 @@ NOT_RUN = (
     "pass `--scene SCENE`."
 )
 
+CREDITS = (
+    "The photos of fox are those of instant-ngp (NVIDIA Source Code License, for non-commercial "
+    "use only); those of desk are from a public repository that states no licence for them. "
+    "Neither ships with the package: do not use their pictures commercially."
+)
+RELATED = (
+    "Closest to what we compute in closed form are Instant Colorization of Gaussian Splats "
+    "(arXiv 2604.17155), which solves a least-squares problem for each Gaussian where we lift "
+    "labels by the adjoint of rendering; SGSST (arXiv 2412.03371), which matches statistics at "
+    "several scales at once where we match neighbours coarse to fine; SceneStyler (arXiv "
+    "2606.26754), which balances matches by optimal transport where we balance kinds of strokes; "
+    "and Style Brush (arXiv 2510.03433), which paints meshes along contours that the user draws. "
+    "None of them was run here: [beside other methods](related.md) compares what they do."
+)
+
 
 @dataclass(frozen=True)
 class Run:
@@ -56,7 +71,8 @@ class Run:
 def foreword(runs: Sequence[Run]) -> list[Block]:
     """Each claim and whether it holds."""
     words, _ = verdicts(_by_scene(runs))
-    return [Text(ABOUT), Heading("What the paper says"), words]
+    related = [Heading("Close to it"), Text(RELATED)]
+    return [Text(ABOUT), Heading("What the paper says"), words, *related]
 
 
 def appendix(runs: Sequence[Run]) -> list[Block]:
@@ -86,7 +102,7 @@ def appendix(runs: Sequence[Run]) -> list[Block]:
         *map(Text, lines),
         Table(scenes, [*map(_trained, runs)]),
         Table(heads, [*map(_made, runs)]),
-        *map(Text, (_steps(runs), DEFINED, NOT_RUN)),
+        *map(Text, (_steps(runs), DEFINED, NOT_RUN, CREDITS)),
         Heading("Appendix: the numbers of each claim"),
         numbers,
     ]

@@ -149,9 +149,9 @@ def _read_file(path: Path) -> tuple[list[_Posed], dict[str, _Split], str | None]
     folder, content = path.parent, read_json(path)
     whole = convert_checked(content, _Transforms, f"{path} is malformed", TRANSFORMS_AGAIN)
     merged = [content | frame for frame in whole.frames]
-    frames = [
-        convert_checked(each, _Frame, f"A frame of {path} is malformed", TRANSFORMS_AGAIN)
-        for each in merged
+    fault = f"A frame of {path} is malformed"
+    frames = [  # nerfstudio writes RealityCapture's distortion as text
+        convert_checked(each, _Frame, fault, TRANSFORMS_AGAIN, strict=False) for each in merged
     ]
     for frame in frames:
         check_path(frame.file_path)
