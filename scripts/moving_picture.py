@@ -1,9 +1,6 @@
-"""The README's moving picture: a round trip of a painted scene, with a wipe from before to after.
+"""A moving picture of a painted scene: a round trip, with a wipe from before to after.
 
-python scripts/moving_picture.py PAINTED before_after.webp --size 460 460 --around 1
-
-There it is the bust of `benchmarks/painted_objects.py` in van Gogh's Starry Night. Any painted
-scene will do, such as `demo-output/styled`.
+python scripts/moving_picture.py demo-output/styled before_after.webp --size 460 460 --around vase
 """
 
 import argparse
