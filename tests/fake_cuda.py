@@ -24,8 +24,8 @@ from stylesplat.training import adam, densification
 MOVES = {Tensor.copy_, Tensor.__setitem__, Tensor.data.__set__, Tensor.grad.__set__}  # pyright: ignore
 MOVES |= {torch._has_compatible_shallow_copy_type}  # pyright: ignore  (asked as modules move)
 INDEXES = {Tensor.__getitem__, Tensor.index_put, Tensor.index_put_}
-RENDERING = ("spherical_harmonics", "project_gaussians", "rasterize", "front_depth")
-RENDERING += ("tile", "composite", "backproject")
+RENDERING = {"spherical_harmonics", "project_gaussians", "rasterize", "front_depth"}
+RENDERING |= {"tile", "composite", "backproject"}
 DEVICE, IS_CUDA = Tensor.device.__get__, Tensor.is_cuda.__get__  # pyright: ignore
 # What has neither a device nor tensors in its answer: most calls, as types are checked
 PLAIN = {getattr(Tensor, name).__get__ for name in ("shape", "ndim", "dtype", "requires_grad")}
@@ -49,8 +49,7 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     if request.param == "real":
         yield "cuda"
         return
-    for name in RENDERING:
-        monkeypatch.setattr(kernels, name, _kernel(getattr(cpu, name)))
+    monkeypatch.setattr(kernels, "CudaRasterizer", StandIn)
     monkeypatch.setattr(adam, "adam_cuda", _kernel(adam.adam_cpu))
     monkeypatch.setattr(densification, "add_noise_cuda", _kernel(densification.add_noise_cpu))
     monkeypatch.setattr(torch, "Generator", FakeGenerator)
@@ -67,6 +66,14 @@ def cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
         yield "cuda"
     for cached in CONSTANTS:  # else a real GPU is given the stand-in's tensors
         cached.cache_clear()
+
+
+class StandIn(cpu.CpuRasterizer):
+    """The CPU's, each of whose methods runs on the GPU as a whole."""
+
+    def __getattribute__(self, name: str) -> Any:
+        found = super().__getattribute__(name)
+        return _kernel(getattr(cpu.CpuRasterizer(), name)) if name in RENDERING else found
 
 
 def _kernel(function: Callable) -> Callable:

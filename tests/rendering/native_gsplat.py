@@ -29,7 +29,7 @@ class Calls:
 def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
     """Put the stand-ins into gsplat for one test."""
     native = pytest.importorskip("gsplat.cuda._wrapper")
-    project, calls = reference.project_gaussians, Calls()
+    project, calls = reference.Rasterizer().project_gaussians, Calls()
 
     class Projection:
         @staticmethod

@@ -8,7 +8,7 @@ import torch
 
 from scenes import BACKENDS, device_of, randn, random_splats, two_cameras
 from stylesplat.errors import StyleSplatError
-from stylesplat.rendering.reference import rotation_matrices, spherical_harmonics
+from stylesplat.rendering.reference import Rasterizer, rotation_matrices
 from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import crop
@@ -189,7 +189,7 @@ def test_gradients_of_spherical_harmonics(degree: int):
         return drawn.requires_grad_()
 
     inputs = normal(4, 3), normal(4, 1, 3), normal(4, 15, 3)
-    assert torch.autograd.gradcheck(lambda *t: spherical_harmonics(degree, *t), inputs)
+    assert torch.autograd.gradcheck(lambda *t: Rasterizer().spherical_harmonics(degree, *t), inputs)
 
 
 def test_cameras_of_two_sizes_are_refused():

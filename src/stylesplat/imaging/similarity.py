@@ -14,7 +14,7 @@ from torch.nn.functional import conv2d
 from stylesplat.scene.capture import BACKGROUND, Mask
 
 LEAST_DEVIATION = 0.5  # pixels of a blur's deviation; less blurs nothing
-LEAST_WEIGHT = 1e-9  # of a blur: denormal numbers make its products nine times slower
+BLUR_LEAST = 1e-9  # of a blur: denormal numbers make its products nine times slower
 # Matrices of 30 views of as many sizes, four deviations each: 64 MB at 250 pixels
 SIMILARITY_KEPT = 256
 
@@ -44,7 +44,7 @@ def blur_matrix(size: int, deviation: float, device: torch.device) -> Float[Tens
     """The weight of each place along an axis in the blur of each other."""
     places = torch.arange(size, dtype=torch.float32, device=device)
     weights = (-((places[:, None] - places) / deviation).square() / 2).exp()
-    return weights.where(weights > LEAST_WEIGHT, 0)
+    return weights.where(weights > BLUR_LEAST, 0)
 
 
 SMALLEST_ERROR = 1e-12  # a mean square below float32's rounding counts as this: 120 dB

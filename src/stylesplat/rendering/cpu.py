@@ -25,16 +25,11 @@ from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
 from stylesplat.rendering.kernels.vec import LANES, FlatRows
 from stylesplat.rendering.reference import (
     Gaussians,
-    Info,
     Projected,
     ProjectedView,
+    Rasterizer,
     View,
-    stacked,
-    unstacked,
-    views_of,
 )
-from stylesplat.rendering.reference import tile as tile  # the same in every backend without lists
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import sh_bases
 
 CHANNELS = 3, 6, 19  # colours; with some features; with identities: compiled for these alone
@@ -235,115 +230,11 @@ class _Blend(Function):
         return None, None, v_colors, *v_projected, None, None
 
 
-def spherical_harmonics(
-    degree: int,
-    dirs: Float[Tensor, "N 3"],
-    sh0: Float[Tensor, "N 1 3"],
-    shN: Float[Tensor, "N _ 3"],
-    *,
-    clamp: bool = True,
-) -> Float[Tensor, "N 3"]:
-    """Colours of Gaussians seen along `dirs`; see `reference.spherical_harmonics`."""
-    lowest = sh_colors.ZERO if clamp else sh_colors.UNCLAMPED
-    return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
-
-
-def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
-    """What one camera sees of Gaussians; gradients reach no depths."""
-    projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
-    if gaussians.antialiased:
-        return projected
-    return projected._replace(opacities=gaussians.opacities)
-
-
 def padded(colors: Float[Tensor, "*B N _"]) -> Float[Tensor, "*B N D"]:
     """Colours with as many more channels, of zeros, as there are kernels for."""
     wanted = colors.shape[-1]
     unused = next((count for count in CHANNELS if count >= wanted), wanted) - wanted
     return torch.nn.functional.pad(colors, (0, unused)) if unused else colors
-
-
-def rasterize(
-    gaussians: Gaussians,
-    colors: Float[Tensor, "C N D"],
-    cameras: Cameras,
-    *,
-    geometry_channels: int,
-) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `reference.rasterize`."""
-    wanted, colors = colors.shape[-1], padded(colors)
-    if geometry_channels == wanted:
-        geometry_channels = colors.shape[-1]
-    projections = [project_gaussians(gaussians, view) for view in views_of(cameras)]
-    info = Projected(*(stacked(each) for each in zip(*projections, strict=True)))
-    # The blended tensors are views of those in `info`, so gradients reach these, too
-    views = zip(*(unstacked(each) for each in info), strict=True)
-    images = [
-        blend_projected(Projected(*each), view_colors, cameras.size, geometry_channels)
-        for each, view_colors in zip(views, colors, strict=True)
-    ]
-    render_colors, render_alphas = (stacked(each) for each in zip(*images, strict=True))
-    return render_colors[..., :wanted], render_alphas, info._asdict()
-
-
-def blend_projected(
-    projected: Projected,
-    colors: Float[Tensor, "N D"],
-    size: tuple[int, int],
-    geometry_channels: int,
-) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
-    """Blend projected Gaussians, of a padded number of channels, into an image and its coverage.
-
-    Gradients reach all; those of later channels than `geometry_channels` reach `colors` alone.
-    """
-    raster = rasterize_to_pixels(projected, colors, size)
-    return _Blend.apply(raster, geometry_channels, colors, *projected)
-
-
-def composite(tiled: ProjectedView, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W D"]:
-    """Composite values of projected Gaussians; see `reference.composite`."""
-    image, _ = blend_projected(tiled.projected, padded(values), tiled.size, geometry_channels=3)
-    return image[..., : values.shape[1]]
-
-
-def backproject(tiled: ProjectedView, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
-    """The adjoint of `composite`; see `reference.backproject`."""
-    projected, size, wanted = tiled.projected, tiled.size, image.shape[-1]
-    channels = next((count for count in SUMMED if count >= wanted), wanted)
-    flat = torch.nn.functional.pad(image, (0, channels - wanted)).contiguous().view(-1).numpy()
-    order, rows, radii = _pack(projected, image.new_empty(len(projected.depths), 0))
-    light = np.empty(tiles.tile_count(size) * blend.BLOCKS * blend.PIXELS, np.float32)
-    linear_blocks.open_light(light, size)
-    by_rank, first = image.new_empty(len(order), wanted), 0
-    for totals in tiles.rank_groups(order, rows, radii, size):
-        some = slice(first, first + len(totals) - 1)
-        part = rows.part(some)
-        lists = tiles.tile_lists(order[some], part, radii, size, totals, get_num_threads())
-        out = partial_sums(len(totals) - 1, LANES)
-        linear_blocks.sum_weights(
-            vec.channels(channels), part, lists, light, flat, size, out.flatten(1).numpy()
-        )
-        by_rank[some] = out.sum(dim=0)[:, :wanted]
-        first = some.stop
-    sums = image.new_zeros(len(projected.depths), wanted)
-    return sums.index_copy_(0, torch.from_numpy(order).long(), by_rank)
-
-
-def front_depth(
-    projected: Projected,
-    planes: Float[Tensor, "N 3"],
-    counted: Float[Tensor, " N"],
-    size: tuple[int, int],
-    shares: tuple[float, float],
-) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
-    """The mean depth between two shares of a pixel's weight; see `reference.front_depth`."""
-    tiled, image, _ = rasterize_to_pixels(projected, padded(counted[:, None]), size)
-    depths, covered = image[..., 0].clone(), image[..., 0].contiguous()
-    by_rank = torch.cat([planes, counted[:, None]], dim=1)[torch.from_numpy(tiled.order)]
-    flat_planes, flat = (each.view(-1).numpy() for each in (by_rank, depths))
-    both = np.asarray(shares, np.float32)
-    front_depths(tiled.rows, flat_planes, tiled.lists, flat, size, both, get_num_threads())
-    return depths, covered
 
 
 def store_contributions(
@@ -394,3 +285,84 @@ def backproject_blocks(
     partial, flat = partial_sums(count, LANES), image.contiguous().view(-1).numpy()
     linear_blocks.compose_backward(blocks, flat, (width, height), partial.flatten(1).numpy())
     return partial.sum(dim=0)[:, :3]
+
+
+class CpuRasterizer(Rasterizer):
+    """By numba kernels."""
+
+    def spherical_harmonics(
+        self,
+        degree: int,
+        dirs: Float[Tensor, "N 3"],
+        sh0: Float[Tensor, "N 1 3"],
+        shN: Float[Tensor, "N _ 3"],
+        *,
+        clamp: bool = True,
+    ) -> Float[Tensor, "N 3"]:
+        lowest = sh_colors.ZERO if clamp else sh_colors.UNCLAMPED
+        return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
+
+    def project_gaussians(self, gaussians: Gaussians, view: View) -> Projected:
+        projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
+        if gaussians.antialiased:
+            return projected
+        return projected._replace(opacities=gaussians.opacities)
+
+    def blend(
+        self,
+        projected: Projected,
+        colors: Float[Tensor, "N D"],
+        size: tuple[int, int],
+        *,
+        geometry_channels: int,
+    ) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
+        wanted, colors = colors.shape[1], padded(colors)
+        moving = colors.shape[1] if geometry_channels == wanted else geometry_channels
+        raster = rasterize_to_pixels(projected, colors, size)
+        image, alphas = _Blend.apply(raster, moving, colors, *projected)
+        return image[..., :wanted], alphas
+
+    def composite(
+        self, tiled: ProjectedView, values: Float[Tensor, "N D"]
+    ) -> Float[Tensor, "H W D"]:
+        # By the kernels of colours: fewer are compiled
+        return self.blend(tiled.projected, values, tiled.size, geometry_channels=3)[0]
+
+    def backproject(
+        self, tiled: ProjectedView, image: Float[Tensor, "H W D"]
+    ) -> Float[Tensor, "N D"]:
+        projected, size, wanted = tiled.projected, tiled.size, image.shape[-1]
+        channels = next((count for count in SUMMED if count >= wanted), wanted)
+        flat = torch.nn.functional.pad(image, (0, channels - wanted)).contiguous().view(-1).numpy()
+        order, rows, radii = _pack(projected, image.new_empty(len(projected.depths), 0))
+        light = np.empty(tiles.tile_count(size) * blend.BLOCKS * blend.PIXELS, np.float32)
+        linear_blocks.open_light(light, size)
+        by_rank, first = image.new_empty(len(order), wanted), 0
+        for totals in tiles.rank_groups(order, rows, radii, size):
+            some = slice(first, first + len(totals) - 1)
+            part = rows.part(some)
+            lists = tiles.tile_lists(order[some], part, radii, size, totals, get_num_threads())
+            out = partial_sums(len(totals) - 1, LANES)
+            linear_blocks.sum_weights(
+                vec.channels(channels), part, lists, light, flat, size, out.flatten(1).numpy()
+            )
+            by_rank[some] = out.sum(dim=0)[:, :wanted]
+            first = some.stop
+        sums = image.new_zeros(len(projected.depths), wanted)
+        return sums.index_copy_(0, torch.from_numpy(order).long(), by_rank)
+
+    def front_depth(
+        self,
+        projected: Projected,
+        planes: Float[Tensor, "N 3"],
+        counted: Float[Tensor, " N"],
+        size: tuple[int, int],
+        shares: tuple[float, float],
+    ) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
+        tiled, image, _ = rasterize_to_pixels(projected, padded(counted[:, None]), size)
+        depths, covered = image[..., 0].clone(), image[..., 0].contiguous()
+        by_rank = torch.cat([planes, counted[:, None]], dim=1)[torch.from_numpy(tiled.order)]
+        flat_planes, flat = (each.view(-1).numpy() for each in (by_rank, depths))
+        both = np.asarray(shares, np.float32)
+        front_depths(tiled.rows, flat_planes, tiled.lists, flat, size, both, get_num_threads())
+        return depths, covered

@@ -20,14 +20,10 @@ from stylesplat.rendering import nvrtc
 from stylesplat.rendering.nvrtc import FOLDER, THREADS, Argument
 from stylesplat.rendering.reference import (
     Gaussians,
-    Info,
     Projected,
+    Rasterizer,
     View,
-    stacked,
-    unstacked,
-    views_of,
 )
-from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import SH_C0, SH_C1, SH_C2, SH_C3, SH_C3_ZONAL, sh_bases
 
 PROJECT, HARMONICS = FOLDER / "project.cu", FOLDER / "harmonics.cu"
@@ -45,7 +41,7 @@ SH_CONSTANTS = {
 }
 
 
-class TiledView(NamedTuple):
+class TiledGaussians(NamedTuple):
     """Projected Gaussians, sorted into the tiles of one image."""
 
     means2d: Float[Tensor, "N 2"]
@@ -71,26 +67,9 @@ def _float32(*tensors: Tensor) -> list[Tensor]:
     return [tensor.detach().contiguous() for tensor in tensors]
 
 
-def tile(projected: Projected, size: tuple[int, int]) -> TiledView:
-    """Sort projected Gaussians into the tiles of an image; the host waits once, for a number."""
-    (width, height), count = size, len(projected.depths)
-    side = SMALL_TILE if width * height <= SMALL_IMAGE else LARGE_TILE
-    columns, rows = -(-width // side), -(-height // side)
-    means2d, conics, opacities, depths = _float32(*projected[:4])
-    given = means2d, conics, opacities, depths, projected.radii.contiguous(), columns, rows, count
-    kernels, new = nvrtc.load_kernels(TILES, means2d.device, TILE=side), depths.new_empty
-    counts = depths.new_zeros(columns * rows + 1, dtype=torch.int32)  # behind a 0
-    grid = -(-count // THREADS), 1
-    kernels.launch("list_tiles", grid, THREADS, *given, counts[1:], None, None)
-    starts = counts.cumsum(dim=0)
-    pairs = int(starts[-1])
-    keys, order = new(pairs, dtype=torch.int64), new(pairs, dtype=torch.int32)
-    kernels.launch("list_tiles", grid, THREADS, *given, counts[1:], starts, keys)
-    kernels.launch("sort_tiles", (columns * rows, 1), THREADS, starts, keys, order)
-    return TiledView(means2d, conics, opacities, starts, order, width, height, side)
-
-
-def _blend(name: str, tiled: TiledView, part: slice, stride: int, *arguments: Argument) -> None:
+def _blend(
+    name: str, tiled: TiledGaussians, part: slice, stride: int, *arguments: Argument
+) -> None:
     """Run a kernel of `blend.cu` on some channels of rows that have `stride` of them."""
     *tensors, width, height, side = tiled
     count = part.stop - part.start
@@ -182,6 +161,14 @@ class _Blend(Function):
         return None, None, v_colors, v_means2d, v_conics, v_opacities[:, 0]
 
 
+def _backproject(tiled: TiledGaussians, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
+    (image,), channels = _float32(image), image.shape[-1]
+    sums = image.new_zeros(len(tiled.opacities), channels)
+    for part in _parts(channels):
+        _blend("backproject", tiled, part, channels, image, sums)
+    return sums
+
+
 class _Composite(Function):
     @staticmethod
     def forward(ctx, tiled, values):
@@ -195,7 +182,7 @@ class _Composite(Function):
     @staticmethod
     @once_differentiable
     def backward(ctx, v_image):
-        return None, backproject(ctx.tiled, v_image)
+        return None, _backproject(ctx.tiled, v_image)
 
 
 class _SphericalHarmonics(Function):
@@ -225,72 +212,86 @@ def _harmonics(kernel: str, dirs: Tensor, *others: Argument) -> None:
     nvrtc.for_each_row(HARMONICS, kernel, *given, **SH_CONSTANTS)
 
 
-def spherical_harmonics(
-    degree: int,
-    dirs: Float[Tensor, "N 3"],
-    sh0: Float[Tensor, "N 1 3"],
-    shN: Float[Tensor, "N _ 3"],
-    *,
-    clamp: bool = True,
-) -> Float[Tensor, "N 3"]:
-    """Colours of Gaussians seen along `dirs`; see `reference.spherical_harmonics`."""
-    lowest = 0.0 if clamp else -math.inf
-    return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
+class CudaRasterizer(Rasterizer):
+    """By our own kernels, which NVRTC compiles at first use."""
 
+    def spherical_harmonics(
+        self,
+        degree: int,
+        dirs: Float[Tensor, "N 3"],
+        sh0: Float[Tensor, "N 1 3"],
+        shN: Float[Tensor, "N _ 3"],
+        *,
+        clamp: bool = True,
+    ) -> Float[Tensor, "N 3"]:
+        lowest = 0.0 if clamp else -math.inf
+        return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
 
-def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
-    """What one camera sees of Gaussians; gradients reach no depths."""
-    projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
-    if gaussians.antialiased:
-        return projected
-    return projected._replace(opacities=gaussians.opacities)
+    def project_gaussians(self, gaussians: Gaussians, view: View) -> Projected:
+        projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
+        if gaussians.antialiased:
+            return projected
+        return projected._replace(opacities=gaussians.opacities)
 
+    def blend(
+        self,
+        projected: Projected,
+        colors: Float[Tensor, "N D"],
+        size: tuple[int, int],
+        *,
+        geometry_channels: int,
+    ) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
+        tiled = self.tile(projected, size)
+        return _Blend.apply(tiled, geometry_channels, colors, *projected[:3])
 
-def rasterize(
-    gaussians: Gaussians,
-    colors: Float[Tensor, "C N D"],
-    cameras: Cameras,
-    *,
-    geometry_channels: int,
-) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Render; see `reference.rasterize`."""
-    projections = [project_gaussians(gaussians, view) for view in views_of(cameras)]
-    info = Projected(*(stacked(each) for each in zip(*projections, strict=True)))
-    # The blended tensors are views of those in `info`, so gradients reach these, too
-    views = [Projected(*each) for each in zip(*(unstacked(each) for each in info), strict=True)]
-    images = [
-        _Blend.apply(tile(view, cameras.size), geometry_channels, view_colors, *view[:3])
-        for view, view_colors in zip(views, colors, strict=True)
-    ]
-    render_colors, render_alphas = (stacked(each) for each in zip(*images, strict=True))
-    return render_colors, render_alphas, info._asdict()
+    def tile(self, projected: Projected, size: tuple[int, int]) -> TiledGaussians:
+        """Sort Gaussians into the tiles of an image; the host waits once, for a number."""
+        (width, height), count = size, len(projected.depths)
+        side = SMALL_TILE if width * height <= SMALL_IMAGE else LARGE_TILE
+        columns, rows = -(-width // side), -(-height // side)
+        means2d, conics, opacities, depths = _float32(*projected[:4])
+        given = (
+            means2d,
+            conics,
+            opacities,
+            depths,
+            projected.radii.contiguous(),
+            columns,
+            rows,
+            count,
+        )
+        kernels, new = nvrtc.load_kernels(TILES, means2d.device, TILE=side), depths.new_empty
+        counts = depths.new_zeros(columns * rows + 1, dtype=torch.int32)  # behind a 0
+        grid = -(-count // THREADS), 1
+        kernels.launch("list_tiles", grid, THREADS, *given, counts[1:], None, None)
+        starts = counts.cumsum(dim=0)
+        pairs = int(starts[-1])
+        keys, order = new(pairs, dtype=torch.int64), new(pairs, dtype=torch.int32)
+        kernels.launch("list_tiles", grid, THREADS, *given, counts[1:], starts, keys)
+        kernels.launch("sort_tiles", (columns * rows, 1), THREADS, starts, keys, order)
+        return TiledGaussians(means2d, conics, opacities, starts, order, width, height, side)
 
+    def composite(
+        self, tiled: TiledGaussians, values: Float[Tensor, "N D"]
+    ) -> Float[Tensor, "H W D"]:
+        return _Composite.apply(tiled, values)
 
-def composite(tiled: TiledView, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W D"]:
-    """Composite values of projected Gaussians; see `reference.composite`."""
-    return _Composite.apply(tiled, values)
+    def backproject(
+        self, tiled: TiledGaussians, image: Float[Tensor, "H W D"]
+    ) -> Float[Tensor, "N D"]:
+        return _backproject(tiled, image)
 
-
-def backproject(tiled: TiledView, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
-    """The adjoint of `composite`; see `reference.backproject`."""
-    (image,), channels = _float32(image), image.shape[-1]
-    sums = image.new_zeros(len(tiled.opacities), channels)
-    for part in _parts(channels):
-        _blend("backproject", tiled, part, channels, image, sums)
-    return sums
-
-
-@torch.no_grad()
-def front_depth(
-    projected: Projected,
-    planes: Float[Tensor, "N 3"],
-    counted: Float[Tensor, " N"],
-    size: tuple[int, int],
-    shares: tuple[float, float],
-) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
-    """The mean depth between two shares of a pixel's weight; see `reference.front_depth`."""
-    tiled, rows = tile(projected, size), torch.cat([planes, counted[:, None]], dim=1)
-    covered = composite(tiled, counted[:, None])[..., 0]
-    depths, part = torch.empty_like(covered), slice(0, PLANES)
-    _blend("front_depth", tiled, part, PLANES, rows, covered, *map(float, shares), depths)
-    return depths, covered
+    @torch.no_grad()
+    def front_depth(
+        self,
+        projected: Projected,
+        planes: Float[Tensor, "N 3"],
+        counted: Float[Tensor, " N"],
+        size: tuple[int, int],
+        shares: tuple[float, float],
+    ) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
+        tiled, rows = self.tile(projected, size), torch.cat([planes, counted[:, None]], dim=1)
+        covered = self.composite(tiled, counted[:, None])[..., 0]
+        depths, part = torch.empty_like(covered), slice(0, PLANES)
+        _blend("front_depth", tiled, part, PLANES, rows, covered, *map(float, shares), depths)
+        return depths, covered

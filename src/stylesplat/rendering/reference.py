@@ -1,9 +1,7 @@
 """The rasteriser's specification, and what every backend shares: nouns, and constants.
 
-Plain torch, any dtype, autograd for the gradients. Slow by design; every other backend is tested
-against it. Semantics are those of gsplat 1.5.3 (`rasterization`, in its classic mode and, for
-antialiased Gaussians, its antialiased one). The CPU kernels take the nouns with arrays in the place
-of tensors.
+Semantics are those of gsplat 1.5.3 (`rasterization`, in its classic mode and, for antialiased
+Gaussians, its antialiased one). The CPU kernels take the nouns with arrays in the place of tensors.
 """
 
 from collections.abc import Callable
@@ -23,7 +21,14 @@ from stylesplat.scene.splats import Splats, sh_basis
 
 Backend = Literal["auto", "reference", "cpu", "cuda", "gsplat"]
 ON_GPU = "cuda"  # what `auto` takes for tensors on a GPU: `cuda`, our kernels, or `gsplat`
-Info = dict[str, Tensor]
+RASTERIZERS = {  # their modules and names
+    "reference": ("reference", "Rasterizer"),
+    "cpu": ("cpu", "CpuRasterizer"),
+    "cuda": ("cuda", "CudaRasterizer"),
+    "gsplat": ("through_gsplat", "GsplatRasterizer"),
+}
+Projections = dict[str, Tensor]
+"""What `Projected` has, of each camera."""
 
 EVERYONE = slice(None)
 
@@ -106,41 +111,17 @@ def with_matrices_of(splats: Splats, cameras: Cameras) -> Cameras:
     return replace(cameras, viewmats=viewmats, Ks=Ks)
 
 
-def backend_module(backend: Backend, device: torch.device) -> Any:
-    """The module of a backend: it has `rasterize`, `composite` and the like, as this one has."""
+def rasterizer(backend: Backend, device: torch.device) -> "Rasterizer":
+    """The rasteriser of a backend; its kernels are loaded when they are needed."""
     if backend == "auto":
         backend = ON_GPU if device.type == "cuda" else "cpu"
-    if backend != "gsplat":
-        return import_module(f"stylesplat.rendering.{backend}")
-    if find_spec("gsplat") is None:
+    if backend == "gsplat" and find_spec("gsplat") is None:
         raise StyleSplatError(
             "The backend gsplat is not installed. Run `pip install 'stylesplat[gsplat]'`, or take "
             "the backend cuda."
         )
-    return import_module("stylesplat.rendering.through_gsplat")
-
-
-def spherical_harmonics(
-    degree: int,
-    dirs: Float[Tensor, "N 3"],
-    sh0: Float[Tensor, "N 1 3"],
-    shN: Float[Tensor, "N _ 3"],
-    *,
-    clamp: bool = True,
-) -> Float[Tensor, "N 3"]:
-    """Colours of Gaussians visible along `dirs`.
-
-    Args:
-        degree: How many bands to use; `shN` may hold more.
-        dirs: From the camera to the Gaussians, any norm.
-        sh0: Constant band.
-        shN: Higher bands.
-        clamp: Whether colours below 0 become 0, as gsplat has it.
-    """
-    basis = sh_basis(degree, torch.nn.functional.normalize(dirs, dim=-1))
-    sh = torch.cat([sh0, shN], dim=1)[:, : basis.shape[1]]
-    colors = torch.einsum("nk,nkc->nc", basis, sh)
-    return (colors + 0.5).clamp(min=0) if clamp else colors + 0.5
+    module, name = RASTERIZERS[backend]
+    return getattr(import_module(f"stylesplat.rendering.{module}"), name)()
 
 
 def rotation_matrices(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 3 3"]:
@@ -172,84 +153,11 @@ def perspective_jacobian(means_c: Float[Tensor, "N 3"], view: View) -> Float[Ten
     return torch.stack([row_x, row_y], dim=-2)
 
 
-def project_gaussians(gaussians: Gaussians, view: View) -> Projected:
-    """Elliptical weighted average projection of one camera's Gaussians."""
-    means, quats, scales, opacities, antialiased = gaussians
-    viewmat, K, width, height = view
-    rotation = viewmat[:3, :3]
-    means_c = means @ rotation.T + viewmat[:3, 3]
-    axes = rotation @ (rotation_matrices(quats) * scales[:, None, :])  # [N, 3, 3]
-    depths = means_c[:, 2]
-    in_range = (depths > NEAR_PLANE) & (depths < FAR_PLANE)
-    means_c = torch.where(in_range[:, None], means_c, means_c.new_tensor([0.0, 0.0, 1.0]))
-    x_axes, y_axes = (perspective_jacobian(means_c, view) @ axes).unbind(dim=1)  # [N, 3]
-    xx, xy, yy = (
-        (a * b).sum(-1) for a, b in ((x_axes, x_axes), (x_axes, y_axes), (y_axes, y_axes))
-    )
-    # The determinant xx yy - xy xy, which cancels for long Gaussians
-    sharp = torch.linalg.cross(x_axes, y_axes).square().sum(-1)
-    det = sharp + EPS2D * (xx + yy + EPS2D)
-    xx, yy = xx + EPS2D, yy + EPS2D
-    if antialiased:
-        opacities = opacities * (sharp / det).clamp(min=FLAT).sqrt()
-    conics = torch.stack([yy, -xy, xx], dim=-1) / det[:, None]
-    means2d = torch.stack(
-        [
-            K[0, 0] * means_c[:, 0] / means_c[:, 2] + K[0, 2],
-            K[1, 1] * means_c[:, 1] / means_c[:, 2] + K[1, 2],
-        ],
-        dim=-1,
-    )
-    radii = _radii(torch.stack([xx, yy], dim=-1), opacities)
-    low, high = means2d - radii, means2d + radii
-    size = means2d.new_tensor([width, height])
-    on_screen = ((high > 0) & (low < size)).all(dim=-1)
-    visible = in_range & on_screen & (opacities >= MIN_ALPHA)
-    radii = torch.where(visible[:, None], radii, 0).to(torch.int32)
-    return Projected(means2d, conics, opacities, depths, radii)
-
-
 @torch.no_grad()
 def _radii(variances: Float[Tensor, "N 2"], opacities: Float[Tensor, " N"]) -> Tensor:
     fade = 2 * torch.log(opacities.clamp(min=MIN_ALPHA) / MIN_ALPHA)
     extent = fade.sqrt().clamp(max=MAX_EXTENT)[:, None]
     return (extent * variances.sqrt()).ceil().clamp(max=MAX_RADIUS)
-
-
-def blend(
-    projected: Projected,
-    colors: Float[Tensor, "N D"],
-    size: tuple[int, int],
-    *,
-    geometry_channels: int,
-) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
-    """Composite one camera's projected Gaussians front to back; see `rasterize`."""
-    width, height = size
-    order = _front_to_back(projected)
-    means2d, conics, opacities = (each[order] for each in projected[:3])
-    parts = []
-    for chunk in pixel_centres(width, height).to(means2d).split(PIXELS_AT_ONCE):
-        weights = _blend_weights(chunk, means2d, conics, opacities)  # [P, M]
-        alphas = weights.sum(dim=1, keepdim=True)
-        moving, other = colors[order].tensor_split([geometry_channels], dim=1)
-        parts.append(torch.cat([weights @ moving, weights.detach() @ other, alphas], dim=1))
-    image = torch.cat(parts).reshape(height, width, -1)
-    return image[..., :-1], image[..., -1:]
-
-
-def tile(projected: Projected, size: tuple[int, int]) -> ProjectedView:
-    """What `composite` and `backproject` take: one camera's Gaussians, sorted once for all."""
-    return ProjectedView(projected, size)
-
-
-def composite(tiled: ProjectedView, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W D"]:
-    """Composite values of one camera's projected Gaussians; gradients reach the values alone."""
-    return blend(tiled.projected, values, tiled.size, geometry_channels=0)[0]
-
-
-def backproject(tiled: ProjectedView, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
-    """The adjoint of `composite`: sums of an image times the weights of each Gaussian."""
-    return adjoint(composite, tiled, len(tiled.projected.depths), image)
 
 
 def adjoint(
@@ -281,40 +189,6 @@ def depth_planes(
     a, b, c = conics.unbind(-1)
     slopes = torch.stack([a, b, b, c], dim=-1).view(-1, 2, 2) @ along
     return torch.cat([means_c[:, 2:], slopes[..., 0]], dim=-1)
-
-
-def front_depth(
-    projected: Projected,
-    planes: Float[Tensor, "N 3"],
-    counted: Float[Tensor, " N"],
-    size: tuple[int, int],
-    shares: tuple[float, float],
-) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
-    """The mean depth of a part of each pixel's weight, from one share of it to another.
-
-    Args:
-        projected: One camera's Gaussians.
-        planes: Their depths, as `depth_planes`.
-        counted: How much the weight of each counts; with 0 it only hides what is behind.
-        size: Width and height.
-        shares: From 0, the front, to 1; of a Gaussian that lies on their border a part counts.
-
-    Returns:
-        The depth, 0 where nothing counts, and the sum of what counts.
-    """
-    (width, height), order = size, _front_to_back(projected)
-    means2d, conics, opacities = (each[order] for each in projected[:3])
-    centres, found = pixel_centres(width, height).to(means2d), []
-    for first in range(0, len(centres), PIXELS_AT_ONCE):
-        chunk = centres[first : first + PIXELS_AT_ONCE]
-        weights = counted[order] * _blend_weights(chunk, means2d, conics, opacities)  # [P, M]
-        pixels, ranks = weights.nonzero(as_tuple=True)
-        found.append((pixels + first, order[ranks], weights[pixels, ranks]))
-    pixels, rows, weights = (torch.cat(each) for each in zip(*found, strict=True))
-    depths = depths_at(projected, planes, rows, centres[pixels])
-    image = mean_depths(pixels, weights, depths, len(centres), shares)
-    depths, covered = image.reshape(height, width, 2).unbind(dim=2)
-    return depths, covered
 
 
 def depths_at(
@@ -385,29 +259,159 @@ def alphas_at(
     return torch.where((sigma >= 0) & (alphas >= MIN_ALPHA), alphas, 0)
 
 
-def rasterize(
-    gaussians: Gaussians,
-    colors: Float[Tensor, "C N D"],
-    cameras: Cameras,
-    *,
-    geometry_channels: int,
-) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
-    """Image, coverage and projections of Gaussians, each camera with colours of its own.
+class Rasterizer:
+    """The specification, in plain torch: any dtype, gradients by autograd, slow by design.
 
-    Gradients of the channels from `geometry_channels` on reach `colors` only. The cameras'
-    matrices have the Gaussians' type and device.
+    Every other backend does the same faster, and is tested against it. They need not follow
+    gradients to depths, nor the gradients of what `project_gaussians` gets on its own.
     """
-    projections, images, alphas = [], [], []
-    for view, view_colors in zip(views_of(cameras), colors, strict=True):
-        projected = project_gaussians(gaussians, view)
-        image, alpha = blend(
-            projected,
-            view_colors,
-            (view.width, view.height),
-            geometry_channels=geometry_channels,
+
+    def spherical_harmonics(
+        self,
+        degree: int,
+        dirs: Float[Tensor, "N 3"],
+        sh0: Float[Tensor, "N 1 3"],
+        shN: Float[Tensor, "N _ 3"],
+        *,
+        clamp: bool = True,
+    ) -> Float[Tensor, "N 3"]:
+        """Colours of Gaussians visible along `dirs`.
+
+        Args:
+            degree: How many bands to use; `shN` may hold more.
+            dirs: From the camera to the Gaussians, any norm.
+            sh0: Constant band.
+            shN: Higher bands.
+            clamp: Whether colours below 0 become 0, as gsplat has it.
+        """
+        basis = sh_basis(degree, torch.nn.functional.normalize(dirs, dim=-1))
+        sh = torch.cat([sh0, shN], dim=1)[:, : basis.shape[1]]
+        colors = torch.einsum("nk,nkc->nc", basis, sh)
+        return (colors + 0.5).clamp(min=0) if clamp else colors + 0.5
+
+    def project_gaussians(self, gaussians: Gaussians, view: View) -> Projected:
+        """Elliptical weighted average projection of one camera's Gaussians."""
+        means, quats, scales, opacities, antialiased = gaussians
+        viewmat, K, width, height = view
+        rotation = viewmat[:3, :3]
+        means_c = means @ rotation.T + viewmat[:3, 3]
+        axes = rotation @ (rotation_matrices(quats) * scales[:, None, :])  # [N, 3, 3]
+        depths = means_c[:, 2]
+        in_range = (depths > NEAR_PLANE) & (depths < FAR_PLANE)
+        means_c = torch.where(in_range[:, None], means_c, means_c.new_tensor([0.0, 0.0, 1.0]))
+        x_axes, y_axes = (perspective_jacobian(means_c, view) @ axes).unbind(dim=1)  # [N, 3]
+        xx, xy, yy = (
+            (a * b).sum(-1) for a, b in ((x_axes, x_axes), (x_axes, y_axes), (y_axes, y_axes))
         )
-        projections.append(projected)
-        images.append(image)
-        alphas.append(alpha)
-    info = Projected(*(torch.stack(each) for each in zip(*projections, strict=True)))
-    return torch.stack(images), torch.stack(alphas), info._asdict()
+        # The determinant xx yy - xy xy, which cancels for long Gaussians
+        sharp = torch.linalg.cross(x_axes, y_axes).square().sum(-1)
+        det = sharp + EPS2D * (xx + yy + EPS2D)
+        xx, yy = xx + EPS2D, yy + EPS2D
+        if antialiased:
+            opacities = opacities * (sharp / det).clamp(min=FLAT).sqrt()
+        conics = torch.stack([yy, -xy, xx], dim=-1) / det[:, None]
+        means2d = torch.stack(
+            [
+                K[0, 0] * means_c[:, 0] / means_c[:, 2] + K[0, 2],
+                K[1, 1] * means_c[:, 1] / means_c[:, 2] + K[1, 2],
+            ],
+            dim=-1,
+        )
+        radii = _radii(torch.stack([xx, yy], dim=-1), opacities)
+        low, high = means2d - radii, means2d + radii
+        size = means2d.new_tensor([width, height])
+        on_screen = ((high > 0) & (low < size)).all(dim=-1)
+        visible = in_range & on_screen & (opacities >= MIN_ALPHA)
+        radii = torch.where(visible[:, None], radii, 0).to(torch.int32)
+        return Projected(means2d, conics, opacities, depths, radii)
+
+    def blend(
+        self,
+        projected: Projected,
+        colors: Float[Tensor, "N D"],
+        size: tuple[int, int],
+        *,
+        geometry_channels: int,
+    ) -> tuple[Float[Tensor, "H W D"], Float[Tensor, "H W 1"]]:
+        """Composite one camera's projected Gaussians front to back; see `rasterize`."""
+        width, height = size
+        order = _front_to_back(projected)
+        means2d, conics, opacities = (each[order] for each in projected[:3])
+        parts = []
+        for chunk in pixel_centres(width, height).to(means2d).split(PIXELS_AT_ONCE):
+            weights = _blend_weights(chunk, means2d, conics, opacities)  # [P, M]
+            alphas = weights.sum(dim=1, keepdim=True)
+            moving, other = colors[order].tensor_split([geometry_channels], dim=1)
+            parts.append(torch.cat([weights @ moving, weights.detach() @ other, alphas], dim=1))
+        image = torch.cat(parts).reshape(height, width, -1)
+        return image[..., :-1], image[..., -1:]
+
+    def rasterize(
+        self,
+        gaussians: Gaussians,
+        colors: Float[Tensor, "C N D"],
+        cameras: Cameras,
+        *,
+        geometry_channels: int,
+    ) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Projections]:
+        """Image, coverage and projections of Gaussians, each camera with colours of its own.
+
+        Gradients of the channels from `geometry_channels` on reach `colors` only. The cameras'
+        matrices have the Gaussians' type and device.
+        """
+        projections = [self.project_gaussians(gaussians, view) for view in views_of(cameras)]
+        found = Projected(*(stacked(each) for each in zip(*projections, strict=True)))
+        # The blended tensors are views of those that return, so gradients reach these, too
+        views = zip(*(unstacked(each) for each in found), strict=True)
+        blended = [
+            self.blend(Projected(*each), own, cameras.size, geometry_channels=geometry_channels)
+            for each, own in zip(views, colors, strict=True)
+        ]
+        images, alphas = (stacked(each) for each in zip(*blended, strict=True))
+        return images, alphas, found._asdict()
+
+    def tile(self, projected: Projected, size: tuple[int, int]) -> Any:
+        """What `composite` and `backproject` take: one camera's Gaussians, sorted once for all."""
+        return ProjectedView(projected, size)
+
+    def composite(self, tiled: Any, values: Float[Tensor, "N D"]) -> Float[Tensor, "H W D"]:
+        """Composite values of projected Gaussians; gradients reach the values alone."""
+        return self.blend(tiled.projected, values, tiled.size, geometry_channels=0)[0]
+
+    def backproject(self, tiled: Any, image: Float[Tensor, "H W D"]) -> Float[Tensor, "N D"]:
+        """The adjoint of `composite`: sums of an image times the weights of each Gaussian."""
+        return adjoint(self.composite, tiled, len(tiled.projected.depths), image)
+
+    def front_depth(
+        self,
+        projected: Projected,
+        planes: Float[Tensor, "N 3"],
+        counted: Float[Tensor, " N"],
+        size: tuple[int, int],
+        shares: tuple[float, float],
+    ) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
+        """The mean depth of a part of each pixel's weight, from one share of it to another.
+
+        Args:
+            projected: One camera's Gaussians.
+            planes: Their depths, as `depth_planes`.
+            counted: How much the weight of each counts; with 0 it only hides what is behind.
+            size: Width and height.
+            shares: From 0, the front, to 1; of a Gaussian that lies on their border a part counts.
+
+        Returns:
+            The depth, 0 where nothing counts, and the sum of what counts.
+        """
+        (width, height), order = size, _front_to_back(projected)
+        means2d, conics, opacities = (each[order] for each in projected[:3])
+        centres, found = pixel_centres(width, height).to(means2d), []
+        for first in range(0, len(centres), PIXELS_AT_ONCE):
+            chunk = centres[first : first + PIXELS_AT_ONCE]
+            weights = counted[order] * _blend_weights(chunk, means2d, conics, opacities)  # [P, M]
+            pixels, ranks = weights.nonzero(as_tuple=True)
+            found.append((pixels + first, order[ranks], weights[pixels, ranks]))
+        pixels, rows, weights = (torch.cat(each) for each in zip(*found, strict=True))
+        depths = depths_at(projected, planes, rows, centres[pixels])
+        image = mean_depths(pixels, weights, depths, len(centres), shares)
+        depths, covered = image.reshape(height, width, 2).unbind(dim=2)
+        return depths, covered

@@ -19,9 +19,9 @@ from stylesplat.interrupts import raise_if_interrupted
 from stylesplat.progress import say
 from stylesplat.rendering.reference import (
     Backend,
-    Info,
+    Projections,
     activated,
-    backend_module,
+    rasterizer,
     stacked,
     with_matrices_of,
 )
@@ -78,7 +78,7 @@ def rasterize(
     clamp: bool = True,
     raise_clamped: bool = False,
     backend: Backend = "auto",
-) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Info]:
+) -> tuple[Float[Tensor, "C H W D"], Float[Tensor, "C H W 1"], Projections]:
     """Render splats from cameras of one size, differentiably.
 
     Gradients reach the cameras' `viewmats`, too, if these require them.
@@ -106,20 +106,22 @@ def rasterize(
             installed; or if a GPU's kernels cannot be compiled or started.
     """
     raise_if_interrupted()
-    module = backend_module(backend, splats.device)
+    drawn_by = rasterizer(backend, splats.device)
     cameras = with_matrices_of(splats, cameras)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
     clamp = clamp and not raise_clamped  # which clamps below
     views = []
     for origin in cameras.positions:
         dirs = splats.means - origin
-        views.append(module.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=clamp))
+        views.append(
+            drawn_by.spherical_harmonics(degree, dirs, splats.sh0, splats.shN, clamp=clamp)
+        )
     colors = stacked(tuple(views))  # [C, N, 3]
     if raise_clamped:
         colors = _ColorClamp.apply(colors)
     if features is not None:
         colors = torch.cat([colors, features.expand(len(cameras), -1, -1)], dim=-1)
-    render_colors, render_alphas, info = module.rasterize(
+    render_colors, render_alphas, info = drawn_by.rasterize(
         activated(splats),
         colors,
         cameras,
@@ -203,13 +205,13 @@ def colors_of(
     features: Float[Tensor, "N F"] | None = None,
 ) -> Float[Tensor, "M D"]:
     """Colours of some Gaussians as seen from a point; their features follow."""
-    backend = backend_module("auto", splats.device)
+    drawn_by = rasterizer("auto", splats.device)
     degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
     tensors = splats.means, splats.sh0, splats.shN[:, : (degree + 1) ** 2 - 1]
     parts = []
     for some in rows.split(PART):
         means, *sh = (each.index_select(0, some) for each in tensors)
-        own = backend.spherical_harmonics(degree, means - origin, *sh)
+        own = drawn_by.spherical_harmonics(degree, means - origin, *sh)
         if features is not None:
             own = torch.cat([own, features.index_select(0, some)], dim=1)
         parts.append(own)

@@ -10,8 +10,8 @@ from torch import Tensor
 from stylesplat.rendering.reference import (
     Backend,
     activated,
-    backend_module,
     depth_planes,
+    rasterizer,
     views_of,
     with_matrices_of,
 )
@@ -79,8 +79,8 @@ def front_depth(
     counted = torch.ones_like(near.projected.opacities)
     if mask is not None:
         counted *= mask[near.rows]
-    module = backend_module(backend, splats.device)
-    return module.front_depth(near.projected, planes, counted, camera.size, shares)
+    drawn_by = rasterizer(backend, splats.device)
+    return drawn_by.front_depth(near.projected, planes, counted, camera.size, shares)
 
 
 def depth_map(

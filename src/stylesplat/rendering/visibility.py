@@ -18,8 +18,9 @@ from stylesplat.rendering.reference import (
     EVERYONE,
     Backend,
     Projected,
+    Rasterizer,
     activated,
-    backend_module,
+    rasterizer,
     views_of,
     with_matrices_of,
 )
@@ -96,8 +97,7 @@ def project_splats(
 ) -> Projected:
     """Splats, or a part of them, in the pixels of one camera."""
     (view,) = views_of(with_matrices_of(splats, camera))
-    module = backend_module(backend, splats.device)
-    return module.project_gaussians(activated(splats, part), view)
+    return rasterizer(backend, splats.device).project_gaussians(activated(splats, part), view)
 
 
 def touching(
@@ -120,27 +120,26 @@ def touching(
 
 def tiled(projected: Projected, size: tuple[int, int], backend: Backend = "auto") -> "TiledView":
     """Projected Gaussians, prepared to composite values of theirs again and again."""
-    device = projected.depths.device
-    return TiledView(backend_module(backend, device).tile(projected, size), backend, device)
+    drawn_by = rasterizer(backend, projected.depths.device)
+    return TiledView(drawn_by.tile(projected, size), drawn_by)
 
 
 class TiledView(NamedTuple):
     """Projected Gaussians of one view, prepared for compositing by a backend."""
 
     tiles: Any
-    backend: Backend
-    device: torch.device
+    drawn_by: Rasterizer
 
     def composite(self, values: Float[Tensor, "M K"]) -> Float[Tensor, "H W K"]:
         """Composite their values, as many channels at a time as kernels take."""
-        blend = backend_module(self.backend, self.device).composite
-        parts = [blend(self.tiles, part) for part in values.split(CHANNELS_PER_PASS, dim=1)]
+        some = values.split(CHANNELS_PER_PASS, dim=1)
+        parts = [self.drawn_by.composite(self.tiles, part) for part in some]
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=-1)
 
     def backproject(self, image: Float[Tensor, "H W K"]) -> Float[Tensor, "M K"]:
         """The adjoint."""
-        back = backend_module(self.backend, self.device).backproject
-        parts = [back(self.tiles, part) for part in image.split(CHANNELS_PER_PASS, dim=-1)]
+        some = image.split(CHANNELS_PER_PASS, dim=-1)
+        parts = [self.drawn_by.backproject(self.tiles, part) for part in some]
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
 

@@ -10,6 +10,7 @@ than W has (docs/scale.md).
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from scipy.sparse import csc_array, csr_array
 from torch import Tensor
 from torch.nn.functional import pad
 
-from stylesplat.rendering.reference import Backend, backend_module, with_matrices_of
+from stylesplat.rendering.reference import Backend, with_matrices_of
 from stylesplat.rendering.render import colors_of, render
 from stylesplat.rendering.visibility import (
     CHANNELS_PER_PASS,
@@ -290,7 +291,7 @@ class StoredContributions(Contributions):
 
 def _cpu() -> Any:
     """The CPU's functions; their kernels are loaded when they are needed."""
-    return backend_module("cpu", torch.device("cpu"))
+    return import_module("stylesplat.rendering.cpu")
 
 
 def _threes(values: Float[Tensor, "*B D"]) -> Iterator[Float[Tensor, "*B 3"]]:

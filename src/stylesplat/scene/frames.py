@@ -40,7 +40,7 @@ FRAME_TOLERANCE = 1e-3  # of a rotation times its transpose; files round to abou
 EXACT_WITHIN = 1e-6  # of quarter turns and of scale 1, which are then taken as exact
 
 
-def similarity(
+def similarity_frame(
     linear: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"], what: str
 ) -> Frame | None:
     """The frame of an affine transform that a file has; None for the identity.

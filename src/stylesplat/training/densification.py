@@ -43,7 +43,7 @@ DECLARED = GAUSSIANS | {"identities": IDENTITIES}
 
 Params = dict[str, Tensor]
 Optimizers = dict[str, TensorOptimizer]
-Info = dict[str, Any]
+StepValues = dict[str, Any]
 
 
 @runtime_checkable
@@ -85,11 +85,11 @@ class MCMCStrategy:
     extent: float
     """Unit of length of the scene."""
 
-    def initialize_state(self) -> Info:
+    def initialize_state(self) -> StepValues:
         return {}  # all follows from the seed and the step, so a checkpoint needs nothing of it
 
     def step_pre_backward(
-        self, params: Params, optimizers: Optimizers, state: Info, step: int, info: Info
+        self, params: Params, optimizers: Optimizers, state: StepValues, step: int, info: StepValues
     ) -> None:
         """Add the regularisers to the loss; draw the noise, here because photos run in parallel."""
         means = params["means"]
@@ -97,7 +97,7 @@ class MCMCStrategy:
         info["loss"] = info["loss"] + regularizer(params, self.extent)
 
     def step_post_backward(
-        self, params: Params, optimizers: Optimizers, state: Info, step: int, info: Info
+        self, params: Params, optimizers: Optimizers, state: StepValues, step: int, info: StepValues
     ) -> None:
         """Add noise to the means; relocate and grow at the end of each interval."""
         config, progress, photos = self.config, info["progress"], info["photos"]

@@ -17,7 +17,7 @@ SIZE = (70, 52)  # 5 x 4 tiles, the last ones cut
 
 
 def test_lists_are_front_to_back_whatever_the_threads():
-    projected = cpu.project_gaussians(GAUSSIANS, views_of(two_cameras())[1])
+    projected = cpu.CpuRasterizer().project_gaussians(GAUSSIANS, views_of(two_cameras())[1])
     colors = torch.rand(len(GAUSSIANS.means), 3)
     ellipses = Ellipses(*projected[:3], colors)
     radii = projected.radii.numpy()

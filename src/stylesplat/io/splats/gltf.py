@@ -45,7 +45,7 @@ from stylesplat.io.splats.packing import PACKED_SMALLEST, logits, unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, of_degree, refuse_faulty
 from stylesplat.io.splats.spz import OWN_AXES, SPZ_LARGEST_RATIO, pack_spz, unpack_spz
 from stylesplat.progress import say
-from stylesplat.scene.frames import Frame, move_splats, similarity
+from stylesplat.scene.frames import Frame, move_splats, similarity_frame
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.scene.world_offset import Offset
 
@@ -223,7 +223,7 @@ def matrix_of(node: Node) -> Float[np.ndarray, "4 4"]:
 
 def _frame(matrix: Float[np.ndarray, "4 4"]) -> Frame | None:
     """A transform to glTF's world as one to ours; None for the identity."""
-    return similarity(HALF_TURN @ matrix[:3, :3], HALF_TURN @ matrix[:3, 3], "a node")
+    return similarity_frame(HALF_TURN @ matrix[:3, :3], HALF_TURN @ matrix[:3, 3], "a node")
 
 
 def write_glb(splats: Splats, path: Path | str, *, spz: bool = False) -> None:

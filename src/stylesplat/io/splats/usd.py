@@ -26,7 +26,7 @@ from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.packing import PACKED_SMALLEST, logits, unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, THICKNESS_2D, of_degree, refuse_faulty
 from stylesplat.progress import say
-from stylesplat.scene.frames import move_splats, similarity
+from stylesplat.scene.frames import move_splats, similarity_frame
 from stylesplat.scene.splats import Splats, sh_bases
 from stylesplat.scene.world_offset import ORIGIN
 
@@ -147,7 +147,7 @@ def _placed(prim: Any, kernel: str, turn: Float[np.ndarray, "3 3"], path: Path, 
     first = pxr.Usd.TimeCode.EarliestTime()
     splats = _splats(prim, kernel, path, first)
     matrix = np.array(pxr.UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(first)).T
-    frame = similarity(turn @ matrix[:3, :3], turn @ matrix[:3, 3], str(prim.GetPath()))
+    frame = similarity_frame(turn @ matrix[:3, :3], turn @ matrix[:3, 3], str(prim.GetPath()))
     if frame is None:
         return splats
     return move_splats(replace(splats, means=splats.means.double()), frame)
