@@ -90,7 +90,8 @@ def try_out(wheel: Path, folder: Path, packages: Path | None) -> None:
     """Install the wheel where nothing else is, and run the demo."""
     python = environment(folder / "fresh", packages)
     options = ("--no-deps",) if packages is not None else ("-c", ROOT / "constraints.txt")
-    run(python, "-m", "pip", "--disable-pip-version-check", "install", "-q", wheel, *options)
+    package = f"{wheel}[photos]"  # which the demo needs
+    run(python, "-m", "pip", "--disable-pip-version-check", "install", "-q", package, *options)
     place = "import stylesplat; print(stylesplat.__file__)"
     found = subprocess.run(
         [python, "-I", "-c", place], cwd=folder, capture_output=True, text=True, check=True

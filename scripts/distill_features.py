@@ -1,6 +1,6 @@
 """Train the compact feature network to give VGG19's features, and write it into the package.
 
-    .venv/bin/pip install -e '.[distill]' -c constraints.txt
+    .venv/bin/pip install -e '.[photos,distill]' -c constraints.txt
     .venv/bin/python scripts/distill_features.py --teacher VGG19.safetensors
 
 The student sees pictures that are free or made here (`training_pictures.py`) and learns, in each of

@@ -11,6 +11,7 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # names of glibc's mallopt
 SPINS = "3000"  # of a thread before it sleeps: some microseconds
 PARALLEL = 2**20  # numbers, of which torch computes with in parallel
 KEPT_BYTES = 2**30  # blocks up to this size are reused rather than given back
+KEEP_MALLOC = "STYLESPLAT_KEEP_MALLOC"  # environment variable: 1 leaves glibc's malloc alone
 
 
 def tune_runtime() -> None:
@@ -20,13 +21,15 @@ def tune_runtime() -> None:
     from the other pool. Threads that sleep at once have to be woken for every small operation:
     painting takes a fifth longer, at the same processor time. glibc returns large blocks to the
     system at every free, so that the images of each step cost tens of thousands of page faults.
+    malloc belongs to the whole process: a program that imports the package sets the environment
+    variable STYLESPLAT_KEEP_MALLOC to 1, or MALLOC_MMAP_THRESHOLD_ to its own, to keep it as it is.
     """
     torch = sys.modules.get("torch")
     if torch is not None and not {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT"} & os.environ.keys():
         _shorten_spins(torch)  # it has read the environment already
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ.setdefault("GOMP_SPINCOUNT", SPINS)
-    if "MALLOC_MMAP_THRESHOLD_" not in os.environ:
+    if "MALLOC_MMAP_THRESHOLD_" not in os.environ and os.environ.get(KEEP_MALLOC, "0") in ("", "0"):
         try:
             mallopt = ctypes.CDLL(None).mallopt
         except (AttributeError, OSError, TypeError):  # not glibc

@@ -172,7 +172,7 @@ LOADING = f"""{CATCH}
 sys.path.insert(0, FOLDER)
 pathlib.Path(FOLDER, "slow.py").write_text(
     "import signal\\n"
-    "from stylesplat.io.captures.colmap_library import pycolmap\\n"
+    "from stylesplat.photo_libraries import pycolmap\\n"
     "signal.raise_signal(signal.SIGTERM)\\nprint('loaded')"
 )
 try:

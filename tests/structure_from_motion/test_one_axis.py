@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.structure_from_motion.one_axis import turn_on_one_axis
 
 STEPS, POINTS, FOCAL, SIZE = 24, 300, 900.0, (640, 480)

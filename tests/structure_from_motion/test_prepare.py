@@ -8,8 +8,8 @@ from PIL import Image
 
 from capture_files import film, save, view, walk
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.images import read_image
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.structure_from_motion.prepare import prepare
 
 

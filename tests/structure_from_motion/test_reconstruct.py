@@ -11,7 +11,7 @@ import stylesplat
 from capture_files import corner, photograph_corner, places_around, towards, turned, write_photos
 from processes import no_room
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import Observer, observed
 from stylesplat.structure_from_motion import reconstruct as module
 from stylesplat.structure_from_motion.config import SfmConfig

@@ -8,7 +8,7 @@ import pytest
 
 from capture_files import save_noise, sfm_record, with_tracks, write_ball_capture, write_capture
 from stylesplat.io.captures.capture_folder import load, write_sfm
-from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.structure_from_motion.diagnostics import CaptureReport
 from stylesplat.verbs.sfm import check
 

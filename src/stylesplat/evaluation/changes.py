@@ -4,13 +4,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, label
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.imaging.morphology import disc
 from stylesplat.imaging.similarity import decibels
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import (
@@ -226,11 +227,11 @@ def _beside(
 
 def largest_area(stained: Mask) -> int:
     """Pixels of the largest connected area that is neither a thin rim nor a speck, or 0."""
-    side = _error(stained) + CHANGE_SOFT
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    opened = cv2.morphologyEx(stained.numpy().astype(np.uint8), cv2.MORPH_OPEN, disc)
-    _, _, stats, _ = cv2.connectedComponentsWithStats(opened)
-    area = int(stats[1:, cv2.CC_STAT_AREA].max(initial=0))
+    kernel = disc(_error(stained) + CHANGE_SOFT)
+    narrow = binary_erosion(stained.numpy(), kernel, border_value=1)
+    parts = np.empty(stained.shape, np.int32)
+    label(binary_dilation(narrow, kernel), np.ones((3, 3)), output=parts)
+    area = int(np.bincount(parts.ravel())[1:].max(initial=0))
     return area if area >= LEAST_AREA else 0
 
 
@@ -243,6 +244,5 @@ def farther_than(mask: Mask, reach: float) -> Mask:
     """The pixels of the picture that lie farther than `reach` pixels from all pixels of a mask."""
     if not mask.any():
         return torch.ones_like(mask)
-    outside = (~mask).cpu().numpy().astype(np.uint8)
-    distances = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    distances = np.asarray(distance_transform_edt((~mask).cpu().numpy()))
     return torch.from_numpy(distances > reach).to(mask.device)

@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from scipy.ndimage import label
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -136,13 +136,14 @@ def aim_at(
     wide = (round((1 + 2 * OVERSCAN) * size / step) for size in (width, height))
     survey = crop(camera, (left, top), tuple(wide), zoom=1 / step)
     _, share = colors_and_coverage(splats, survey, picked)
-    shown = (share[..., 0] > MIN_COVERAGE).cpu().numpy().astype(np.uint8)
-    parts = cv2.connectedComponentsWithStats(shown)[2][1:]  # the first is what does not show
-    if not len(parts):
+    shown = (share[..., 0] > MIN_COVERAGE).cpu().numpy()
+    parts = np.empty(shown.shape, np.int32)
+    if not label(shown, np.ones((3, 3)), output=parts):
         return crop(camera, (0.0, 0.0), (side, side), zoom=side / max(width, height))
-    areas = parts[:, cv2.CC_STAT_AREA]
-    large = parts[areas >= PART_SHARE * areas.max()].astype(float)
-    (x0, y0), (x1, y1) = large[:, :2].min(axis=0), (large[:, :2] + large[:, 2:4]).max(axis=0)
+    areas = np.bincount(parts.ravel())
+    areas[0] = 0  # what does not show
+    y, x = np.nonzero((areas >= PART_SHARE * areas.max())[parts])
+    x0, y0, x1, y1 = x.min(), y.min(), x.max() + 1, y.max() + 1
     length = max(x1 - x0, y1 - y0) * step * (1 + 2 * padding)
     corner = (left + (x0 + x1) / 2 * step - length / 2, top + (y0 + y1) / 2 * step - length / 2)
     return crop(camera, corner, (side, side), zoom=side / length)

@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
+from scipy.ndimage import binary_erosion, distance_transform_edt, uniform_filter
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -23,6 +23,7 @@ from stylesplat.figures.grid import CARD, GRID_CELL, Row, add_legend, draw_grid,
 from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
 from stylesplat.imaging.similarity import psnr
 from stylesplat.io.captures.capture_folder import open_capture
+from stylesplat.photo_libraries import cv2
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.rendering.view_pool import map_views
@@ -250,14 +251,13 @@ def _panel(
     image, covered, own = rendered.split([3, 1, 1], dim=-1)
     grey = DIM * image.mean(dim=-1, keepdim=True)
     left_out = (covered - own) * image.new_tensor(SHEET_LEFT_OUT)
-    panel = to_uint8(own * image + left_out + (1 - covered) * grey).cpu().numpy()
-    mask = (covered[..., 0].cpu() > MIN_COVERAGE).numpy().astype(np.uint8)
-    edges, _ = cv2.findContours(
-        cv2.medianBlur(mask, SHEET_SPECK), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
-    )
-    return torch.from_numpy(
-        cv2.drawContours(panel, edges, -1, OUTLINE_COLOR, OUTLINE_WIDTH, cv2.LINE_AA)
-    )
+    panel = (own * image + left_out + (1 - covered) * grey).cpu().clamp(0, 1)
+    mask = (covered[..., 0].cpu() > MIN_COVERAGE).numpy().astype(np.float32)
+    mask = np.asarray(uniform_filter(mask, SHEET_SPECK, mode="nearest")) > 0.5  # the median
+    outline = mask & np.logical_not(binary_erosion(mask))
+    away = np.asarray(distance_transform_edt(~outline))
+    line = torch.from_numpy((OUTLINE_WIDTH + 1) / 2 - away).clamp(0, 1)[..., None]
+    return to_uint8(panel + line * (panel.new_tensor(OUTLINE_COLOR) / 255 - panel))
 
 
 def _render(splats: Splats, camera: Cameras) -> UInt8[Tensor, "H W 3"]:

@@ -4,10 +4,10 @@ import math
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import minimum_filter
 from torch import Tensor
 from torch.nn.functional import conv2d
 
@@ -154,6 +154,5 @@ def object_iou(pairs: LabelPairs, *, boundary: bool = False) -> dict[int, float]
 def _band(mask: Mask) -> Mask:
     """The pixels of a mask that are near its contour; the image's border counts as outside."""
     width = max(1, round(BOUNDARY * math.hypot(*mask.shape)))
-    padded = np.pad(mask.numpy().astype(np.uint8), 1)
-    inner = cv2.erode(padded, np.ones((3, 3), np.uint8), iterations=width)[1:-1, 1:-1]
-    return mask & ~torch.from_numpy(inner).bool()
+    inner = minimum_filter(np.pad(mask.numpy(), 1), 2 * width + 1)[1:-1, 1:-1]
+    return mask & ~torch.from_numpy(inner)

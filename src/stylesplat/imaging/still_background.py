@@ -8,13 +8,14 @@ object or its shadow there.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int16, UInt8
 from scipy.ndimage import binary_fill_holes
 from torch import Tensor
 
+from stylesplat.imaging.morphology import apply_disc
+from stylesplat.photo_libraries import cv2
 from stylesplat.progress import track
 
 STILL_SIDE = 640  # pixels of the longer side of the photos that are looked at
@@ -100,9 +101,3 @@ def _without_specks(mask: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
 def _closed(mask: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
     closed = apply_disc(mask, cv2.MORPH_CLOSE, GAP)
     return torch.from_numpy(np.asarray(binary_fill_holes(closed.numpy())))
-
-
-def apply_disc(mask: Bool[Tensor, "H W"], operation: int, width: int) -> Bool[Tensor, "H W"]:
-    """A mask after one of OpenCV's morphological operations with a disc, such as `MORPH_OPEN`."""
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-    return torch.from_numpy(cv2.morphologyEx(mask.numpy().astype(np.uint8), operation, disc) > 0)

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from jaxtyping import UInt8
 from torch import Tensor
@@ -22,9 +22,7 @@ from stylesplat.io.files import resolve_within
 from stylesplat.io.images import ViewPicture, write_image, write_numbers
 from stylesplat.io.kinds import PHOTOS, SPLATS, VIDEOS
 from stylesplat.io.label_maps import write_label_map
-
-if TYPE_CHECKING:
-    import av
+from stylesplat.photo_libraries import av
 
 
 class _Codec(NamedTuple):
@@ -55,9 +53,8 @@ def smooth_color() -> int:
 
     Its default, the nearest, costs 2.5 dB of the demo's pictures.
     """
-    from av.video.reformatter import Interpolation
-
-    return Interpolation.BICUBIC | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
+    kinds = av.video.reformatter.Interpolation
+    return kinds.BICUBIC | kinds.FULL_CHR_H_INT | kinds.ACCURATE_RND
 
 
 def write_video(
@@ -69,9 +66,6 @@ def write_video(
     Others lose the last row or column of frames of odd size, as H.264 demands. Frames have three
     colours and perhaps alpha, all the same size; they are taken one by one.
     """
-    import av
-    from av.video.reformatter import ColorRange, Colorspace
-
     rest = iter(frames)
     first = next(rest, None)
     if first is None or min(first.shape[:2]) < 2:
@@ -86,8 +80,9 @@ def write_video(
             stream.height, stream.width = encoded.height, encoded.width
             stream.pix_fmt = codec.pixels
             if codec.pixels == "yuv420p":
-                context = stream.codec_context
-                context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
+                context, colors = stream.codec_context, av.video.reformatter
+                context.colorspace = colors.Colorspace.ITU709
+                context.color_range = colors.ColorRange.MPEG
             for frame in chain([first], rest):
                 if frame.shape != first.shape:
                     raise StyleSplatError(
@@ -99,19 +94,17 @@ def write_video(
 
 
 def _video_frame(frame: UInt8[Tensor, "H W C"], codec: _Codec) -> "av.VideoFrame":
-    import av
-    from av.video.reformatter import ColorRange, Colorspace
-
     height, width, colors = frame.shape
     if codec.pixels == "bgra":
         pixels = frame.contiguous().cpu().numpy()
         layout = "rgba" if colors == 4 else "rgb24"
         return av.VideoFrame.from_ndarray(pixels, format=layout).reformat(format="bgra")
     pixels = frame[: height // 2 * 2, : width // 2 * 2].contiguous().cpu().numpy()
+    reformatter = av.video.reformatter
     return av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(
         format="yuv420p",
-        dst_colorspace=Colorspace.ITU709,
-        dst_color_range=ColorRange.MPEG,
+        dst_colorspace=reformatter.Colorspace.ITU709,
+        dst_color_range=reformatter.ColorRange.MPEG,
         interpolation=smooth_color(),
     )
 

@@ -4,7 +4,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
@@ -24,7 +23,8 @@ STYLE_MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is 
 
 Picture = Path | str | Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
 """A file, the name of a material, or colours: floats in 0..1, or bytes."""
-StylePixels = UInt8[np.ndarray, "_ _ 3"] | Float[np.ndarray, "_ _ 3"]
+StylePixels = UInt8[Tensor, "_ _ 3"] | Float[Tensor, "_ _ 3"]
+StyleColors = Float[Tensor, "_ _ 3"]
 
 
 def is_material(picture: Any) -> bool:
@@ -58,9 +58,8 @@ def read_style(
         name, pixels = str(picture), _decoded(picture_file(picture))
     if region is not None:
         pixels = _crop(pixels, region, name)
-    pixels = np.ascontiguousarray(_turn(_shrink(pixels, name), rotate, name))
-    colors = torch.from_numpy(pixels)
-    return colors.float() / 255 if colors.dtype == torch.uint8 else colors.clamp(0, 1)
+    colors = pixels.float() / 255 if pixels.dtype == torch.uint8 else pixels.clamp(0, 1)
+    return _turn(_shrink(colors, name), rotate, name).contiguous()
 
 
 def _decoded(path: Path) -> StylePixels:
@@ -72,7 +71,7 @@ def _decoded(path: Path) -> StylePixels:
             "Save one frame as a picture of its own."
         )
     _require_side(*size, f"The picture {path}")
-    return read_image(path).numpy()
+    return read_image(path)
 
 
 def _colors_of(tensor: Tensor) -> StylePixels:
@@ -88,7 +87,7 @@ def _colors_of(tensor: Tensor) -> StylePixels:
             "end, or divide it by 255."
         )
     _require_side(colors.shape[1], colors.shape[0], "The style tensor")
-    return (colors if is_bytes else colors.float()).numpy()
+    return colors if is_bytes else colors.float()
 
 
 def _require_side(width: int, height: int, what: str) -> None:
@@ -111,36 +110,35 @@ def _crop(pixels: StylePixels, region: tuple[int, int, int, int], name: str) -> 
     return pixels[y0:y1, x0:x1]
 
 
-def _shrink(pixels: StylePixels, name: str) -> StylePixels:
-    height, width = pixels.shape[:2]
+def _shrink(colors: StyleColors, name: str) -> StyleColors:
+    height, width = colors.shape[:2]
     if max(width, height) <= STYLE_MAX_SIDE:
-        return pixels
+        return colors
     size = _fitted_size(width, height, float(STYLE_MAX_SIDE))
     _require_side(*size, f"Scaled down to {STYLE_MAX_SIDE} pixels of length, {name}")
     say(f"{name}: scaled down from {width}x{height} to {size[0]}x{size[1]} pixels")
-    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    planes = F.interpolate(colors.permute(2, 0, 1)[None], size[::-1], mode="area")
+    return planes[0].permute(1, 2, 0)
 
 
-def _turn(pixels: StylePixels, degrees: float, name: str) -> StylePixels:
+def _turn(colors: StyleColors, degrees: float, name: str) -> StyleColors:
     if degrees % 90 == 0:
-        return np.rot90(pixels, int(degrees // 90) % 4)
+        return colors.rot90(int(degrees // 90) % 4)
     if not math.isfinite(degrees):
         raise StyleSplatError(f"Cannot turn {name} by {degrees} degrees. Pass a number of degrees.")
-    height, width = pixels.shape[:2]
-    sin, cos = (abs(f(math.radians(degrees))) for f in (math.sin, math.cos))
-    inner = min(width / (width * cos + height * sin), height / (width * sin + height * cos))
+    height, width = colors.shape[:2]
+    sin, cos = (f(math.radians(degrees)) for f in (math.sin, math.cos))
+    box = np.array([[abs(cos), abs(sin)], [abs(sin), abs(cos)]]) @ (width, height)
+    inner = min(np.array([width, height]) / box)
     inner_width, inner_height = int(inner * width), int(inner * height)
     _require_side(inner_width, inner_height, f"Turned by {degrees}, what is left of {name}")
-    # Centres of pixels lie at +0.5
-    T_to_turned = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1.0)
-    T_to_turned[:, 2] += (inner_width - width) / 2, (inner_height - height) / 2
-    return cv2.warpAffine(
-        np.ascontiguousarray(pixels),
-        T_to_turned,
-        (inner_width, inner_height),
-        flags=cv2.INTER_CUBIC,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
+    # Places of the pixels that are kept in the picture, -1 and 1 at its sides
+    x = torch.arange(inner_width) - (inner_width - 1) / 2
+    y = torch.arange(inner_height)[:, None] - (inner_height - 1) / 2
+    places = torch.stack([2 * (cos * x - sin * y) / width, 2 * (sin * x + cos * y) / height], -1)
+    options = {"mode": "bicubic", "padding_mode": "border", "align_corners": False}
+    turned = F.grid_sample(colors.permute(2, 0, 1)[None], places[None], **options)
+    return turned[0].permute(1, 2, 0).clamp(0, 1)
 
 
 def resize(image: Float[Tensor, "H W 3"], length: float) -> Float[Tensor, "_ _ 3"]:

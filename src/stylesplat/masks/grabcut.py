@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -12,6 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.similarity import mask_iou
 from stylesplat.masks.contours import ColorLevels, window_around
+from stylesplat.photo_libraries import cv2
 from stylesplat.scene.capture import Mask
 
 ITERATIONS = 5  # of fitting colours and cutting

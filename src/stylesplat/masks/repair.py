@@ -6,7 +6,6 @@ Gaussians of a splat all views meet, and outvote what single ones got wrong.
 
 from collections.abc import Iterator, Mapping, Sequence
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
@@ -15,6 +14,7 @@ from scipy.sparse import csr_array, vstack
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
+from stylesplat.photo_libraries import cv2
 from stylesplat.progress import task, track
 from stylesplat.rendering.weights import PRIOR, label_pixels, render_argmax
 from stylesplat.scene.cameras import Cameras

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
+from stylesplat.photo_libraries import cv2
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras, pixels
 from stylesplat.scene.outliers import Outliers, find_outliers
@@ -50,8 +51,6 @@ def resize_labels(labels: Shaped[Tensor, "H W"], size: Sequence[int]) -> Shaped[
 
 def shrink_mask(mask: Bool[Tensor, "H W"], size: Sequence[int]) -> Bool[Tensor, "h w"]:
     """A smaller mask, true where all that a pixel covers is."""
-    import cv2  # here, as commands without photos do not need it
-
     if tuple(mask.shape) == tuple(size):
         return mask
     levels = mask.cpu().to(torch.float32).numpy()
@@ -233,6 +232,4 @@ def at_most(capture: Capture, length: int) -> Capture:
 
 
 def _averaged(pixels: UInt8[Tensor, "H W *D"], size: Size) -> UInt8[Tensor, "h w *D"]:
-    import cv2  # here, as commands without photos do not need it
-
     return torch.from_numpy(cv2.resize(pixels.numpy(), size[::-1], interpolation=cv2.INTER_AREA))

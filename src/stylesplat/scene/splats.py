@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, count_noun, noun_repr
+from stylesplat.options import check_arguments
 from stylesplat.scene.world_offset import ORIGIN, Offset, from_world, to_world
 
 LUMA = (0.2126, 0.7152, 0.0722)  # Rec. 709: how bright red, green and blue are
@@ -17,6 +20,8 @@ SH_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 SH_C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658)
 SH_C3_ZONAL = (0.3731763325901154, 1.445305721320277)
 IDENTITY_SIZE = 16  # numbers per Gaussian that encode its object (Gaussian Grouping)
+UNIT_ERROR = 1e-6  # of the norm of a quaternion that counts as 1
+OPACITY_END = 2.0**-53  # of 0 and 1: the last below 1 in 64 bits, a logit of 37
 AT_ONCE = 1 << 22  # scores: 16 MB, while those of all Gaussians by all labels may be 40 GB
 
 
@@ -169,6 +174,120 @@ class Splats:
     def detach(self) -> "Splats":
         """The same values, cut from any autograd graph."""
         return self.map(Tensor.detach)
+
+    def activated(self) -> "Gaussians":
+        """The values that renderers of other programs take, as `from_gaussians` has them.
+
+        They are computed in 64 bits and rounded to the type of the tensors once. So float32 keeps
+        scales to 6e-8 of their size and opacities to 6e-8; for a round trip to the bit ask in 64
+        bits: `splats.map(torch.Tensor.double).activated()`.
+
+        Returns:
+            Means in world units, relative to `world_offset`; quaternions of norm 1, wxyz; standard
+            deviations along the axes in world units; opacities in 0..1; spherical harmonics.
+        """
+        norms = self.quats.double().norm(dim=1, keepdim=True)
+        is_unit = (norms - 1).abs() < UNIT_ERROR  # stays, to the bit
+        return Gaussians(
+            self.means,
+            torch.where(is_unit, self.quats, (self.quats / norms).to(self.quats)),
+            self.scales.double().exp().to(self.scales),
+            self.opacities.double().sigmoid().to(self.opacities),
+            torch.cat([self.sh0, self.shN], dim=1),
+        )
+
+
+class Gaussians(NamedTuple):
+    """N Gaussians as renderers take them: scales and opacities are activated."""
+
+    means: Float[Tensor, "N 3"]
+    """Centres, in world units."""
+    quats: Float[Tensor, "N 4"]
+    """Rotations, wxyz."""
+    scales: Float[Tensor, "N 3"]
+    """Standard deviations along the axes, in world units."""
+    opacities: Float[Tensor, " N"]
+    """In 0..1."""
+    sh: Float[Tensor, "N K 3"]
+    """Spherical harmonics of the colours: 1, 4, 9 or 16 bands, the constant one first."""
+
+
+@check_arguments
+def from_gaussians(
+    means: Tensor | np.ndarray,
+    quats: Tensor | np.ndarray,
+    scales: Tensor | np.ndarray,
+    opacities: Tensor | np.ndarray,
+    sh: Tensor | np.ndarray,
+) -> Splats:
+    """Splats of the values that another program renders: `Splats.activated` gives them back.
+
+    Args:
+        means: [N, 3] centres, in world units.
+        quats: [N, 4] rotations, wxyz, of any norm but 0.
+        scales: [N, 3] standard deviations along the axes, in world units: not logarithms.
+        opacities: [N] or [N, 1], in 0..1: not logits. 0 and 1 become the nearest values between.
+        sh: [N, K, 3] spherical harmonics in the order of the INRIA code, K = 1, 4, 9 or 16 bands,
+            the constant one first. `(rgb - 0.5) / 0.28209479177387814` is that of a colour.
+
+    Returns:
+        Splats in float32, on the device of `means`.
+
+    Raises:
+        StyleSplatError: If shapes do not belong together, a number is not finite, a scale is not
+            positive, a quaternion is 0 or an opacity lies outside of 0..1.
+    """
+    device = means.device if isinstance(means, Tensor) else torch.device("cpu")
+    given = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "sh": sh}
+    values = {name: _numbers(name, each).to(device) for name, each in given.items()}
+    if values["opacities"].ndim == 2:
+        values["opacities"] = values["opacities"].flatten()
+    shapes = {name: tuple(each.shape) for name, each in values.items()}
+    count = len(values["means"]) if values["means"].ndim else 0
+    wanted = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": ()}
+    fits = all(shapes[name] == (count, *tail) for name, tail in wanted.items())
+    if not fits or len(shapes["sh"]) != 3 or shapes["sh"][::2] != (count, 3):
+        listed = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
+        raise StyleSplatError(
+            f"Cannot make splats of {listed}. Give means [N, 3], quats [N, 4], scales [N, 3], "
+            "opacities [N] and sh [N, K, 3]."
+        )
+    if shapes["sh"][1] not in map(sh_bases, range(4)):
+        raise StyleSplatError(
+            f"Spherical harmonics of {shapes['sh'][1]} bands have no degree. Give 1, 4, 9 or 16."
+        )
+    faults = {
+        "scales that are not positive: give standard deviations, not logarithms": (
+            values["scales"] <= 0
+        ),
+        "opacities outside of 0..1: give them after the sigmoid": (
+            (values["opacities"] < 0) | (values["opacities"] > 1)
+        ),
+        "quaternions of norm 0: give rotations": (values["quats"] == 0).all(dim=1),
+    }
+    for fault, rows in faults.items():
+        if number := int(rows.sum()):
+            raise StyleSplatError(f"Cannot make splats of {number} {fault}.")
+    opacities = values["opacities"].clamp(OPACITY_END, 1 - OPACITY_END)
+    return Splats(
+        means=values["means"].float(),
+        quats=values["quats"].float(),
+        scales=values["scales"].log().float(),
+        opacities=torch.logit(opacities).float(),
+        sh0=values["sh"][:, :1].float(),
+        shN=values["sh"][:, 1:].float(),
+    )
+
+
+def _numbers(name: str, values: Tensor | np.ndarray) -> Float[Tensor, "..."]:
+    """Finite numbers, in 64 bits."""
+    tensor = values.detach() if isinstance(values, Tensor) else torch.from_numpy(values)
+    tensor = tensor.double()
+    if not tensor.isfinite().all():
+        raise StyleSplatError(
+            f"Cannot make splats of {name} that are not finite. Remove these Gaussians."
+        )
+    return tensor
 
 
 def sh_basis(degree: int, dirs: Float[Tensor, "N 3"]) -> Float[Tensor, "N K"]:

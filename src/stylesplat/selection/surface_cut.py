@@ -19,10 +19,10 @@ outline: there the depth jumps. A piece of a wall ends where something nearer hi
 from collections.abc import Iterable
 from functools import partial
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import maximum_filter
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
@@ -128,7 +128,6 @@ def occluding_share(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]
     On the fox, the picture on its wall and the demo's objects .08 to .89, on pieces of walls and of
     the demo's curved backdrop .00; 1 for what fills all views, 0 for what no view shows.
     """
-    ring = np.ones((2 * WIDTH + 1, 2 * WIDTH + 1), np.uint8)
     farther, whole, shown = 0, 0, 0
     jump = 0.0
     if picked.any():  # a surface is known to the size of its Gaussians
@@ -140,8 +139,8 @@ def occluding_share(splats: Splats, cameras: Cameras, picked: Bool[Tensor, " N"]
         summed, own_alphas, alphas = composite(splats, camera, values).unbind(dim=-1)
         depths = (summed / alphas.clamp(min=TINY_COVERAGE)).numpy()
         inside = (own_alphas > COVERED).numpy()
-        beside = (cv2.dilate(inside.astype(np.uint8), ring) > 0) & ~inside
-        own = cv2.dilate(np.where(inside, depths, 0).astype(np.float32), ring)
+        beside = maximum_filter(inside, 2 * WIDTH + 1) & ~inside
+        own = maximum_filter(np.where(inside, depths, 0).astype(np.float32), 2 * WIDTH + 1)
         empty = (alphas < COVERED).numpy()
         farther += int((beside & ((depths > own + jump) | empty)).sum())
         whole += int(beside.sum())

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.splats.splat_ply import of_degree
+from stylesplat.photo_libraries import cv2
 from stylesplat.progress import say
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.frames import FRAME_SAME, Frame, in_frame_of, move_cameras, move_splats

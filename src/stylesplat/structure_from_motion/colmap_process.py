@@ -24,8 +24,8 @@ from typing import Any
 import stylesplat
 from stylesplat.errors import StyleSplatError
 from stylesplat.interrupts import POLL_SECONDS, raise_if_interrupted
-from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.files import cannot_write
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import Task, task
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
 

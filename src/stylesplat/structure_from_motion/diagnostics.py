@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 from stylesplat.io.captures.colmap import ModelFigures
-from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.outliers import Outliers
 from stylesplat.scene.sequences import evenly_spaced

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from stylesplat.io.captures.photos import SmallPhoto, same_shape
+from stylesplat.photo_libraries import cv2
 from stylesplat.progress import track
 
 Grey = UInt8[np.ndarray, "_ _"]

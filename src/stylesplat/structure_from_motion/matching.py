@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize, pad
 
-from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import track
 from stylesplat.structure_from_motion.workspace import Workspace
 

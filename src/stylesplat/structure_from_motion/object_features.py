@@ -8,17 +8,16 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 from PIL import Image
 from scipy.spatial import KDTree
 
 from stylesplat.errors import StyleSplatError, join_names
-from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.photos import PHOTO_OPAQUE, same_shape
 from stylesplat.io.files import resolve_within
 from stylesplat.io.images import decode, image_sizes
+from stylesplat.photo_libraries import cv2, pycolmap
 from stylesplat.structure_from_motion.workspace import Workspace, mask_file, numbered_files
 
 STILL_MATCH, MOVED_MATCH = 0.003, 0.01  # displacements of matches, in longer sides of the photo

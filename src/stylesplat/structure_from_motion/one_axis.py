@@ -8,14 +8,13 @@ bundle adjustment of those few numbers and the points makes them exact.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Integer
 from scipy.optimize import least_squares
 from scipy.sparse import coo_array, csr_array
 
 from stylesplat.io.captures.colmap import posed_images
-from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.photo_libraries import cv2, pycolmap
 from stylesplat.progress import track
 
 ONE_AXIS = 5.0  # degrees by which poses found one by one may be off, in the median

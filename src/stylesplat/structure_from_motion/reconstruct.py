@@ -17,11 +17,11 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import locked_folder
 from stylesplat.io.captures.colmap import posed_images
 from stylesplat.io.captures.colmap_files import check_complete
-from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.captures.lens import Lens, places_in
 from stylesplat.io.captures.photos import Photo
 from stylesplat.io.files import cannot_write, resolve_within
 from stylesplat.io.images import image_sizes, straight_alpha, write_image
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import say
 from stylesplat.structure_from_motion.config import MIN_PHOTOS, SfmConfig
 from stylesplat.structure_from_motion.diagnostics import (

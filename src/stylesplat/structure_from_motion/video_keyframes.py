@@ -6,21 +6,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import av
 import numpy as np
 import torch
-from av.container import InputContainer
-from av.error import EOFError as EndOfFile
-from av.error import FFmpegError, InvalidDataError
-from av.video.frame import VideoFrame
-from av.video.reformatter import ColorTrc, Interpolation
-from av.video.stream import VideoStream
 from jaxtyping import UInt8
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import reason, require_regular
 from stylesplat.io.images import IMAGE_MAX_PIXELS, write_image
 from stylesplat.io.renders import smooth_color
+from stylesplat.photo_libraries import av
 from stylesplat.progress import say, task
 from stylesplat.structure_from_motion.config import MIN_PHOTOS
 from stylesplat.structure_from_motion.image_measures import (
@@ -36,7 +30,8 @@ from stylesplat.structure_from_motion.photos import PreparedPhotos
 # FFmpeg's demuxers: no playlists, which name files and addresses, and no lists of pictures
 CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,asf,flv,ogg,h264,hevc,mjpeg,ivf,mxf"
 OPTIONS = {"protocol_whitelist": "file", "format_whitelist": CONTAINERS}
-HDR = (ColorTrc.SMPTE2084, ColorTrc.ARIB_STD_B67)  # HDR10 and HLG, which phones record
+TRANSFERS = av.video.reformatter.ColorTrc
+HDR = (TRANSFERS.SMPTE2084, TRANSFERS.ARIB_STD_B67)  # HDR10 and HLG, which phones record
 # Distance between keyframes, in longer sides of the picture: less is hardly a new view. In fox and
 # desk half of the neighbours are more than 3 % apart
 MIN_STEP = 0.015
@@ -70,10 +65,10 @@ class FrameInfo:
 @dataclass(frozen=True)
 class Video:
     path: Path
-    container: InputContainer = field(repr=False)
-    stream: VideoStream = field(repr=False)
+    container: av.container.InputContainer = field(repr=False)
+    stream: av.VideoStream = field(repr=False)
 
-    def frames(self) -> Iterator[tuple[int, VideoFrame]]:
+    def frames(self) -> Iterator[tuple[int, av.VideoFrame]]:
         """All frames that can be decoded, with their numbers, in the order of presentation."""
         for number, frame in enumerate(self._decode()):
             if frame.width * frame.height > IMAGE_MAX_PIXELS:
@@ -84,24 +79,24 @@ class Video:
             if not frame.is_corrupt:
                 yield number, frame
 
-    def upright(self, frame: VideoFrame) -> UInt8[np.ndarray, "H W 3"]:
+    def upright(self, frame: av.VideoFrame) -> UInt8[np.ndarray, "H W 3"]:
         pixel_aspect = float(self.stream.sample_aspect_ratio or 1) or 1.0
         width = max(1, round(frame.width * pixel_aspect))
         rgb = frame.reformat(width, frame.height, "rgb24", interpolation=smooth_color())
         return np.ascontiguousarray(np.rot90(rgb.to_ndarray(), round(frame.rotation / 90)))
 
-    def _decode(self) -> Iterator[VideoFrame]:
+    def _decode(self) -> Iterator[av.VideoFrame]:
         packets = self.container.demux(self.stream)
         while True:
             try:
                 packet = next(packets)
-            except (StopIteration, EndOfFile, InvalidDataError):  # the rest is missing or damaged
-                return
+            except (StopIteration, av.error.EOFError, av.error.InvalidDataError):
+                return  # the rest is missing or damaged
             try:
                 frames = packet.decode()
-            except InvalidDataError:  # others may be fine
+            except av.error.InvalidDataError:  # others may be fine
                 continue
-            yield from (frame for frame in frames if isinstance(frame, VideoFrame))
+            yield from (frame for frame in frames if isinstance(frame, av.VideoFrame))
 
 
 @contextmanager
@@ -118,7 +113,7 @@ def open_video(path: Path) -> Iterator[Video]:
                 raise StyleSplatError(f"{path} has no pictures, only sound. Give a video.")
             streams[0].thread_type = "AUTO"
             yield Video(path, container, streams[0])
-    except (FFmpegError, ValueError, UnicodeError) as error:
+    except (av.error.FFmpegError, ValueError, UnicodeError) as error:
         fault = getattr(error, "strerror", None) or reason(error)
         raise StyleSplatError(
             f"{path} is no video that can be decoded: {fault}. Give MP4, MOV, MKV or WebM, "
@@ -209,10 +204,11 @@ def _measure_frames(path: Path) -> list[FrameInfo]:
     return frames
 
 
-def _small_grey(frame: VideoFrame) -> UInt8[np.ndarray, "h w"]:
+def _small_grey(frame: av.VideoFrame) -> UInt8[np.ndarray, "h w"]:
     scale = min(1.0, MEASURE_SIDE / max(frame.width, frame.height))
     width, height = (max(1, round(x * scale)) for x in (frame.width, frame.height))
-    small = frame.reformat(width, height, "gray", interpolation=Interpolation.AREA)
+    area = av.video.reformatter.Interpolation.AREA
+    small = frame.reformat(width, height, "gray", interpolation=area)
     return np.ascontiguousarray(small.to_ndarray())
 
 

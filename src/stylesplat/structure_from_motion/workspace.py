@@ -13,10 +13,10 @@ from typing import Any
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.files import cannot_write, resolve_within
 from stylesplat.io.images import open_image, read_image, write_image
 from stylesplat.io.json_yaml import read_json, write_json
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import say
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.structure_from_motion.colmap_process import FATAL, is_disk_full, run_stage

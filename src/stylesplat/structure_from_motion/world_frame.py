@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -14,7 +13,7 @@ from torch.nn.functional import normalize
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import photo_gains
 from stylesplat.io.captures.colmap import posed_images, viewmats_of
-from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.photo_libraries import cv2, pycolmap
 from stylesplat.progress import track
 from stylesplat.scene.cameras import Cameras, focus_point, up_vector
 from stylesplat.scene.capture import Capture, at_most

@@ -6,10 +6,9 @@ from functools import cached_property, partial
 from itertools import chain
 from typing import NamedTuple
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -436,15 +435,15 @@ def crop_scene(
         return everything
     bare, own = geometry_only(splats), painting.mask.nonzero()[:, 0]
     others = replace(bare, opacities=bare.opacities.masked_fill(painting.mask, -torch.inf))
-    alone, square = bare[own], np.ones((2 * CROP_MARGIN + 1, 2 * CROP_MARGIN + 1), np.uint8)
+    alone = bare[own]
 
     def look(view: Cameras) -> Tensor | None:
         """The Gaussians that would show near the object; None if it is hidden."""
         near = reached_pixels(alone, view)
         if not near.any():
             return None
-        near = torch.from_numpy(cv2.dilate(near.cpu().numpy().astype(np.uint8), square))
-        rows = visible(in_view(others, view, near.bool().to(own.device)), view).rows
+        near = torch.from_numpy(maximum_filter(near.cpu().numpy(), 2 * CROP_MARGIN + 1))
+        rows = visible(in_view(others, view, near.to(own.device)), view).rows
         there = torch.cat([own, rows])
         is_own = torch.arange(len(there), device=there.device) < len(own)
         shares = coverage(bare[there], view, is_own)

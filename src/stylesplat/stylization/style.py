@@ -6,10 +6,16 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.ndimage import (
+    correlate1d,
+    gaussian_filter,
+    maximum_filter,
+    minimum_filter,
+    uniform_filter,
+)
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice, join_names, noun_repr
@@ -30,6 +36,9 @@ from stylesplat.stylization.config import (
 )
 from stylesplat.stylization.features import FeatureNetwork
 
+SOBEL = ((1, 2, 1), (-1, 0, 1), (1, -2, 1))  # kernels of derivatives of orders 0, 1 and 2
+ORDERS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))  # of derivatives along x and y
+LUMA_601 = np.array([0.299, 0.587, 0.114], np.float32)  # Rec. 601
 SHOCKS = 4.0  # steps of the filter that coarsens a style image, for every unit of scale
 MAX_COARSENED = 8.0  # scale: beyond it strokes are as large as pictures
 STYLE_RIDGE = 0.06  # curvature across a stroke, of 1: less is no stroke
@@ -75,19 +84,32 @@ def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor
     if scale <= USUAL_SCALE:
         return picture
     scale = min(scale, MAX_COARSENED)
-    width, square = scale / 2, np.ones((3, 3))
+    width, square = scale / 2, (3, 3, 1)
+    size = 4 * round(width) + 3
     image = resize(picture, min(STYLE_LARGEST, float(max(picture.shape[:2])))).cpu().numpy()
-    image = cv2.GaussianBlur(image, (0, 0), width / 2)  # else extremes would grow
+    image = _blurred(image, width / 2)  # else extremes would grow
     for _ in range(round(SHOCKS * (scale - USUAL_SCALE))):
-        smooth = cv2.GaussianBlur(image, (0, 0), width / 2)
-        grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (0, 0), width)
-        eigen = cv2.cornerEigenValsAndVecs(grey, 4 * round(width) + 3, 3)
-        x, y = eigen[..., 2], eigen[..., 3]  # across the flow
-        xx, xy, yy = (cv2.Sobel(grey, cv2.CV_32F, *order) for order in ((2, 0), (1, 1), (0, 2)))
+        smooth = _blurred(image, width / 2)
+        grey = _blurred(image @ LUMA_601, width)
+        dx, dy, xx, xy, yy = (_derivative(grey, *each) for each in ORDERS)
+        a, b, c = (uniform_filter(m, size, mode="mirror") for m in (dx * dx, dx * dy, dy * dy))
+        across = np.arctan2(2 * b, a - c) / 2  # the flow: of the structure tensor (Bigun 1987)
+        x, y = np.cos(across), np.sin(across)
         ridge = width**2 * (x**2 * xx + 2 * x * y * xy + y**2 * yy)[..., None] / STYLE_RIDGE
-        grown = np.where(ridge < 0, cv2.dilate(image, square), cv2.erode(image, square))
-        image = cv2.addWeighted(image, 0.5, np.where(abs(ridge) > 1, grown, smooth), 0.5, 0)
+        grown = np.where(ridge < 0, maximum_filter(image, square), minimum_filter(image, square))
+        image = (image + np.where(abs(ridge) > 1, grown, smooth)) / 2
     return torch.from_numpy(image).to(picture)
+
+
+def _blurred(image: Float[np.ndarray, "H W *D"], sigma: float) -> Float[np.ndarray, "H W *D"]:
+    return gaussian_filter(image, sigma, mode="mirror", axes=(0, 1))
+
+
+def _derivative(image: Float[np.ndarray, "H W"], x: int, y: int) -> Float[np.ndarray, "H W"]:
+    """The derivative of an order along each axis, by Sobel's kernels."""
+    for axis, order in ((1, x), (0, y)):
+        image = correlate1d(image, SOBEL[order], axis=axis, mode="mirror")
+    return image
 
 
 def large_shapes(pictures: Sequence[Tensor], scale: float) -> list[Tensor]:

@@ -12,13 +12,14 @@ from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import binary_dilation, minimum_filter
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from stylesplat.imaging.morphology import disc
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.surface import front_depth
@@ -134,13 +135,12 @@ def _find_outside(
     """Where there is nothing of an object, haze away from its edge, or what is protected."""
     bare = geometry_only(splats)
     own = bare[mask]
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SPILL_EDGE + 1, 2 * SPILL_EDGE + 1))
 
     def look(camera: Cameras) -> list[ForbiddenPixels]:
         covered = coverage(bare, camera, mask)
         alone = coverage(own, camera)  # whatever hides it
-        solid = (alone > COVERED).cpu().numpy().astype(np.uint8)
-        edge = torch.from_numpy(cv2.dilate(solid, disc)).bool().to(covered.device)
+        solid = binary_dilation((alone > COVERED).cpu().numpy(), disc(2 * SPILL_EDGE + 1))
+        edge = torch.from_numpy(solid).to(covered.device)
         found = [ForbiddenPixels(camera, (covered == 0) | ((covered < SPILL_FAINT) & ~edge))]
         if protected is not None:
             found.append(
@@ -184,11 +184,8 @@ def restore_in_holes(canvas: Canvas) -> Canvas:
     def look(view: UnpaintedView) -> Tensor:
         linear = view.linear
         lost = linear.coverage - coverage(faded, view.camera, mask) > CANVAS_LOST
-        covered = (linear.coverage > COVERED).cpu().numpy().astype(np.uint8)
-        inner = torch.from_numpy(
-            cv2.erode(covered, np.ones((2 * CANVAS_RIM + 1, 2 * CANVAS_RIM + 1)))
-        )
-        inner = inner.to(lost)
+        covered = (linear.coverage > COVERED).cpu().numpy()
+        inner = torch.from_numpy(minimum_filter(covered, 2 * CANVAS_RIM + 1)).to(lost)
         masks = torch.stack([lost & inner, torch.ones_like(lost)], dim=-1)
         in_holes, everywhere = linear.pixels_in(masks).unbind(dim=1)
         return (in_holes > IN_HOLES * everywhere).nonzero()[:, 0]

@@ -12,21 +12,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
+from stylesplat.imaging.morphology import apply_disc
 from stylesplat.imaging.still_background import (
     GAP,
     STILL_PHOTOS,
     STILL_SAME_COLOR,
     STILL_SIDE,
-    apply_disc,
     find_still_background,
 )
+from stylesplat.photo_libraries import cv2
 from stylesplat.progress import say, track
 from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import BACKGROUND, Capture, Mask, at_most

@@ -6,12 +6,12 @@ from dataclasses import replace
 from threading import Lock
 from typing import NamedTuple
 
-import cv2
 import torch
 from jaxtyping import Bool, Float, Integer, UInt8
 from torch import Tensor
 
 from stylesplat.errors import join_names
+from stylesplat.photo_libraries import cv2
 from stylesplat.progress import say, track
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, ids_of, resize_labels, shrink_mask

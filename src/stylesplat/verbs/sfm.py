@@ -9,8 +9,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import av
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool
@@ -30,7 +28,6 @@ from stylesplat.io.captures.capture_folder import (
     write_sfm,
 )
 from stylesplat.io.captures.colmap import ModelFigures, read_figures
-from stylesplat.io.captures.colmap_library import pycolmap
 from stylesplat.io.files import resolve_within
 from stylesplat.io.images import image_sizes, write_image
 from stylesplat.io.kinds import refuse_other_than_photos
@@ -43,6 +40,7 @@ from stylesplat.options import (
     check_box,
     with_settings,
 )
+from stylesplat.photo_libraries import av, cv2, pycolmap
 from stylesplat.progress import say
 from stylesplat.scene.cameras import find_name
 from stylesplat.scene.capture import BACKGROUND, Capture, Mask, OwnLabels

@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -26,10 +25,8 @@ from stylesplat.io.captures.photo_names import FoundPhotos, find_photos
 from stylesplat.io.captures.posed_files import PosedFiles, SparsePoints, read_points
 from stylesplat.io.files import is_file
 from stylesplat.io.kinds import find_poses
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import SILENCE, observed, say
-
-if TYPE_CHECKING:  # else each command would load it
-    from stylesplat.io.captures.colmap_library import pycolmap
 
 POINTS_PLY = "points3D.ply"
 IDENTITY = (0.0, 0.0, 0.0, 1.0)  # as a quaternion of scipy

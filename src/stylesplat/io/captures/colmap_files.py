@@ -23,6 +23,7 @@ from jaxtyping import Float64, Int64, UInt8
 
 from stylesplat.errors import StyleSplatError, join_names
 from stylesplat.io.files import is_file, is_there, open_binary, reading, require_regular
+from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import say
 
 Record = TypeVar("Record")
@@ -272,15 +273,11 @@ def _end_of_record(kind: str, content: mmap, at: int) -> int:
 
 
 def _count_params(model: int, width: int, height: int) -> int:
-    from stylesplat.io.captures.colmap_library import pycolmap
-
     kind = pycolmap.CameraModelId(model)
     return len(pycolmap.Camera.create_from_model_id(0, kind, 1.0, width, height).params)
 
 
 def _unpack_camera(record: bytes) -> CameraRecord:
-    from stylesplat.io.captures.colmap_library import pycolmap
-
     id, model, width, height = CAMERA.unpack_from(record)
     params = np.frombuffer(record, "<f8", offset=CAMERA.size).tolist()
     return CameraRecord(id, pycolmap.CameraModelId(model).name, width, height, tuple(params))

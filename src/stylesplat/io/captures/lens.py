@@ -3,9 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, Shaped
@@ -13,9 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.images import row_bands
-
-if TYPE_CHECKING:  # else each command would load it
-    from stylesplat.io.captures.colmap_library import pycolmap
+from stylesplat.photo_libraries import cv2, pycolmap
 
 LENS_MAX_SIDE = 2**20  # pixels; COLMAP walks along the border of what it undistorts
 # Sampling maps are made and cached by bands of rows. A pixel takes about 100 bytes while one is
@@ -57,8 +53,6 @@ class Lens:
     @classmethod
     def create(cls, model: str, width: int, height: int, params: Sequence[float]) -> "Lens":
         """A checked lens. Raises a StyleSplatError for what is none, as `from_colmap` does."""
-        from stylesplat.io.captures.colmap_library import pycolmap
-
         known = {*pycolmap.CameraModelId.__members__} - {"INVALID"}
         if model not in known:
             raise StyleSplatError(
@@ -78,8 +72,6 @@ class Lens:
 
     @property
     def camera(self) -> "pycolmap.Camera":
-        from stylesplat.io.captures.colmap_library import pycolmap
-
         return pycolmap.Camera(
             model=self.model, width=self.width, height=self.height, params=self.params
         )
@@ -118,8 +110,6 @@ class Lens:
 
 @lru_cache(maxsize=LENSES_CACHED)
 def _pinhole(lens: Lens) -> Lens:
-    from stylesplat.io.captures.colmap_library import pycolmap
-
     options = pycolmap.UndistortCameraOptions()
     pinhole = Lens.from_colmap(pycolmap.undistort_camera(options, lens.camera))
     x, y = np.meshgrid(*(np.linspace(0.5, side - 0.5, CHECK_GRID) for side in pinhole.size))

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, UInt8
@@ -27,6 +26,7 @@ from stylesplat.io.images import (
     pixels_of,
 )
 from stylesplat.io.mask_pictures import LOSSY, MASK_HALF
+from stylesplat.photo_libraries import cv2
 from stylesplat.progress import say, track
 from stylesplat.scene.capture import resize_labels, shrink_mask
 from stylesplat.scene.sequences import Lazy
