@@ -84,6 +84,12 @@ def test_places_and_styles_are_parsed(tmp_path: Path):
     assert len(parse_style(f"vase={many}")[1]) == 99
 
 
+OF_CUDA = (
+    "CUDA out of memory. Tried to allocate 2.00 GiB. GPU 0 has a total capacity of 7.79 GiB of "
+    "which 1.19 GiB is free. Of the allocated memory 5.10 GiB is allocated by PyTorch."
+)
+
+
 def failing(error: Exception):
     def fail(*_: object) -> None:
         raise error
@@ -97,6 +103,7 @@ def failing(error: Exception):
         (lambda: np.empty(2**58, np.uint8), OUT_OF_MEMORY),
         (lambda: torch.empty(2**58, dtype=torch.uint8), OUT_OF_MEMORY),
         (failing(torch.OutOfMemoryError("CUDA out of memory. Tried to ...")), OUT_OF_MEMORY),
+        (failing(torch.OutOfMemoryError(OF_CUDA)), "2.00 GiB more were needed, and 1.19 GiB of 7."),
         (failing(OSError(errno.ENOSPC, "No space", "a")), "Disk full: a. Free some space"),
         (failing(PermissionError(errno.EACCES, "Not allowed", "a")), "Not allowed: a. Mend"),
         (failing(OSError("image file is truncated\nmore")), "image file is truncated. Mend"),

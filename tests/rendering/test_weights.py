@@ -13,6 +13,7 @@ from balls import BALLS, CAMERAS, PLAIN, SPLATS
 from scenes import BACKENDS, cloud, device_of, leaf, rand, randn, random_splats, two_cameras
 from stylesplat.rendering import weights
 from stylesplat.rendering.render import Backend, colors_of, rasterize
+from stylesplat.rendering.visibility import in_view, tiled
 from stylesplat.rendering.weights import (
     Contributions,
     StoredContributions,
@@ -283,6 +284,14 @@ def test_weights_that_take_too_much_are_not_stored():
     for most, is_stored in ((1.0, True), (0.1, False)):
         found = contributions(CLOUD, CAMERA, HALF, max_bytes=most * half.nbytes)
         assert isinstance(found, StoredContributions) == is_stored == (found.nbytes > 0)
+
+
+@pytest.mark.parametrize("backend", [each for each in BACKENDS if each != "cpu"])
+def test_what_a_gpu_keeps_of_a_view_counts(backend: Backend):
+    (splats,) = on(backend, CLOUD)
+    near = in_view(splats, CAMERA, backend=backend)
+    kept = tiled(near.projected, CAMERA.size, backend).nbytes
+    assert kept >= near.projected.means2d.nbytes + near.projected.conics.nbytes
 
 
 @pytest.mark.parametrize("backend", ["reference", "cpu"])

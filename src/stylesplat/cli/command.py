@@ -1,6 +1,7 @@
 """The base of all commands, options that several share, and how commands end."""
 
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -135,6 +136,10 @@ COMMAND_NO_MEMORY = ("allocate memory", "not enough memory", "out of memory", "i
 OUT_OF_MEMORY = (
     "Out of memory. Close other programs, or work on less: smaller photos, fewer views or fewer "
     "Gaussians."
+)
+# What torch says of a GPU: how much it lacked, has, and has free
+OUT_OF_GPU_MEMORY = re.compile(
+    r"Tried to allocate ([\d.]+ \w+)\..*capacity of ([\d.]+ \w+) of which ([\d.]+ \w+) is free"
 )
 BUG = "This is a mistake in stylesplat. Please report it, with all these lines."
 
@@ -319,6 +324,14 @@ def exit_status(error: BaseException, command: object = None) -> int | None:
     return 1
 
 
+def _gpu_memory_line(wanted: str, capacity: str, free: str) -> str:
+    return (
+        f"Out of GPU memory: {wanted} more were needed, and {free} of {capacity} are free. Close "
+        "other programs that use the GPU, pass a smaller --max-memory or --max-gaussians where the "
+        "command has it, or --device cpu."
+    )
+
+
 def user_message(error: BaseException) -> str | None:
     """The fact and the remedy; None if the user can do nothing about the error."""
     if isinstance(error, StyleSplatError):
@@ -328,7 +341,8 @@ def user_message(error: BaseException) -> str | None:
     if not full and (
         isinstance(error, MemoryError) or any(words in text for words in COMMAND_NO_MEMORY)
     ):
-        return OUT_OF_MEMORY
+        lacked = OUT_OF_GPU_MEMORY.search(str(error))
+        return _gpu_memory_line(*lacked.groups()) if lacked else OUT_OF_MEMORY
     if not isinstance(error, OSError):
         return None
     place = f": {error.filename}" if error.filename else ""

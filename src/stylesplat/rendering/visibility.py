@@ -130,6 +130,12 @@ class TiledView(NamedTuple):
     tiles: Any
     drawn_by: Rasterizer
 
+    @property
+    def nbytes(self) -> int:
+        """The memory of what is sorted into tiles."""
+        kept = self.tiles.values() if isinstance(self.tiles, dict) else self.tiles
+        return sum(each.nbytes for each in kept if isinstance(each, Tensor))
+
     def composite(self, values: Float[Tensor, "M K"]) -> Float[Tensor, "H W K"]:
         """Composite their values, as many channels at a time as kernels take."""
         some = values.split(CHANNELS_PER_PASS, dim=1)

@@ -240,7 +240,7 @@ class Contributions:
 
     @property
     def nbytes(self) -> int:
-        """Memory of stored weights."""
+        """Memory of what is stored of weights, or of tiles."""
         return 0
 
     def render(self, colors: Float[Tensor, "M 3"]) -> Float[Tensor, "H W 3"]:
@@ -330,6 +330,11 @@ class TiledContributions(Contributions):
     view: TiledView
     """Of these Gaussians and, behind them in memory, of the others."""
     others: int
+
+    @property
+    def nbytes(self) -> int:
+        images = self.background.nbytes + self.coverage.nbytes
+        return images + self.gaussians.nbytes + self.view.nbytes
 
     def composite(self, values: Float[Tensor, "M D"]) -> Float[Tensor, "H W D"]:
         return self.view.composite(pad(values, (0, 0, 0, self.others)))

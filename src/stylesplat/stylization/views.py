@@ -170,15 +170,15 @@ def object_views(
 ) -> list[ObjectView]:
     """Views cropped to boxes of the object, at a multiple of the cameras' size.
 
-    Boxes that hardly show it are skipped. Linear views may take so many bytes of memory, none on a
-    GPU; others are rasterised in every step.
+    Boxes that hardly show it are skipped. Linear views may take so many bytes of memory; others are
+    rasterised in every step.
     """
     splats, mask = setup.splats, painting.mask
     cells = setup.network.cells(painting.config.block)
     views, used, full = list[ObjectView](), 0, False
     # what features depend on around a box
     margins = min(BOX_MARGIN, cells.before), min(BOX_MARGIN, cells.size - cells.before)
-    is_linear = max_memory > 0 or splats.device.type != "cpu"
+    is_linear = max_memory > 0
     rows, places = mask.nonzero()[:, 0], mask.cumsum(dim=0) - 1
 
     def prepare(box: ObjectBox) -> tuple[Cameras, Tensor, Contributions | None]:
