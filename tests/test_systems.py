@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FILES = sorted(
     path
-    for name in ("src", "tests", "benchmarks", "scripts")
+    for name in ("src", "tests", "benchmarks", "scripts", "examples")
     for path in (ROOT / name).rglob("*.py")
 )
 UNIX = {"resource", "pty", "tty", "termios", "fcntl", "pwd", "grp", "syslog", "posix", "readline"}
