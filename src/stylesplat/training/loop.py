@@ -321,7 +321,8 @@ class ProgressMeter:
         kept = TRAINING_SMOOTHING ** (state.step - self._step)
         self._smooth = means if self._smooth is None else self._smooth.lerp(means, 1 - kept)
         loss, psnr = self._smooth.tolist()
-        self._bar.note(f"loss {loss:.4f}, PSNR {psnr:.2f} dB, {len(state.splats):,} Gaussians")
+        count = f"{len(state.splats):,} Gaussians"
+        self._bar.note(f"loss {loss:.4f}, PSNR {psnr:.2f} dB so far, {count}")
         done = state.step if self._limit is None else min(state.seconds, self._limit)
         self._bar.advance(done - self._done)
         self._done, self._step, self._since = done, state.step, time.monotonic()
@@ -372,7 +373,7 @@ def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
         most = format_duration(seconds * capture.downscale**2)
         advice = f" All pixels of the photos would take up to {most}."
     if seconds > LONG_SECONDS:
-        advice += f" `{FIRST_LOOK}` gives a first look."
+        advice += f" PSNR rises most near the end. `{FIRST_LOOK}` gives a first look."
     photos = f"{count_noun(len(run.rows), 'photo')} of {width}x{height}"
     say(
         f"{photos}, at most {config.max_gaussians:,} Gaussians: {config.steps:,} steps take "
