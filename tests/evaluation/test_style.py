@@ -17,6 +17,7 @@ from stylesplat.evaluation.style import (
     LOOK_TOLERANCE,
     content_ssim,
     measure_painted,
+    measure_style,
     object_nnfm,
     off_palette,
     own_nnfm,
@@ -68,9 +69,19 @@ def test_the_object_comes_closer_to_the_style(
     assert (new > 0) == (quality == "normal")
     assert 40 + new <= metrics["changed_gaussians"] <= 80 + new
     assert metrics["outside_max_difference"] < 2e-4, "a canvas hardly shows outside"
+    assert numbers["bare"] < 0.01
     assert json.loads(json.dumps(metrics)) == metrics
     before, after = (rasterize(s, CAMERAS)[0] for s in (SCENE, styled.splats))
     assert (before - after).abs().max() > 0.1
+
+
+def test_what_no_paint_reaches_is_bare(job: Painting, network: FeatureNetwork):
+    half = job.mask & (SCENE.means[:, 0] > SCENE.means[job.mask, 0].median())
+    colors = SCENE.sh0 + half[:, None, None].float()
+    setup = paint_setup(SCENE, CAMERAS, network)
+    numbers = measure_style(setup, job, replace(SCENE, sh0=colors))
+    assert 0.2 < numbers["bare"] < 0.8
+    assert measure_style(setup, job, SCENE)["bare"] == 1
 
 
 def test_how_near_a_style_is_to_itself(network: FeatureNetwork):

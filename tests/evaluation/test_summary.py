@@ -34,6 +34,8 @@ STRAY = "12 % of it in colours that the painting does not have"
         (vase(0.2), "painted"),
         (vase(0.12, 0.714, off_palette=0.123), f"{WAY}, {STRAY}"),
         (vase(0.12, 0.714, off_palette=0.05), WAY),
+        (vase(0.12, 0.714, bare=0.004), WAY),
+        (vase(0.12, 0.714, bare=0.031), f"{WAY}, 3 % of it without paint"),
     ],
 )
 def test_one_object_in_one_line(metrics: dict[str, Any], expected: str):

@@ -39,6 +39,7 @@ NOWHERE = -2.0  # below any cosine
 # Pixels; the size of objects at which features are compared, whatever `scale` is
 LOOK_LENGTH = 192.0
 LOOK_VIEWS = 4  # of the object, and of the scene
+LOOK_BARE = 0.5 / 255  # of a colour: a pixel that changes less looks as before
 LOOK_TOLERANCE = 10.0  # of Lab, from which a colour is another one, rather than another shade
 LOOK_SAME = 1.0  # of Lab, the size of the cubes whose colours count as one
 SURELY_NEAR = 5.0  # of Lab: no colours in a cube of this size are farther apart than 8.7
@@ -100,7 +101,7 @@ def measure_style(
         `nnfm_before` and `nnfm_after`; if the pictures are large enough, `nnfm_of_style` (see
         `own_nnfm`); if the object was farther from the style than that, `share_of_way`, the part
         of the way that it has gone, in 0..1; if the object is to have the colours of the style,
-        the share of it that does not (`off_palette`).
+        the share of it that does not (`off_palette`); the share that looks as before (`bare`).
 
     Raises:
         StyleSplatError: If the object is not visible, or a picture is too small to compare.
@@ -110,12 +111,14 @@ def measure_style(
     zoom = LOOK_LENGTH / typical_length(boxes)
     views = object_views(setup, painting, evenly_spaced(boxes, LOOK_VIEWS), zoom)
     style_feats = target_features(network, painting.config, painting.images, LOOK_LENGTH)
-    images = renders(styled, views)
+    unpainted, images = renders(setup.splats, views), renders(styled, views)
     before, after = (
-        object_nnfm(each, views, style_feats, network, block)
-        for each in (renders(setup.splats, views), images)
+        object_nnfm(each, views, style_feats, network, block) for each in (unpainted, images)
     )
     numbers = {"nnfm_before": before, "nnfm_after": after}
+    pairs = zip(images, unpainted, views, strict=True)
+    changes = [(image - was).abs().amax(dim=2)[view.pixels] for image, was, view in pairs]
+    numbers["bare"] = float((torch.cat(changes) < LOOK_BARE).float().mean())
     own = own_nnfm(painting.images, network, block, length=painting.config.scale * LOOK_LENGTH)
     if own is not None:
         numbers["nnfm_of_style"] = own

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeGuard
 
 SUMMARY_VISIBLE = 0.5 / 255  # of 1: what is less is the same in a picture of 8 bits
+BARE = 0.01  # of an object, from which it is said to be left bare: of six subjects .004 at most is
 MUCH = 0.1  # of an object in colours that are not the painting's: more than specks and blends
 SUMMARY_WHOLE = "as close to the painting as the painting's parts are to each other"
 
@@ -12,9 +13,9 @@ def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
     """Say how close each painted object is to its style, and what else changed."""
     lines = []
     for name in names:
-        share, own, foreign = (
+        share, own, foreign, bare = (
             metrics.get(number, {}).get(name)
-            for number in ("share_of_way", "nnfm_of_style", "off_palette")
+            for number in ("share_of_way", "nnfm_of_style", "off_palette", "bare")
         )
         way = "painted"  # it was as close before, or the style is too small to tell
         if own is not None and metrics["nnfm_after"][name] <= own:
@@ -23,6 +24,8 @@ def style_lines(metrics: Mapping[str, Any], names: Iterable[str]) -> list[str]:
             way = f"{min(99, round(100 * share))} % of the way to the painting"
         if foreign is not None and foreign > MUCH:
             way += f", {round(100 * foreign)} % of it in colours that the painting does not have"
+        if bare is not None and bare > BARE:
+            way += f", {round(100 * bare)} % of it without paint"
         lines.append(f"{name}: {way}")
     rest = describe_changes(metrics, count=len(lines))
     if len(lines) == 1:
