@@ -1,12 +1,14 @@
 """Pretrained models from a folder, the user's cache or the Hugging Face Hub; single tensors."""
 
 import json
+import os
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from errno import ENOSPC
 from fnmatch import fnmatch
+from functools import partial
 from http.client import HTTPException
 from importlib.util import find_spec
 from os.path import expanduser
@@ -23,6 +25,7 @@ from stylesplat.io.files import FILE_DISK_FULL, reason
 from stylesplat.io.json_yaml import read_json
 from stylesplat.progress import Task, say, task
 
+MODELS = "STYLESPLAT_MODELS"  # environment variable
 DTYPES = {"F32": torch.float32, "F16": torch.float16, "BF16": torch.bfloat16}
 LENGTH_BYTES = 8  # the file begins with the header's length, little-endian
 HUB_MAX_HEADER = 2**24  # a longer header is no header
@@ -161,11 +164,18 @@ def _local_folder(name: str) -> Path | None:
     from huggingface_hub import try_to_load_from_cache
 
     try:
-        config = try_to_load_from_cache(name, CONFIG)
+        config = try_to_load_from_cache(name, CONFIG, cache_dir=models_folder())
     except ValueError:  # an impossible name
         return None
     folder = Path(config).parent if isinstance(config, str) else None
     return folder if folder is not None and _is_whole(folder) else None
+
+
+def models_folder() -> str:
+    """Where models are kept: STYLESPLAT_MODELS of the environment, or the hub's cache."""
+    from huggingface_hub import constants
+
+    return os.environ.get(MODELS) or constants.HF_HUB_CACHE
 
 
 def _is_whole(folder: Path) -> bool:
@@ -203,7 +213,7 @@ def _check_type(config: Path, name: str, types: Collection[str], job: str) -> st
 
 
 def _download(name: str, types: Collection[str], job: str) -> Path:
-    from huggingface_hub import constants, hf_hub_download, is_offline_mode, snapshot_download
+    from huggingface_hub import hf_hub_download, is_offline_mode, snapshot_download
 
     if is_offline_mode():
         raise StyleSplatError(
@@ -214,15 +224,15 @@ def _download(name: str, types: Collection[str], job: str) -> Path:
     except Exception as error:
         raise _cannot_download(name, error) from error
     try:
-        config = Path(hf_hub_download(name, CONFIG))
+        config = Path(hf_hub_download(name, CONFIG, cache_dir=models_folder()))
         _check_type(config, name, types, job)  # before gigabytes of the wrong model
         if size > _free_bytes():
             raise OSError(ENOSPC, "No space left on device")
         say(
-            f"Downloading {name} to {constants.HF_HUB_CACHE}: {size / 1e9:.2f} GB, about "
+            f"Downloading {name} to {models_folder()}: {size / 1e9:.2f} GB, about "
             f"{format_duration(8 * size / LINE_SPEED)} at 100 Mbit/s; licence: {licence}."
         )
-        return Path(snapshot_download(name, allow_patterns=FILES))
+        return Path(snapshot_download(name, allow_patterns=FILES, cache_dir=models_folder()))
     except StyleSplatError:
         raise
     except Exception as error:
@@ -233,12 +243,13 @@ def _describe(name: str) -> tuple[int, str]:
     """The bytes of a model that are not in the cache yet, and its licence."""
     from huggingface_hub import model_info, try_to_load_from_cache
 
+    cached = partial(try_to_load_from_cache, cache_dir=models_folder())
     info = model_info(name, files_metadata=True, timeout=TIMEOUT)
     size = sum(
         file.size or 0
         for file in info.siblings or ()
         if any(fnmatch(file.rfilename, pattern) for pattern in FILES)
-        and not isinstance(try_to_load_from_cache(name, file.rfilename, revision=info.sha), str)
+        and not isinstance(cached(name, file.rfilename, revision=info.sha), str)
     )
     card: Mapping[str, Any] = info.card_data.to_dict() if info.card_data else {}
     return size, card.get("license_name") or card.get("license") or f"see {_page(name)}"
@@ -276,7 +287,7 @@ def _cannot_download(name: str, error: Exception, size: int | None = None) -> St
         case OSError(errno=code) if size is not None and code in FILE_DISK_FULL:
             cause = (
                 f"it needs {size / 1e9:.2f} GB, and {_free_bytes() / 1e9:.2f} GB are free in "
-                f"{constants.HF_HUB_CACHE}. Free some, or set HF_HOME to a folder on another disk"
+                f"{models_folder()}. Free some, or set HF_HOME to a folder on another disk"
             )
         case _ if size is None:
             cause = f"{constants.ENDPOINT} cannot be reached ({what}). {_by_hand(name)}"
@@ -303,9 +314,8 @@ def _page(name: str) -> str:
 
 def _free_bytes() -> int:
     """Of the disk with the hub's cache, which need not exist yet."""
-    from huggingface_hub import constants
 
-    cache = Path(constants.HF_HUB_CACHE).absolute()
+    cache = Path(models_folder()).absolute()
     return disk_usage(next(each for each in (cache, *cache.parents) if each.exists())).free
 
 
