@@ -16,6 +16,7 @@ from .studio_app.studio import view as view
 from .stylization.recipe import read_recipe as read_recipe
 from .stylization.style import Style as Style
 from .verbs.adjust import adjust as adjust
+from .verbs.adjust import palette as palette
 from .verbs.adjust import recolor as recolor
 from .verbs.evaluate import compare as compare
 from .verbs.evaluate import evaluate as evaluate

@@ -39,7 +39,11 @@ def sphere_arrays(radius: float, x: float) -> dict[str, np.ndarray]:
     local = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]])
     uvs = ((cells[:, None] + local) / side).reshape(-1, 2).astype(np.float32)
     normals = corners / radius
-    return {"POSITION": corners + np.float32([x, 0, 0]), "NORMAL": normals, "TEXCOORD_0": uvs}
+    return {
+        "POSITION": corners + np.array([x, 0, 0], np.float32),
+        "NORMAL": normals,
+        "TEXCOORD_0": uvs,
+    }
 
 
 def model(folder: Path, *, shared_uvs: bool = False) -> Path:
@@ -182,7 +186,8 @@ def test_what_is_named_gets_new_uvs_and_the_rest_stays(tmp_path: Path, picture: 
 
 def test_ply_and_obj_are_read(tmp_path: Path):
     ball = trimesh.creation.icosphere(subdivisions=1)
-    ball.visual.vertex_colors = np.tile([255, 128, 0, 255], (len(ball.vertices), 1))
+    orange = np.tile([255, 128, 0, 255], (len(ball.vertices), 1))
+    ball = trimesh.Trimesh(ball.vertices, ball.faces, vertex_colors=orange)
     ball.export(tmp_path / "a.ply")
     (part,) = read_model(tmp_path / "a.ply").parts
     assert part.faces.shape == (80, 3) and part.uvs is None

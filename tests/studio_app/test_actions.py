@@ -381,9 +381,12 @@ def test_colours_change_at_once_and_undo_names_them(page: Page):
     assert page.session.state.scene.layers[0].strength == 0.5
     page.act("recolor", names=["3"], setting="tint", value=None)
     page.act("recolor", names=["3"], setting="match", value=None)
+    state = page.act("recolor", names=["3"], setting="swap", value=["#c02020=#2020c0"])
+    assert state.layers[0].recolor == {"hue": 120.0, "swap": ("#c02020=#2020c0",), "match": ""}
+    page.act("recolor", names=["3"], setting="swap", value=[])
     assert not page.act("recolor", names=["3"], setting="hue", value=0).layers
     assert torch.equal(page.session.state.scene.splats.sh0, before.sh0)
-    page.act("step", rows=-5)
+    page.act("step", rows=-6)
     assert page.act("step", rows=-1).undo == "", "a drag is one step"
     page.act("recolor", names=["background"], setting="saturation", value=0)
     assert page.session.state.scene.painted_objects == ("background",)

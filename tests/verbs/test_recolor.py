@@ -17,11 +17,12 @@ from stylesplat.io.scene_folder import open as open_scene
 from stylesplat.io.scene_folder import save
 from stylesplat.io.style_pictures import MATERIALS
 from stylesplat.rendering.render import render
+from stylesplat.scene.palette import map_palette
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import map_bands, rgb_from_sh0, sh0_from_rgb, sh_basis
 from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Style
-from stylesplat.verbs.adjust import adjust, recolor
+from stylesplat.verbs.adjust import adjust, palette, recolor
 from stylesplat.verbs.evaluate import evaluate
 from stylesplat.verbs.stylize import stylize
 
@@ -162,6 +163,53 @@ def test_scenes_keep_recolourings_and_recipes_replay_them(tmp_path: Path, quick_
     assert [each.name for each in alone.layers] == ["background/recolor", "red/recolor"]
 
 
+PALETTE = torch.tensor([[0.7, 0.1, 0.1], [0.8, 0.8, 0.8], [0.1, 0.3, 0.1]])
+BLUE = (0.1, 0.2, 0.7)
+SWAPPED = torch.cat([PALETTE, torch.cat([torch.tensor([BLUE]), PALETTE[1:]])], dim=1)
+
+
+def swapped(*colors: tuple[float, ...]) -> torch.Tensor:
+    """Colours after the first entry of `PALETTE` became blue."""
+    sh0 = sh0_from_rgb(torch.tensor(colors))[:, None]
+    return rgb_from_sh0(map_palette(sh0, torch.zeros(len(sh0), 0, 3), SWAPPED)[0][:, 0])
+
+
+def test_a_colour_is_exchanged_with_its_shades_and_highlights_stay():
+    red, shade, light = swapped((0.7, 0.1, 0.1), (0.35, 0.05, 0.05), (0.85, 0.55, 0.55))
+    torch.testing.assert_close(red, torch.tensor(BLUE), atol=0.01, rtol=0)
+    torch.testing.assert_close(shade, torch.tensor(BLUE) / 2, atol=0.01, rtol=0)
+    assert light[2] > 0.8 and light[0] > 0.4  # half-way to white, as it was
+    others = (1.0, 1.0, 1.0), (0.95, 0.9, 0.9), (0.8, 0.8, 0.8), (0.1, 0.3, 0.1), (0.05, 0.05, 0.05)
+    torch.testing.assert_close(swapped(*others), torch.tensor(others), atol=0.01, rtol=0)
+    grey = torch.linspace(0.01, 0.99, 50)[:, None].expand(50, 3)
+    lumas = swapped(*[tuple(row) for row in grey.tolist()]) @ torch.tensor([0.2126, 0.7152, 0.0722])
+    assert (lumas.diff() > 0).all()  # a tone curve keeps the order
+
+
+def test_what_changes_with_the_view_changes_by_the_slope():
+    sh0 = sh0_from_rgb(torch.tensor([[0.6, 0.1, 0.1]]))[:, None]
+    step = 0.01 * torch.tensor([[[0.5, -0.2, 0.3]]])
+    there, bands = map_palette(sh0, step, SWAPPED)
+    beside, _ = map_palette(sh0 + step, step, SWAPPED)
+    torch.testing.assert_close(bands, beside - there, atol=2e-4, rtol=0.05)
+
+
+def test_a_swap_is_kept_in_files_replayed_and_undone(tmp_path: Path):
+    (first, *_) = palette(TRAINED, "red")
+    found = recolor(TRAINED, "red", swap=(f"{first}=#1030c0",), saturation=0.9)
+    assert (
+        colors(found, RED).mean(dim=0).argmax() == 2 and colors(TRAINED, RED).mean(dim=0)[0] > 0.5
+    )
+    others = ~RED
+    assert torch.equal(found.splats.sh0[others], TRAINED.splats.sh0[others])
+    save(found, tmp_path / "scene")
+    again = open_scene(tmp_path / "scene")
+    assert_same_splats(again.splats, found.splats)
+    replayed = stylize(TRAINED, read_recipe(tmp_path / "scene/recipe.json"), device="cpu")
+    assert_same_splats(replayed.splats, found.splats)
+    assert_same_splats(adjust(again, undo=True, objects="red").splats, TRAINED.splats)
+
+
 @pytest.mark.parametrize("name", MATERIALS)
 def test_the_colours_of_a_material_can_be_matched(name: str):
     material = f"material:{name}"
@@ -183,6 +231,9 @@ def quick(picture: Path) -> Style:
         ({"saturation": -1}, "with saturation -1"),
         ({"hue": float("nan")}, "hue nan"),
         ({"tint": "blurple"}, "no color 'blurple'"),
+        ({"swap": ("red",)}, "FROM=TO"),
+        ({"swap": ("red=blurple",)}, "no color 'blurple'"),
+        ({"swap": ("red=teal", "#f00=gold")}, "same color"),
         ({"match": "lost.jpg"}, "lost.jpg"),
         ({"match": "material:tin"}, r"no material 'tin'.+material:bronze"),
         ({"shade": 2}, "there is no key 'shade'"),

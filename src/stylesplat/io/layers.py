@@ -199,7 +199,9 @@ def layer_tensors(layer: Layer) -> dict[str, Tensor]:
     """The content of a layer's file; higher bands that are all 0 are left out."""
     mask = {} if layer.mask is None else {"mask": layer.mask}
     if layer.color_map is not None:
-        return {"rows": layer.rows, "shares": layer.shares, "color_map": layer.color_map, **mask}
+        palette = {} if layer.palette is None else {"palette": layer.palette}
+        covered = {"rows": layer.rows, "shares": layer.shares, **mask}
+        return {**covered, "color_map": layer.color_map, **palette}
     counts = [len(layer.rows), len(layer.parents)]
     own, new = layer.relief.split(counts)
     sculpture = {}
@@ -232,7 +234,8 @@ def _declared(count: int, kind: LayerKind) -> dict[str, Declared]:
     mask = replace(share, optional=True)
     covered = {"rows": replace(index, unique=True), "shares": share, "mask": mask}
     if kind == "recolour":
-        return covered | {"color_map": Declared((3, 4))}
+        palette = Declared(("K", 6), **UNIT, optional=True)
+        return covered | {"color_map": Declared((3, 4)), "palette": palette}
     shapes = {name: each.shape[1:] for name, each in GAUSSIANS.items()}
     shapes["shN"] = ("canvas bands", 3)
     return {

@@ -17,6 +17,7 @@ from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr, shorten
 from stylesplat.scene.objects import check_name_or_id
+from stylesplat.scene.palette import map_palette
 from stylesplat.scene.splats import LUMA, SH_C0, Splats, map_bands
 
 UNSEEN = -16.0  # logit of an opacity that no picture shows
@@ -91,6 +92,9 @@ class Layer:
     """The precision of the features; None if it was not recorded."""
     color_map: Float[Tensor, "3 4"] | None = None
     """Of a recolouring: colours in 0..1 become `color_map @ (red, green, blue, 1)`."""
+    palette: Float[Tensor, "K 6"] | None = None
+    """Of a recolouring: colours in 0..1 and what becomes of them before the `color_map`; see
+    `map_palette`."""
     sculpture: Float[Tensor, " L"] | None = None
     """The luminance to add at a form of 1.5, as `relief`. Without it relief goes on beyond 1, as in
     layers of earlier versions."""
@@ -281,18 +285,19 @@ def _covered(splats: Splats, parents: Int[Tensor, " M"], layer: Layer, count: in
     weights = (layer.strength * shares)[entries, None, None]
     under = splats.sh0[rows], splats.shN[rows]
     if layer.color_map is not None:
-        paint = map_bands(*under, layer.color_map)
+        changed = under if layer.palette is None else map_palette(*under, layer.palette)
+        paint = map_bands(*changed, layer.color_map)
     else:
         sh0 = layer.sh0 + _form(layer)[: len(layer.rows), None, None]
         paint = sh0[entries], layer.shN[entries]
     paint = (_blended(layer.blend, *pair) for pair in zip(paint, under, strict=True))
     bands = (torch.lerp(*pair, weights) for pair in zip(under, paint, strict=True))
-    changed = dict[str, Tensor](zip(("sh0", "shN"), bands, strict=True))
+    tensors = dict[str, Tensor](zip(("sh0", "shN"), bands, strict=True))
     if layer.color_map is None:
         factors, strength = layer.opacity_factors[entries], layer.strength
         strengths = strength if layer.mask is None else strength * layer.mask[entries].double()
-        changed["opacities"] = _faded(splats.opacities[rows], factors, strengths)
-    return splats.with_rows(rows, changed)
+        tensors["opacities"] = _faded(splats.opacities[rows], factors, strengths)
+    return splats.with_rows(rows, tensors)
 
 
 def _blended(

@@ -233,10 +233,13 @@ class Actions:
         return picking.pick_drawn(self.session.state, camera, inside, how)
 
     def recolor(
-        self, names: list[m.ShortText], setting: m.ShortText, value: float | m.ShortText | None
+        self,
+        names: list[m.ShortText],
+        setting: m.ShortText,
+        value: float | m.ShortText | tuple[m.ShortText, ...] | None,
     ) -> Any:
         """Change a setting of objects' recolouring; `match` is the number of a style picture."""
-        if setting == "match" and value is not None:
+        if setting == "match" and isinstance(value, float | int | str):
             value = str(self._style(int(value)).path)
         state = before = self.session.state
         if not names:

@@ -156,7 +156,8 @@ def recolor_objects(
                 state = solo_layer(replace(state, scene=scene), own)
                 scene = state.scene
             scene = adjust(scene, objects=own, undo=True)
-    words = f"{value:g}" if isinstance(value, float | int) else str(value or "none")
+    words = " ".join(value) if isinstance(value, tuple) else str(value or "none")
+    words = f"{value:g}" if isinstance(value, float | int) else words or "none"
     note = f"Recoloured {', '.join(names)}: {setting} {words.rpartition('/')[2]}"
     return state if scene is state.scene else _with_scene(state, scene, note)
 

@@ -6,17 +6,28 @@ from functools import reduce
 
 import torch
 from jaxtyping import Bool, Float
+from scipy.cluster.vq import kmeans2
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.imaging.color import Palette, color_map, tone_curve, transform_rgb
+from stylesplat.errors import StyleSplatError
+from stylesplat.imaging.color import (
+    Palette,
+    color_map,
+    lab_from_rgb,
+    nearest_colors,
+    thinned,
+    tone_curve,
+    transform_rgb,
+)
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.palette import tone_curves
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import LUMA, SH_C0, Splats, map_bands, rgb_from_sh0, sh0_from_rgb
-from stylesplat.stylization.config import RecolorConfig, parse_color
+from stylesplat.stylization.config import RecolorConfig, parse_color, parse_swap
 from stylesplat.stylization.views import PaintView, total_weights
 
 VARIATION = 0.05  # deviation of the colours that `add_hue_noise` adds, of 1
@@ -212,6 +223,64 @@ def recolor_map(
     steps.append(F.pad(config.contrast * one, (0, 1), value=(1 - config.contrast) / 2))
     last_row = torch.tensor([[0.0, 0.0, 0.0, 1.0]])
     return reduce(lambda a, b: b @ torch.cat([a, last_row]), steps)
+
+
+PALETTE_SIZE = 6  # colours that an object is taken to have, at most
+PALETTE_SEED = 0  # of k-means
+PALETTE_APART = 0.1  # of colours in 0..1: nearer to another's tone curve a colour is a shade of it
+PALETTE_RARE = 0.01  # share of the pixels: rarer colours are none of the palette
+
+
+@torch.no_grad()
+def object_palette(
+    splats: Splats, mask: Bool[Tensor, " N"], cameras: Cameras
+) -> Float[Tensor, "K 3"]:
+    """The main colours of an object as its views show them, in 0..1, the most frequent first.
+
+    They are the means of clusters in Lab (k-means), without those that are shades of another.
+    """
+    colors = thinned(_shown_colors(splats, mask, cameras)).cpu()
+    lab = lab_from_rgb(colors).double().numpy()
+    _, owners = kmeans2(lab, min(PALETTE_SIZE, len(lab)), minit="++", rng=PALETTE_SEED)
+    counts = torch.from_numpy(owners).bincount()
+    kept = counts.argsort(descending=True)
+    kept = kept[counts[kept] >= max(1, PALETTE_RARE * len(colors))]
+    means = torch.stack([colors[torch.from_numpy(owners) == each].mean(dim=0) for each in kept])
+    near = tone_curves(means, means)[1] < PALETTE_APART**2
+    rows = list[int]()
+    for row in range(len(means)):  # shades of a more frequent colour are no colour of their own
+        if not near[row, rows].any():
+            rows.append(row)
+    return means[rows]
+
+
+def swapped_palette(
+    config: RecolorConfig, splats: Splats, mask: Bool[Tensor, " N"], cameras: Cameras
+) -> Float[Tensor, "K 6"] | None:
+    """The object's palette and what its colours become; None if all of them stay.
+
+    A swap is of the palette's nearest colour.
+    """
+    if not config.swap:
+        return None
+    palette = object_palette(splats, mask, cameras)
+    after, swapped = palette.clone(), dict[int, str]()
+    lab = lab_from_rgb(palette)
+    for text in config.swap:
+        before, wanted = map(torch.tensor, parse_swap(text))
+        row = int(nearest_colors(lab_from_rgb(before[None]), lab))
+        if swapped.setdefault(row, text) != text:
+            raise StyleSplatError(
+                f"{swapped[row]} and {text} begin at the same color of the object, which is "
+                f"{hex_of(palette[row])}. Give one of them."
+            )
+        after[row] = wanted
+    return torch.cat([palette, after], dim=1)
+
+
+def hex_of(color: Float[Tensor, "3"]) -> str:
+    """A colour in 0..1 as #rrggbb."""
+    return "#" + "".join(f"{level:02x}" for level in (255 * color).round().int().tolist())
 
 
 def _tint(color: Float[Tensor, " 3"], mean: Float[Tensor, " 3"]) -> Float[Tensor, "3 4"]:

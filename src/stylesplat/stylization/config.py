@@ -22,6 +22,9 @@ class RecolorConfig(Config):
     """How to change colours, in this order. Hue to contrast are as the filters of CSS."""
 
     verb: ClassVar = "recolor"
+    swap: tuple[str, ...] = ()
+    """FROM=TO, a colour of the object and what becomes of it, #rrggbb or names: its other colours,
+    shadows and highlights stay. May be repeated."""
     match: str | None = None
     """File of a picture: the object takes on the mean and covariance of its colours."""
     tint: str | None = None
@@ -41,6 +44,8 @@ class RecolorConfig(Config):
         super().__post_init__()
         if self.tint is not None:
             parse_color(self.tint)
+        for text in self.swap:
+            parse_swap(text)
 
     @property
     def changed(self) -> dict[str, Any]:
@@ -55,7 +60,7 @@ def recolor_config(settings: Mapping[str, Any]) -> RecolorConfig:
     if not config.changed:
         raise StyleSplatError(
             "Nothing to recolor. Pass a --hue, --saturation, --brightness, --contrast, "
-            "--temperature, --tint or --match."
+            "--temperature, --tint, --swap or --match."
         )
     return config
 
@@ -68,6 +73,16 @@ def parse_color(text: str) -> tuple[float, ...]:
         raise StyleSplatError(
             f"There is no color {shorten(text)!r}. Use #rrggbb or a name such as teal."
         ) from None
+
+
+def parse_swap(text: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The two colours of FROM=TO, in 0..1."""
+    before, equals, after = text.partition("=")
+    if not equals:
+        raise StyleSplatError(
+            f"Expected FROM=TO, two colors such as '#a02020=teal', got {shorten(text)!r}."
+        )
+    return parse_color(before), parse_color(after)
 
 
 Network = Literal["compact", "vgg16", "vgg19"]

@@ -10,9 +10,10 @@ from stylesplat.options import check_arguments, check_intensity
 from stylesplat.progress import say
 from stylesplat.scene.layers import RECOLOR, recoloring, shown_like
 from stylesplat.scene.objects import check_name_or_id
+from stylesplat.scene.palette import map_palette
 from stylesplat.scene.scene import Scene, named_layers, require_painted, strengths_of
 from stylesplat.selection.resolve import background_of, find_object
-from stylesplat.stylization.colors import recolor_map
+from stylesplat.stylization.colors import hex_of, object_palette, recolor_map, swapped_palette
 from stylesplat.stylization.config import RecolorConfig, recolor_config
 from stylesplat.stylization.sculpture import with_sculptures
 from stylesplat.stylization.style import all_colors, source_of
@@ -94,7 +95,7 @@ def recolor(
         objects: Names or label ids; `background` is what belongs to no object.
         strength: How much of the change to blend in, 0 to 1.5.
         settings: Fields of `RecolorConfig`: `hue`, `saturation`, `brightness`, `contrast`,
-            `temperature`, `tint`, and `match`, a picture's file.
+            `temperature`, `tint`, `swap`, texts of FROM=TO, and `match`, a picture's file.
 
     Raises:
         StyleSplatError: If there is no such object or it has no Gaussians, a setting is out of
@@ -114,6 +115,17 @@ def recolor(
     return replace(scene, metrics={"train": scene.metrics.get("train", scene.metrics)})
 
 
+@check_arguments
+def palette(scene: Scene, name: str) -> list[str]:
+    """The main colours of an object as #rrggbb, the most frequent first, which `swap` exchanges.
+
+    Raises:
+        StyleSplatError: If there is no such object.
+    """
+    mask = scene.to_splats(find_object(scene, name))
+    return [hex_of(color) for color in object_palette(scene.splats, mask, scene.cameras)]
+
+
 def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) -> Scene:
     check_name_or_id(name)
     known = {*scene.objects, *scene.painted_objects}
@@ -129,10 +141,17 @@ def _recolored(scene: Scene, name: str, config: RecolorConfig, strength: float) 
     picture = None
     if config.match:
         picture = all_colors([resize(read_style(config.match), PICTURE_SIDE)])
+    splats, shown = below.splats, below.to_splats(mask)
+    palette = swapped_palette(config, splats, shown, scene.cameras)
+    if palette is not None:
+        rows = shown.nonzero()[:, 0]
+        bands = map_palette(splats.sh0[rows], splats.shN[rows], palette)
+        splats = splats.with_rows(rows, dict(zip(("sh0", "shN"), bands, strict=True)))
     layer = recoloring(
         name,
         mask.nonzero()[:, 0].cpu(),
-        recolor_map(config, below.splats, below.to_splats(mask), scene.cameras, picture),
+        recolor_map(config, splats, shown, scene.cameras, picture),
+        palette=palette,
         strength=strength,
         styles=(source_of(config.match),) if config.match else (),
         settings={key: value for key, value in config.changed.items() if key != "match"},

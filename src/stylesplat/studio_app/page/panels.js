@@ -169,12 +169,16 @@ function Recolor() {
   const layer = now.layers.find((each) => each.recolor && each.object === names[0]), values = layer?.recolor ?? {};
   const fixed = now.painting || layer?.locked;
   const set = (setting, value) => act("recolor", { names, setting, value });
-  const match = now.styles.findIndex((each) => each.title === values.match);
+  const match = now.styles.findIndex((each) => each.title === values.match), swaps = values.swap ?? [];
   return html`<details><summary>Recolour ${now.selection ? "the selection" : chosen.length ? chosen.join(", ") : "the background"}</summary>
     ${hello.value.recolorings.map((each) => html`<${Slider} label=${each.label} value=${values[each.name] ?? each.value} low=${each.low} high=${each.high} step=${each.step}
       disabled=${fixed} onInput=${(value) => set(each.name, value)} />`)}
     <div class="row"><label class="check"><input type="color" value=${values.tint ?? "#c08040"} disabled=${fixed} onInput=${(event) => set("tint", event.target.value)} /><span>Tint</span></label>
       ${values.tint && html`<${Button} text="No tint" label="Remove the tint" onClick=${() => set("tint", null)} />`}</div>
+    ${swaps.map((each, number) => { const [from, to] = each.split("="); return html`<div class="row"><label class="check"><input type="color" value=${to} disabled=${fixed}
+        onInput=${(event) => set("swap", swaps.with(number, `${from}=${event.target.value}`))} /><span>instead of ${from}</span></label>
+      <${Button} text="Remove" label=${`Do not exchange ${from}`} disabled=${fixed} onClick=${() => set("swap", swaps.toSpliced(number, 1))} /></div>`; })}
+    <div class="row"><label class="check"><input type="color" disabled=${fixed} onChange=${({ target }) => set("swap", [...swaps, `${target.value}=${target.value}`])} /><span>Exchange a colour of it</span></label></div>
     <${Select} label="Match the colours of" value=${String(match)} choices=${[["-1", "no picture"], ...now.styles.map((each, number) => [String(number), each.title])]}
       onChange=${(number) => set("match", number === "-1" ? null : Number(number))} />
     <div class="row"><${Button} text="Own colours" label="Remove the recolouring" disabled=${!layer || fixed} onClick=${() => act("remove_paint", { name: layer.name })} /></div>
