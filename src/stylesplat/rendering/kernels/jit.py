@@ -73,13 +73,15 @@ def no_cache() -> None:
 
 @cache
 def delete_stale_caches(folder: Path) -> None:
-    """Delete cached kernels of a folder that are older than the newest source of the kernels.
+    """Delete cached kernels of a folder that are older than the newest source of what they take.
 
     numba unpickles an index before it compares it with the source. A type that was renamed since,
     as by an upgrade of the package, is an AttributeError then.
     """
     with suppress(OSError):
-        newest = max(each.stat().st_mtime for each in Path(__file__).parent.glob("*.py"))
+        own = Path(__file__).parent
+        sources = own.parent / "reference.py", *own.glob("*.py")
+        newest = max(each.stat().st_mtime for each in sources)
         for kernel in (folder / "__pycache__").glob("*.nb[ic]"):
             if kernel.stat().st_mtime < newest:
                 kernel.unlink(missing_ok=True)
