@@ -27,6 +27,7 @@ NEEDED = (
     "stylesplat/stylization/compact.safetensors",
     "stylesplat/training/adam.cu",
 )
+TOOLS = ("hatchling", "twine", "check-wheel-contents")
 RESULTS = ("report.html", "styled.ply", "styled.html")
 
 
@@ -52,17 +53,20 @@ def build(folder: Path, output: Path) -> tuple[Path, Path]:
     """The sdist, and the wheel that it gives."""
     python = environment(folder)
     pip = (python, "-m", "pip", "--disable-pip-version-check")
-    run(*pip, "install", "-q", "hatchling", "twine", "-c", ROOT / "constraints.txt")
+    run(*pip, "install", "-q", *TOOLS, "-c", ROOT / "constraints.txt")
     run(python, "-m", "hatchling", "build", "-t", "sdist", "-d", output)
     (sdist,) = output.glob("*.tar.gz")
     run(*pip, "wheel", "-q", "--no-deps", "--no-build-isolation", sdist, "-w", output)
     (wheel,) = output.glob("*.whl")
     run(python, "-m", "twine", "check", "--strict", sdist, wheel)
+    run(python.with_name(f"check-wheel-contents{python.suffix}"), wheel)
     return sdist, wheel
 
 
 def check_contents(sdist: Path, wheel: Path) -> None:
     """Raise an AssertionError unless they hold what they should, and no more."""
+    version = wheel.name.split("-")[1]  # that of pyproject.toml; nothing else has one but this
+    assert f"version = {{{version}}}" in (ROOT / "README.md").read_text(), "README's citation"
     for path in (sdist, wheel):
         size = path.stat().st_size
         print(f"{path.name}: {size / 1e6:.1f} MB")
