@@ -10,11 +10,13 @@ much more than a minute. Numba compiles the ray tracer anew each time.
 import argparse
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
+import torch
 from PIL import Image
 
 from stylesplat.io.captures.capture_folder import CAPTURE_EXACT, OBJECT_MASK
@@ -41,6 +43,8 @@ PHOTO_JPEG: dict[str, Any] = {
 }
 PAINTING_JPEG: dict[str, Any] = PHOTO_JPEG | {"quality": 85}
 POINT_STEPS = 256  # of one unit: points are rounded to less than their noise, and compress better
+# The tracer has z up. Written is what `sfm` writes and viewers of splats expect: y down, z ahead
+Y_DOWN = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of all files in the archive: the same capture is the same archive
 NOTE = f"""A still life, ray-traced by scripts/still_life of StyleSplat.
 
@@ -81,7 +85,9 @@ def write_capture(
         Image.fromarray(paint(seed)).save(folder / "styles" / f"{name}.jpg", **PAINTING_JPEG)
     chosen = range(0, views, max(views // POINT_VIEWS, 1))
     points, colors = surface_points(cameras[chosen], [traced[i] for i in chosen], POINTS, seed=seed)
-    points = (points * POINT_STEPS).round() / POINT_STEPS
+    points = (points * POINT_STEPS).round() / POINT_STEPS @ Y_DOWN.T
+    upright = torch.block_diag(Y_DOWN, torch.ones(1, 1))
+    cameras = replace(cameras, viewmats=cameras.viewmats @ upright.T)
     write_transforms(cameras, folder, points=points, point_colors=colors)
     (folder / "README.txt").write_text(NOTE, encoding="utf-8")
     (folder / "object_names.json").write_text(json.dumps(OBJECT_NAMES, indent=1) + "\n")

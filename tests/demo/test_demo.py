@@ -9,6 +9,7 @@ from html import escape
 from pathlib import Path
 
 import pytest
+import torch
 from PIL import Image
 
 import stylesplat as ss
@@ -55,6 +56,10 @@ def test_the_shipped_capture_is_small_and_whole(capture: Path):
     photos, exact = ss.load(capture), ss.load(capture, masks=capture / "object_mask_exact")
     assert len(photos) == 48 and photos.cameras[0].size == (480, 360)
     assert photos.points is not None and len(photos.points) == 40_000
+    above = -photos.cameras.viewmats[:, 1, :3].mean(dim=0)  # of the photos, in the world
+    assert above[1] < -0.8 and above[[0, 2]].abs().max() < 0.1, "upright in viewers: y down"
+    top, table = photos.points[:, 1].quantile(torch.tensor([0.01, 0.9])).tolist()
+    assert top < -0.5 and abs(table) < 0.1, "objects stand on a table at 0"
     assert photos.label_maps is not None and exact.label_maps is not None
     agree = []
     for row in range(0, 48, 8):

@@ -14,7 +14,7 @@ from stylesplat.cli.command import (
     Output,
     mask_command,
 )
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.io.atomic import locked_folder
 
 COLUMNS = {  # of the table: what the result calls them
@@ -41,10 +41,12 @@ class Demo(MakingCommand):
     after_interruption: ClassVar[str] = CONTINUES
 
     def run(self) -> Answer:
-        from stylesplat.demo.demo_run import run_demo
+        from stylesplat.demo.demo_run import PAINTINGS_FOLDER, STYLED, run_demo
 
         with locked_folder(self.output):
             made = run_demo(self.output, overwrite=self.overwrite)
+        styles = ("--styles", self.output / PAINTINGS_FOLDER)
+        studio = shell_command("studio", self.output / STYLED, *styles)
         lines = [
             f"Report: {made['report']}",
             f"Splat: {made['splat']}, which SuperSplat, Blender and other programs open.",
@@ -52,7 +54,7 @@ class Demo(MakingCommand):
             f"Video: {made['video']}",
             f"It took {made['seconds']} s.",
         ]
-        return Answer(made, lines, [mask_command(Path("MyPhotos"))])
+        return Answer(made, lines, [studio, mask_command(Path("MyPhotos"))])
 
 
 @dataclass(frozen=True)

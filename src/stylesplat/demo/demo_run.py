@@ -149,6 +149,7 @@ STYLES = {"vase": "swirling_night", "teapot": "burning_tide"}  # object: paintin
 OBJECT_NAMES = {1: "vase", 2: "teapot"}
 ENLARGEMENT = 2  # of the views before and after: the report shows them that wide
 CAPTURE, SPLAT, PAGE, VIDEO = "capture", "styled.ply", "styled.html", "orbit.mp4"
+STYLED, PAINTINGS_FOLDER = "styled", f"{CAPTURE}/styles"
 
 
 def run_demo(
@@ -169,9 +170,9 @@ def run_demo(
     start = time.monotonic()
     capture = copy_capture(output / CAPTURE, archive)
     scene = _train(capture, output / "scene", training, overwrite=overwrite)
-    paintings = {name: capture / "styles" / f"{style}.jpg" for name, style in STYLES.items()}
+    paintings = {name: output / PAINTINGS_FOLDER / f"{style}.jpg" for name, style in STYLES.items()}
     styled = stylize(scene, {name: Style(path, config=styling) for name, path in paintings.items()})
-    save(styled, output / "styled", overwrite=True)
+    save(styled, output / STYLED, overwrite=True)
     _render(scene, styled, output)
     for name in (SPLAT, PAGE):
         export(styled, output / name, overwrite=True)
