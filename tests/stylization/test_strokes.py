@@ -11,6 +11,7 @@ from torch.nn import functional as F
 from scenes import joined, rand
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.scene.splats import Splats, sh0_from_rgb
+from stylesplat.stylization.guides import Guides
 from stylesplat.stylization.trim import LONG, NARROW, align_to_strokes
 
 COUNT = 24  # discs along each side of a plane
@@ -117,6 +118,18 @@ def test_the_other_side_of_a_thin_sheet_has_no_say():
     found = align_to_strokes(both, discs, DISTANCE).quats[: len(DISCS)]
     along = (rotation_matrices(found[DISCS][INSIDE])[:, :, 0] @ way(0.0)).abs()
     assert along.min() > math.cos(math.radians(15))
+
+
+def test_discs_turn_along_a_line_where_it_counts():
+    splats, line = plane(stripes(0.0)), way(1.2)
+    middle = splats.means[DISCS].mean(dim=0)
+    guides = Guides(middle[None], line[None], reach=5 * DISTANCE)
+    turned = align_to_strokes(splats, DISCS, DISTANCE, guides)
+    axes = rotation_matrices(turned.quats[DISCS])[:, :, 0]
+    away = (splats.means[DISCS] - middle).norm(dim=1)
+    near, far = away < 2 * DISTANCE, INSIDE & (away > 9 * DISTANCE)
+    assert ((axes[near] @ line).abs() > math.cos(math.radians(15))).all()
+    assert ((axes[far] @ way(0.0)).abs() > math.cos(math.radians(20))).all()
 
 
 def test_few_discs():

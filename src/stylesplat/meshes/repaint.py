@@ -31,6 +31,7 @@ from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 from stylesplat.stylization.config import STYLE_PRESETS, WINDOW, Stage, without_retired
 from stylesplat.stylization.features import Cells
 from stylesplat.stylization.form import survey_detail
+from stylesplat.stylization.guides import Guides
 from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
 from stylesplat.stylization.painting import PaintSetup, load_network, paint_setup
 from stylesplat.stylization.style import KEPT_HUES, Style, all_colors, style_pictures
@@ -110,7 +111,10 @@ def repaint(
     images = style_pictures(style.read(), config, before if config.color in KEPT_HUES else None)
     palette = None if config.color == "free" else build_palette(all_colors(images))
     detail = survey_detail(unpainted, every, boxes)
-    objective = stage_objective(setup, config, images, stage, detail, palette, rate=CANVAS_RATE)
+    guides = Guides.of(config, setup.splats, every)
+    objective = stage_objective(
+        setup, config, images, stage, detail, palette, rate=CANVAS_RATE, guides=guides
+    )
     found = _texel_views(mesh, texels, setup.network.cells(config.block), boxes, stage, config.seed)
     colors = painted = sh0_from_rgb(before)
     targets = objective.targets(found, unpainted, colors)

@@ -102,6 +102,19 @@ WINDOW = 160  # pixels: a step in a window costs as much as a coarse step
 MANY_DISCS, MOST_DISCS = 300_000, 3.0
 
 
+def parse_guide(text: str) -> tuple[float, ...]:
+    """The coordinates of a line that strokes follow."""
+    try:
+        found = tuple(map(float, text.split(",")))
+    except ValueError:
+        found = ()
+    if len(found) < 6 or len(found) % 3 or not all(map(math.isfinite, found)):
+        raise StyleSplatError(
+            f"Cannot follow the line {shorten(text)!r}. Give x,y,z,x,y,z,... of two places or more."
+        )
+    return found
+
+
 @dataclass(frozen=True)
 class Stage:
     """Steps that render the object at one size."""
@@ -178,6 +191,13 @@ class StyleConfig(Config):
     pattern, such as eyes, a mouth, folds. Above 1 strokes give way to it."""
     content: Annotated[float, Option(0, 10_000, label="Keep pattern")] = 0.0
     """How much of the object's own features to keep, pattern included: 0 none, 1 nearly all."""
+    guides: Annotated[tuple[str, ...], Option(research=True)] = ()
+    """Lines on the object that the strokes near them follow, each as `x,y,z,x,y,z,...` in the
+    world."""
+    guide_reach: Annotated[
+        float, Option(0.01, 1, research=True, label="Reach of lines", slider=(0.02, 0.5), step=0.01)
+    ] = 0.1
+    """How far strokes follow a line, in extents of the object."""
     protect: Annotated[tuple[str, ...], Option(research=True)] = ()
     """Names of objects, such as its eyes, that get none of its paint."""
     object_size: Annotated[int | None, Option(1, 10_000, research=True)] = None
@@ -197,6 +217,13 @@ class StyleConfig(Config):
                 f"Cannot stylise with quality {self.quality} as the paper does: its method has one "
                 "quality. Leave it out, or take the default preset."
             )
+        if self.published and self.guides:
+            raise StyleSplatError(
+                "Cannot stylise with guides as the paper does: its strokes follow no lines. Leave "
+                "them out, or take the default preset."
+            )
+        for guide in self.guides:
+            parse_guide(guide)
 
     @property
     def all_steps(self) -> int:

@@ -26,6 +26,7 @@ from stylesplat.stylization.form import (
     form_distance,
     measure_form,
 )
+from stylesplat.stylization.guides import GUIDED_LEAST, Guides, TurnedStyle, turned_style
 from stylesplat.stylization.matching import Potentials, StyleIndex, build_index, cosine_distance
 from stylesplat.stylization.painting import PaintSetup
 from stylesplat.stylization.style import style_features, style_parts
@@ -60,6 +61,8 @@ class ViewTarget:
     """The features of the unpainted object."""
     shapes: Float[Tensor, "3 h w"] | None = None
     """The large shapes of the paint so far."""
+    flow: Float[Tensor, "P 2"] | None = None
+    """How strokes are to run; see `Guides.flow`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,9 @@ class Objective:
     form: FormSurvey
     palette: Palette | None = None
     """The colours to stay near to; None leaves them free."""
+    guides: Guides | None = None
+    turned: TurnedStyle | None = None
+    """The features for strokes that follow the guides."""
 
     @torch.no_grad()
     def targets(
@@ -85,6 +91,7 @@ class Objective:
 
         The `original` is the unpainted scene; the large shapes of `painted` colours are to stay.
         """
+        around = self.guides and self.guides.tensors(original.means)
 
         def look(view: PaintView) -> ViewTarget:
             cells = view.cells.nonzero(as_tuple=True)
@@ -98,7 +105,12 @@ class Objective:
                 if self.config.content > 0:
                     content = self._features(image, cells)
             shapes = None if painted is None else _large_shapes(view, view.render(painted))
-            return ViewTarget(view, cells, form, content, shapes)
+            flow = None
+            if self.guides is not None and around is not None:
+                pixels = self.guides.flow(original, view.camera, around).permute(2, 0, 1)[None]
+                stride = self.network.cells(self.config.block).stride
+                flow = F.avg_pool2d(pixels, stride)[0].permute(1, 2, 0)[cells]
+            return ViewTarget(view, cells, form, content, shapes, flow)
 
         return [*per_view(look, views, "measuring the form", original.device)]
 
@@ -117,7 +129,12 @@ class Objective:
         if potentials is None:
             potentials = self.style.no_favour()
         matches, potentials = self.style.nearest(feats.detach(), potentials)
-        nnfm = total = cosine_distance(feats, self.style.directions.index_select(0, matches))
+        wanted = self.style.directions.index_select(0, matches)
+        if self.turned is not None and target.flow is not None:
+            rows = (target.flow.norm(dim=1) > GUIDED_LEAST).nonzero()[:, 0]
+            own = feats.detach()[rows], target.flow[rows]
+            wanted = wanted.index_copy(0, rows, self.turned.nearest(*own, potentials.favour))
+        nnfm = total = cosine_distance(feats, wanted)
         if target.form is not None:
             own, bands = target.form
             distance = form_distance(own.average(image), own.mask, own.length, bands)
@@ -160,6 +177,7 @@ def stage_objective(
     *,
     rate: float = 1.0,
     balanced: bool = True,
+    guides: Guides | None = None,
 ) -> Objective:
     """The objective of a stage, with a factor on its rate; see `StyleIndex` for `balanced`."""
     network = setup.network.to(setup.splats.device, setup.precision)
@@ -167,13 +185,18 @@ def stage_objective(
     if stage.fine:
         generator = torch.Generator().manual_seed(config.seed)
         features = features[torch.randperm(len(features), generator=generator)[:STYLE_FEATURES]]
+    index, turned = build_index(features, setup.precision, balanced=balanced), None
+    if guides is not None:
+        turned = turned_style(network, config, images, stage.length, index)
     return Objective(
         network=network,
-        style=build_index(features, setup.precision, balanced=balanced),
+        style=index,
         config=replace(config, lr=stage.rate * rate * config.lr),
         length=stage.length,
         form=form,
         palette=palette,
+        guides=guides,
+        turned=turned,
     )
 
 

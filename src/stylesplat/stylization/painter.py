@@ -49,6 +49,7 @@ from stylesplat.stylization.config import (
 )
 from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.form import FormSurvey, form_relief, survey_detail
+from stylesplat.stylization.guides import Guides
 from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
 from stylesplat.stylization.painting import (
     Painting,
@@ -93,6 +94,7 @@ class Subject:
     """Where the object is visible, in the views to optimise on."""
     detail: FormSurvey
     canvas: Canvas
+    guides: Guides | None = None
 
     @property
     def stages(self) -> list[Stage]:
@@ -146,7 +148,8 @@ def paint_steps(
     boxes = require_boxes(setup, painting)
     detail = survey_detail(setup.splats, painting.mask, boxes)
     canvas = Canvas.without_discs(setup.splats, painting.mask)
-    subject = Subject(setup, painting, boxes, detail, canvas)
+    guides = Guides.of(painting.config, setup.splats, painting.mask)
+    subject = Subject(setup, painting, boxes, detail, canvas, guides)
     first, *_ = stages = subject.stages
     short = replace(first, steps=min(PREVIEW_STEPS, first.steps))
     previews = [short] if preview and painting.config.max_discs(1) > 0 else []
@@ -275,6 +278,7 @@ def paint_stage(
         subject.detail,
         goal.palette,
         rate=CANVAS_RATE if canvas.is_disc.any() else 1.0,
+        guides=subject.guides,
     )
     targets = objective.targets(views, canvas.before, colors if stage.fine else None)
     relief = torch.zeros_like(canvas.splats.opacities)
@@ -333,6 +337,7 @@ def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Float[Ten
         subject.setup.all_cameras,
         painted=subject.painted(colors),
         protected=subject.painting.protected,
+        guides=subject.guides,
     )
     subject, colors = subject.on(canvas), colors[kept[subject.rows]]
     length = min(typical_length(subject.boxes), FINEST)

@@ -49,6 +49,7 @@ from stylesplat.stylization.canvas import (
     pixels_shown,
     poisson_disk_sample,
 )
+from stylesplat.stylization.guides import Guides
 from stylesplat.stylization.views import ObjectBox, box_cameras, per_view, reached_pixels
 
 SPILL_VIEWS = 24  # that are checked: discs lie on the very outline of the object
@@ -87,6 +88,7 @@ def trim_surfels(
     *,
     painted: Splats | None = None,
     protected: Bool[Tensor, " B"] | None = None,
+    guides: Guides | None = None,
 ) -> tuple[Canvas, Bool[Tensor, " M"]]:
     """Turn the discs of a canvas along the strokes, and let none show beside the object.
 
@@ -96,7 +98,7 @@ def trim_surfels(
     """
     splats, round_discs = canvas.before, canvas.splats
     if painted is not None:
-        turned = align_to_strokes(painted, canvas.is_disc, canvas.spacing)
+        turned = align_to_strokes(painted, canvas.is_disc, canvas.spacing, guides)
         canvas = canvas.changed(quats=turned.quats, scales=turned.scales)
     coarser = min(SPILL_COARSER, max(1.0, float(cameras.sizes.max()) / LEAST_SIZE))
     checked = cameras[[*evenly_spaced(range(len(cameras)), SPILL_VIEWS)]].downscale(coarser)
@@ -198,8 +200,10 @@ def restore_in_holes(canvas: Canvas) -> Canvas:
 
 
 @torch.no_grad()
-def align_to_strokes(splats: Splats, discs: Bool[Tensor, " N"], distance: float) -> Splats:
-    """Turn discs along the strokes painted so far, and stretch them.
+def align_to_strokes(
+    splats: Splats, discs: Bool[Tensor, " N"], distance: float, guides: Guides | None = None
+) -> Splats:
+    """Turn discs along the strokes painted so far, or along lines to follow, and stretch them.
 
     In each disc's tangent plane the structure tensor of the painted luminance gives the direction
     (the eigenvector of its smaller eigenvalue) and how coherent it is (Weickert 1999). The third
@@ -221,6 +225,8 @@ def align_to_strokes(splats: Splats, discs: Bool[Tensor, " N"], distance: float)
     gradients = _gradients(means / distance, tangents, luma, near, weights(GRADIENT_WIDTH))
     local = torch.einsum("dij,dki->dkj", tangents, gradients[near])
     tensors = torch.einsum("dk,dki,dkj->dij", weights(TENSOR_WIDTH), local, local)
+    if guides is not None:
+        tensors = _along_guides(tensors, tangents, guides.tensors(means))
     # The eigenvectors in closed form: cuSOLVER takes few matrices at once
     twice, sums = 2 * tensors[:, 0, 1], tensors[:, 0, 0] + tensors[:, 1, 1]
     apart = tensors[:, 0, 0] - tensors[:, 1, 1]
@@ -234,6 +240,20 @@ def align_to_strokes(splats: Splats, discs: Bool[Tensor, " N"], distance: float)
         "scales": splats.scales[rows] + stretch.log(),
     }
     return splats.with_rows(rows, turned)
+
+
+def _along_guides(
+    tensors: Float[Tensor, "D 2 2"],
+    tangents: Float[Tensor, "D 3 2"],
+    around: Float[Tensor, "D 3 3"],
+) -> Float[Tensor, "D 2 2"]:
+    """Structure tensors, of trace 1, of strokes that follow lines as far as these count."""
+    shares = around.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    own = torch.einsum("dia,dij,djb->dab", tangents, around, tangents)
+    sums = own.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    across = torch.eye(2).to(own) - own / sums.clamp(min=1e-12)
+    sums = tensors.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    return (tensors / sums.clamp(min=1e-12)).lerp(across, shares)
 
 
 def _gradients(
