@@ -8,7 +8,7 @@ from .masks.grabcut import Stroke as Stroke
 from .scene.cameras import Cameras as Cameras
 from .scene.capture import Capture as Capture
 from .scene.scene import Scene as Scene
-from .scene.splats import Gaussians as Gaussians
+from .scene.splats import ActivatedGaussians as ActivatedGaussians
 from .scene.splats import Splats as Splats
 from .scene.splats import from_gaussians as from_gaussians
 from .studio_app.studio import studio as studio

@@ -25,7 +25,7 @@ from stylesplat.io.files import FILE_DISK_FULL, reason
 from stylesplat.io.json_yaml import read_json
 from stylesplat.progress import Task, say, task
 
-MODELS = "STYLESPLAT_MODELS"  # environment variable
+MODELS_VARIABLE = "STYLESPLAT_MODELS"  # environment variable
 DTYPES = {"F32": torch.float32, "F16": torch.float16, "BF16": torch.bfloat16}
 LENGTH_BYTES = 8  # the file begins with the header's length, little-endian
 HUB_MAX_HEADER = 2**24  # a longer header is no header
@@ -175,7 +175,7 @@ def models_folder() -> str:
     """Where models are kept: STYLESPLAT_MODELS of the environment, or the hub's cache."""
     from huggingface_hub import constants
 
-    return os.environ.get(MODELS) or constants.HF_HUB_CACHE
+    return os.environ.get(MODELS_VARIABLE) or constants.HF_HUB_CACHE
 
 
 def _is_whole(folder: Path) -> bool:

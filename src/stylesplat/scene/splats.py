@@ -175,7 +175,7 @@ class Splats:
         """The same values, cut from any autograd graph."""
         return self.map(Tensor.detach)
 
-    def activated(self) -> "Gaussians":
+    def activated(self) -> "ActivatedGaussians":
         """The values that renderers of other programs take, as `from_gaussians` has them.
 
         They are computed in 64 bits and rounded to the type of the tensors once. So float32 keeps
@@ -188,7 +188,7 @@ class Splats:
         """
         norms = self.quats.double().norm(dim=1, keepdim=True)
         is_unit = (norms - 1).abs() < UNIT_ERROR  # stays, to the bit
-        return Gaussians(
+        return ActivatedGaussians(
             self.means,
             torch.where(is_unit, self.quats, (self.quats / norms).to(self.quats)),
             self.scales.double().exp().to(self.scales),
@@ -197,7 +197,7 @@ class Splats:
         )
 
 
-class Gaussians(NamedTuple):
+class ActivatedGaussians(NamedTuple):
     """N Gaussians as renderers take them: scales and opacities are activated."""
 
     means: Float[Tensor, "N 3"]
