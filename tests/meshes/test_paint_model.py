@@ -14,7 +14,7 @@ import stylesplat as ss
 from scenes import glb_of, glb_parts
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.models.model import base_colors, displayed
-from stylesplat.io.models.model_files import read_model
+from stylesplat.io.models.model_files import read_model, write_model
 from stylesplat.meshes.paint_model import in_unit_ball, lay_out, sample_discs
 from stylesplat.scene.splats import rgb_from_sh0
 
@@ -164,18 +164,25 @@ def test_painting_changes_base_colours_alone(tmp_path: Path, picture: Path):
     assert sum(len(each.faces) for each in loaded.geometry.values()) == found["faces"]
 
 
-def test_what_is_named_gets_new_uvs_and_the_rest_stays(tmp_path: Path, picture: Path):
+def repainted(source: Path, output: Path, names: tuple[str, ...] = (), size: int = SIZE) -> int:
+    """Write a mesh with noise in the place of paint; returns how many faces got new UVs."""
+    found = read_model(source)
+    parts = [part for part in found.parts if not names or {*names} & {*part.names}]
+    layout = lay_out(parts, in_unit_ball(parts), size)
+    noise = np.random.default_rng(0).random(layout.mesh.texture.shape, np.float32)
+    write_model(found, layout.parts, layout.pictures(noise), output)
+    return sum(len(each.part.faces) for each in layout.parts if each.unwrapped is not None)
+
+
+def test_new_uvs_show_each_place_of_the_surface_once(tmp_path: Path):
     path, output = model(tmp_path, shared_uvs=True), tmp_path / "painted.glb"
-    style = ss.Style(picture, **QUICK)
-    found = ss.stylize_mesh(path, {"red paint": style}, output, texture_size=SIZE)
-    assert found["unwrapped"] == found["faces"]
-    document, _ = glb_parts(output)
+    assert repainted(path, output, ("red paint",)) == len(read_model(path).parts[0].faces)
+    (given, _), (document, _) = glb_parts(path), glb_parts(output)
     (primitive,) = document["meshes"][0]["primitives"]
     info = document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
     assert info["texCoord"] == 1 and {"TEXCOORD_0", "TEXCOORD_1"} <= {*primitive["attributes"]}
     assert document["materials"][0]["normalTexture"] == {"index": 1}  # at the UVs it had
-    given, _ = glb_parts(path)
-    assert document["materials"][1] == given["materials"][1]
+    assert document["materials"][1] == given["materials"][1]  # which has no paint
     assert document["meshes"][1] == given["meshes"][1]
     before, after = (read_model(each).parts[0] for each in (path, output))
     for one, other in zip(before.vertices[before.faces], after.vertices[after.faces], strict=True):
@@ -197,6 +204,21 @@ def test_ply_and_obj_are_read(tmp_path: Path):
     assert displayed(np.array([[0.0, 0.5, 1.0]]))[0, 1] == pytest.approx(0.735, abs=1e-3)
     (tmp_path / "b.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 4 3\n")
     assert sum(len(part.faces) for part in read_model(tmp_path / "b.obj").parts) == 2
+
+
+def test_an_obj_gets_its_material_and_picture(tmp_path: Path, picture: Path):
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    output = tmp_path / "painted.obj"
+    assert repainted(tmp_path / "box.ply", output, size=64) == 12
+    (own,) = tmp_path.glob("painted-*.png")
+    assert f"map_Kd {own.name}" in output.with_suffix(".mtl").read_text()
+    again: Any = trimesh.load_mesh(output)
+    texture = np.asarray(again.visual.material.image.convert("RGB"))
+    assert texture.shape == (64, 64, 3) and texture.std() > 5
+    assert len(again.faces) == 12 and len(again.visual.uv) == len(again.vertices)
+    output.unlink()  # what lies beside is not replaced either
+    with pytest.raises(StyleSplatError, match=r"painted\.mtl exists"):
+        ss.stylize_mesh(tmp_path / "box.ply", picture, tmp_path / "painted.obj")
 
 
 def no_faces(folder: Path) -> Path:

@@ -46,7 +46,7 @@ class Stylize(MakingCommand):
 
     scene: Annotated[Positional[Path], arg(help="Folder of the scene; or a .glb, .obj or .ply.")]
     output: Output
-    """Folder of the styled scene to make; of a mesh, a .glb file."""
+    """Folder of the styled scene to make; of a mesh a .glb, or of .obj and .ply an .obj."""
     style: UseAppendAction[tuple[str, ...]] = ()
     """OBJECT=IMAGE or OBJECT=IMAGE,IMAGE; OBJECT is a name that `select` gave, or a label id, IMAGE
     a file or a material (material:bronze, marble, gold-leaf, clay or jade). May be repeated. Of a

@@ -53,7 +53,8 @@ def stylize_mesh(
         mesh: A `.glb`, `.obj` or `.ply` file.
         styles: Pictures or a `Style` for all of it; or by the names of nodes, groups or materials,
             of which each is painted for itself and what has none stays.
-        output: The `.glb` file to make.
+        output: The `.glb` file to make; of an `.obj` or `.ply` also an `.obj`, with its `.mtl` and
+            pictures beside it.
         features: The network whose features are matched.
         weights: The network's file.
         texture_size: Pixels of a side of the texture, a power of two; of several textures their

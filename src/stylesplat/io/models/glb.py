@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
 
-from stylesplat.io.atomic import atomic_path
 from stylesplat.io.images import decode_embedded, picture_bytes
 from stylesplat.io.models.model import Model, PaintedPart, Part
 from stylesplat.io.splats.gltf import matrix_of
@@ -184,13 +183,18 @@ def _image(document: Json, texture: Json) -> Json:
     return document["images"][texture.get("source", other)]
 
 
-def write_glb_model(
+def painted_glb(
     model: Model,
     painted: Sequence[PaintedPart],
     pictures: Sequence[UInt8[np.ndarray, "S S 4"]],
-    path: Path,
-) -> None:
-    """Write a GLB whose painted parts have new base colours; all other bytes are as they were."""
+    *,
+    plain: bool = False,
+) -> bytes:
+    """A GLB whose painted parts have new base colours; all other bytes are as they were.
+
+    With `plain` new UVs take the place of the first ones, and factors are spelled out, for programs
+    that know no others.
+    """
     content: GlbContent = model.content
     document, binary = json.loads(content.text), bytearray(content.gltf.binary or b"")
     document.setdefault("textures", [])
@@ -213,18 +217,17 @@ def write_glb_model(
             document["textures"].append({"source": image, **sampler})
         wanted[mesh, row] = (info or {}) | {"index": textures[key]}
         if each.unwrapped is not None:
-            uv_set = _rewrap(content.gltf, document, binary, primitive, each)
+            uv_set = _rewrap(content.gltf, document, binary, primitive, each, plain=plain)
             wanted[mesh, row] = {"index": textures[key], "texCoord": uv_set}
-    _set_materials(document, wanted)
+    _set_materials(document, wanted, plain=plain)
     document["buffers"][0]["byteLength"] = len(binary)
     binary += bytes(-len(binary) % 4)
     head = bytearray(glb_head(padded_json(document), len(binary)))
     head[8:12] = (len(head) + len(binary) + len(content.rest)).to_bytes(4, "little")
-    with atomic_path(path) as draft:
-        draft.write_bytes(bytes(head + binary) + content.rest)
+    return bytes(head + binary) + content.rest
 
 
-def _set_materials(document: Json, wanted: dict[tuple[int, int], Json]) -> None:
+def _set_materials(document: Json, wanted: dict[tuple[int, int], Json], *, plain: bool) -> None:
     """Give primitives base colours; a material that others need as it is gets a copy."""
     primitives = {
         (mesh, row): primitive
@@ -245,8 +248,9 @@ def _set_materials(document: Json, wanted: dict[tuple[int, int], Json]) -> None:
             if before is None:
                 base["metallicFactor"] = 0.0
             base["baseColorTexture"] = info
-            if "baseColorFactor" in base:
-                base["baseColorFactor"] = [1.0, 1.0, 1.0, base["baseColorFactor"][3]]
+            if plain or "baseColorFactor" in base:
+                alpha = base.get("baseColorFactor", [1.0] * 4)[3]
+                base["baseColorFactor"] = [1.0, 1.0, 1.0, alpha]
         wanted[place] = {"material": made[key]}
     for place, found in wanted.items():
         primitives[place].update(found)
@@ -274,7 +278,13 @@ def _add_image(
 
 
 def _rewrap(
-    gltf: Gltf, document: Json, binary: bytearray, primitive: Json, painted: PaintedPart
+    gltf: Gltf,
+    document: Json,
+    binary: bytearray,
+    primitive: Json,
+    painted: PaintedPart,
+    *,
+    plain: bool,
 ) -> int:
     """Give a primitive new UVs, a vertex more at each seam, and return the number of the UVs."""
     new = painted.unwrapped
@@ -294,7 +304,8 @@ def _rewrap(
     primitive["attributes"] = gathered(primitive["attributes"])
     if "targets" in primitive:
         primitive["targets"] = [gathered(target) for target in primitive["targets"]]
-    number = sum(name.startswith("TEXCOORD_") for name in primitive["attributes"])
+    known = sum(name.startswith("TEXCOORD_") for name in primitive["attributes"])
+    number = 0 if plain else known
     uvs = _add_accessor(document, binary, new.uvs.astype("<f4"), {"componentType": GL_FLOAT})
     primitive["attributes"][f"TEXCOORD_{number}"] = uvs
     rows = new.faces.reshape(-1, 1).astype("<u4")

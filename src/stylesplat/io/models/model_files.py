@@ -1,19 +1,22 @@
 """Meshes that others made: GLB, and what trimesh makes a GLB of (OBJ with its material, PLY)."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import refuse_file
+from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.io.files import is_there, read_bytes, reading
-from stylesplat.io.models.glb import parse_glb, write_glb_model
+from stylesplat.io.models.glb import painted_glb, parse_glb
 from stylesplat.io.models.model import Model, PaintedPart
 
-GLB, CONVERTED = ".glb", (".obj", ".ply")
+GLB, OBJ, MATERIALS = ".glb", ".obj", ".mtl"
+CONVERTED = (OBJ, ".ply")
 MODELS = (GLB, *CONVERTED)
 MODEL_REMEDY = "Export it again as .glb."
 
@@ -29,9 +32,15 @@ def refuse_model_file(source: Path, output: Path, *, overwrite: bool) -> None:
         raise StyleSplatError(f"Cannot read {source} as a mesh. Give a {', '.join(MODELS)}.")
     if not is_there(source):
         raise StyleSplatError(f"There is no mesh {source}. Check the name.")
-    if output.suffix.lower() != GLB:
-        raise StyleSplatError(f"Cannot write the painted mesh to {output}. Use a name in {GLB}.")
-    refuse_file(output, overwrite=overwrite)
+    kinds = (GLB, OBJ) if source.suffix.lower() in CONVERTED else (GLB,)
+    if output.suffix.lower() not in kinds:
+        fact = f"Cannot write the painted mesh of {source} to {output}"
+        raise StyleSplatError(f"{fact}. Use a name in {' or '.join(kinds)}.")
+    files = [output]
+    if output.suffix.lower() == OBJ:
+        files += [output.with_suffix(MATERIALS), *output.parent.glob(f"{output.stem}-*.png")]
+    for file in files:
+        refuse_file(file, overwrite=overwrite)
 
 
 def read_model(path: Path) -> Model:
@@ -51,8 +60,33 @@ def write_model(
     pictures: Sequence[UInt8[np.ndarray, "S S 4"]],
     path: Path,
 ) -> None:
-    """Write a mesh with the new base colours of its painted parts."""
-    write_glb_model(model, painted, pictures, path)
+    """Write a mesh with the new base colours of its painted parts.
+
+    An OBJ gets its materials and pictures beside it, by names that begin as its own.
+    """
+    if path.suffix.lower() == GLB:
+        with atomic_path(path) as draft:
+            draft.write_bytes(painted_glb(model, painted, pictures))
+        return
+    import trimesh
+    from trimesh.exchange.obj import export_obj
+
+    content = BytesIO(painted_glb(model, painted, pictures, plain=True))
+    materials = path.with_suffix(MATERIALS)
+    text, files = export_obj(
+        trimesh.load_scene(content, file_type="glb"),
+        include_normals=True,
+        return_texture=True,
+        mtl_name=materials.name,
+    )
+    named = files.pop(materials.name).decode()
+    with ExitStack() as stack:
+        for name, picture in files.items():
+            own = f"{path.stem}-{name}"
+            named = named.replace(f"map_Kd {name}", f"map_Kd {own}")
+            stack.enter_context(atomic_path(path.with_name(own))).write_bytes(picture)
+        stack.enter_context(atomic_path(materials)).write_text(named)
+        stack.enter_context(atomic_path(path)).write_text(text)
 
 
 def _converted(path: Path) -> bytes:
