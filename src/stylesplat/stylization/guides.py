@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
@@ -16,6 +15,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.photo_libraries import cv2
 from stylesplat.rendering.weights import composite
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import project
