@@ -18,12 +18,15 @@ from hypothesis import strategies as st
 import stylesplat as ss
 from balls import CAMERAS
 from capture_files import save_noise, write_ball_capture, write_capture
+from glb_models import write_model_glb
 from ksplat_files import write_ksplat
 from processes import VERBS, write_jobs
 from scenes import COUNT, full_scene, random_splats, write_checkpoint
 from stylesplat.batch_jobs.job_file import plan_batch
 from stylesplat.io.gaussian_lists import read_objects
+from stylesplat.io.models.model_files import read_model
 from stylesplat.io.splats import splat_files
+from stylesplat.meshes.paint_model import in_unit_ball, sample_discs
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 LONGEST = 2000  # characters of a line that somebody is to read
@@ -61,6 +64,17 @@ def read_splats(folder: Path, suffix: str) -> None:
 def finite(*tensors: torch.Tensor | None) -> None:
     """Raise an error, which is no answer, if something read is not finite."""
     assert all(tensor is None or tensor.isfinite().all() for tensor in tensors)
+
+
+def write_mesh(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    write_model_glb(folder)
+
+
+def read_mesh(folder: Path) -> None:
+    """Read all that painting reads."""
+    parts = read_model(folder / "model.glb").parts
+    sample_discs(parts, in_unit_ball(parts), texture_size=32, seed=0)
 
 
 def read_scene(folder: Path) -> None:
@@ -156,6 +170,7 @@ FORMATS = {
             *("usda", "usdc", "usdz", "pt"),
         )
     },
+    "mesh": Format(write_mesh, ("model.glb",), read_mesh),
     "scene": Format(
         lambda folder: ss.save(full_scene(), folder / "scene"),
         ("scene/*.*", "scene/layers/*"),

@@ -11,100 +11,17 @@ import trimesh
 from PIL import Image
 
 import stylesplat as ss
+from glb_models import write_model_glb
 from scenes import glb_of, glb_parts
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.models.model import base_colors, displayed
 from stylesplat.io.models.model_files import read_model, write_model
+from stylesplat.io.splats.gltf_file import open_gltf
 from stylesplat.meshes.paint_model import in_unit_ball, lay_out, sample_discs
 from stylesplat.scene.splats import rgb_from_sh0
 
 SIZE = 128  # of textures
 QUICK: dict[str, Any] = {"quality": "draft", "steps": 2}
-
-
-def png(color: tuple[int, ...], size: int = 8) -> bytes:
-    file = io.BytesIO()
-    mode = "RGBA" if len(color) == 4 else "RGB"
-    Image.new(mode, (size, size), color).save(file, "png")
-    return file.getvalue()
-
-
-def sphere_arrays(radius: float, x: float) -> dict[str, np.ndarray]:
-    """A ball of few faces around (x, 0, 0), with UVs of one place each."""
-    ball = trimesh.creation.uv_sphere(radius=radius, count=[12, 12])
-    points = np.asarray(ball.vertices, np.float32)
-    corners = points[ball.faces.reshape(-1)]  # each face has its own place in the texture
-    side = int(np.ceil(np.sqrt(len(ball.faces))))
-    cells = np.stack(np.divmod(np.arange(len(ball.faces)), side), axis=1)
-    local = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]])
-    uvs = ((cells[:, None] + local) / side).reshape(-1, 2).astype(np.float32)
-    normals = corners / radius
-    return {
-        "POSITION": corners + np.array([x, 0, 0], np.float32),
-        "NORMAL": normals,
-        "TEXCOORD_0": uvs,
-    }
-
-
-def model(folder: Path, *, shared_uvs: bool = False) -> Path:
-    """Two balls, red and green, with bones, an animation, and a normal map on the first."""
-    document: dict[str, Any] = {
-        "asset": {"version": "2.0", "extras": {"kept": [1.5]}},
-        "scene": 0,
-        "scenes": [{"nodes": [0, 1]}],
-        "nodes": [
-            {"name": "left", "mesh": 0, "scale": [2, 2, 2]},
-            {"name": "right", "mesh": 1, "extras": {"kept": True}},
-        ],
-        "meshes": [],
-        "accessors": [],
-        "bufferViews": [],
-        "buffers": [{}],
-        "images": [{"bufferView": n, "mimeType": "image/png"} for n in range(2)],
-        "samplers": [{"wrapS": 33071}],
-        "textures": [{"source": 0, "sampler": 0}, {"source": 1}],
-        "materials": [
-            {
-                "name": "red paint",
-                "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "roughnessFactor": 0.4},
-                "normalTexture": {"index": 1},
-            },
-            {
-                "name": "green paint",
-                "pbrMetallicRoughness": {"baseColorFactor": [0.0, 1.0, 0.0, 1.0]},
-            },
-        ],
-        "extensionsUsed": ["EXT_unknown"],
-        "extensions": {"EXT_unknown": {"kept": "\u00e4"}},
-    }
-    binary = bytearray()
-
-    def view(content: bytes) -> int:
-        binary.extend(bytes(-len(binary) % 4))
-        views = document["bufferViews"]
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(content)})
-        binary.extend(content)
-        return len(views) - 1
-
-    view(png((255, 0, 0)))
-    view(png((128, 128, 255)))
-    for number in range(2):
-        attributes = {}
-        for name, rows in sphere_arrays(0.5, 2.0 * number).items():
-            rows = rows * 0.1 if shared_uvs and name == "TEXCOORD_0" else rows
-            rows = rows % 0.02 if shared_uvs and name == "TEXCOORD_0" else rows
-            attributes[name] = len(document["accessors"])
-            kind = {2: "VEC2", 3: "VEC3"}[rows.shape[1]]
-            accessor = {"bufferView": view(rows.astype("<f4").tobytes()), "componentType": 5126}
-            document["accessors"].append(accessor | {"count": len(rows), "type": kind})
-        if number == 1:
-            del attributes["TEXCOORD_0"]
-        primitive = {"attributes": attributes, "material": number}
-        document["meshes"].append({"name": f"ball {number}", "primitives": [primitive]})
-    document["buffers"][0]["byteLength"] = len(binary)
-    path = folder / "model.glb"
-    path.write_bytes(glb_of(document, bytes(binary)))
-    return path
 
 
 @pytest.fixture
@@ -124,7 +41,7 @@ def texture_of(document: Any, binary: bytes, material: int) -> np.ndarray:
 
 
 def test_discs_lie_on_the_surface_in_its_colours(tmp_path: Path):
-    parts = read_model(model(tmp_path)).parts
+    parts = read_model(write_model_glb(tmp_path)).parts
     places = in_unit_ball(parts)
     discs = sample_discs(parts, places, texture_size=SIZE, seed=0)
     assert 300 < len(discs) <= SIZE**2 // 8
@@ -140,12 +57,12 @@ def test_discs_lie_on_the_surface_in_its_colours(tmp_path: Path):
 
 
 def test_painting_changes_base_colours_alone(tmp_path: Path, picture: Path):
-    path, output = model(tmp_path), tmp_path / "painted.glb"
+    path, output = write_model_glb(tmp_path), tmp_path / "painted.glb"
     found = ss.stylize_mesh(path, ss.Style(picture, **QUICK), output, texture_size=SIZE)
     assert found["pictures"] == [SIZE, SIZE] and found["faces"] > found["unwrapped"] > 0
     (before, old), (after, new) = glb_parts(path), glb_parts(output)
     assert new[: len(old)] == old  # all bytes stay, others follow
-    for key in ("asset", "nodes", "scenes", "samplers", "extensions", "extensionsUsed"):
+    for key in ("asset", "nodes", "scenes", "skins", "samplers", "extensions", "extensionsUsed"):
         assert after[key] == before[key]
     for key in ("images", "textures", "accessors", "bufferViews", "materials"):
         assert len(after[key]) >= len(before[key])
@@ -175,7 +92,7 @@ def repainted(source: Path, output: Path, names: tuple[str, ...] = (), size: int
 
 
 def test_new_uvs_show_each_place_of_the_surface_once(tmp_path: Path):
-    path, output = model(tmp_path, shared_uvs=True), tmp_path / "painted.glb"
+    path, output = write_model_glb(tmp_path, shared_uvs=True), tmp_path / "painted.glb"
     assert repainted(path, output, ("red paint",)) == len(read_model(path).parts[0].faces)
     (given, _), (document, _) = glb_parts(path), glb_parts(output)
     (primitive,) = document["meshes"][0]["primitives"]
@@ -189,6 +106,28 @@ def test_new_uvs_show_each_place_of_the_surface_once(tmp_path: Path):
         assert np.array_equal(one, other)  # the same faces, in their order
     layout = lay_out([after], in_unit_ball([after]), SIZE)
     assert layout.parts[0].unwrapped is None
+
+
+def corners(path: Path, name: str, *, target: bool = False) -> np.ndarray:
+    """An attribute of the second ball, at the corners of its faces."""
+    gltf = open_gltf(path)
+    document, _ = glb_parts(path)
+    (primitive,) = document["meshes"][1]["primitives"]
+    index = (primitive["targets"][0] if target else primitive["attributes"])[name]
+    rows = gltf.stored(index, name)
+    if "indices" not in primitive:
+        return rows
+    return rows[gltf.stored(primitive["indices"], "indices")[:, 0]]
+
+
+def test_bones_and_morphs_follow_vertices_that_are_split(tmp_path: Path):
+    path, output = write_model_glb(tmp_path), tmp_path / "painted.glb"
+    assert repainted(path, output, ("right",)) > 0
+    for name in ("POSITION", "NORMAL", "JOINTS_0", "WEIGHTS_0"):
+        before, after = corners(path, name), corners(output, name)
+        assert before.dtype == after.dtype and np.array_equal(before, after), name
+    moved = (corners(each, "POSITION", target=True) for each in (path, output))
+    assert np.array_equal(*moved)
 
 
 def test_ply_and_obj_are_read(tmp_path: Path):
@@ -238,7 +177,7 @@ def splats_in_glb(folder: Path) -> Path:
 
 
 def changed(folder: Path, **values: Any) -> Path:
-    document, binary = glb_parts(model(folder))
+    document, binary = glb_parts(write_model_glb(folder))
     (folder / "bad.glb").write_bytes(glb_of(document | values, binary))
     return folder / "bad.glb"
 
@@ -267,7 +206,7 @@ def test_what_cannot_be_painted_is_refused_in_one_line(tmp_path: Path, picture: 
 
 
 def test_names_that_mean_nothing_are_refused(tmp_path: Path, picture: Path):
-    path = model(tmp_path)
+    path = write_model_glb(tmp_path)
     with pytest.raises(StyleSplatError, match="red paint"):
         ss.stylize_mesh(path, {"blue": picture}, tmp_path / "a.glb")
     with pytest.raises(StyleSplatError, match="same faces"):

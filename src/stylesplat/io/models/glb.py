@@ -106,14 +106,24 @@ def _part(
     primitive = document["meshes"][mesh]["primitives"][row]
     attributes = primitive["attributes"]
     material = _material(document, primitive)
-    points = gltf.fractions(attributes[POSITION], POSITION).astype(np.float64)
+
+    def column(name: str, width: int) -> Float[np.ndarray, "V D"]:
+        rows = gltf.fractions(attributes[name], name)
+        if rows.shape[1] < width or len(rows) != len(points):
+            raise ValueError(f"its {name} are {rows.shape}, for {len(points)} vertices")
+        return rows[:, :width]
+
+    points = gltf.fractions(attributes[POSITION], POSITION)
+    points = column(POSITION, 3).astype(np.float64)
+    if not np.isfinite(points).all():
+        raise ValueError("some of its vertices are not finite")
     base = material.get("pbrMetallicRoughness", {})
     factors = np.tile(base.get("baseColorFactor", [1.0] * 4)[:3], (len(points), 1))
     if COLOR in attributes:
-        factors = factors * gltf.fractions(attributes[COLOR], COLOR)[:, :3]
+        factors = factors * column(COLOR, 3)
     info = base.get("baseColorTexture")
     uv_set = f"TEXCOORD_{_uv_set(info or {})}"
-    uvs = gltf.fractions(attributes[uv_set], uv_set) if uv_set in attributes else None
+    uvs = column(uv_set, 2) if uv_set in attributes else None
     own = (document["meshes"][mesh].get("name"), material.get("name"))
     return Part(
         names=(*names, *filter(None, own)) or (f"mesh {mesh}",),
