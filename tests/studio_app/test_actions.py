@@ -31,6 +31,7 @@ from stylesplat.studio_app.pictures import camera_of, most_visible
 from stylesplat.studio_app.selecting import pick_names
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.studio import StudioServer, studio
+from stylesplat.studio_app.thumbnails import ObjectThumbnails
 from stylesplat.studio_app.variants import Variants
 from stylesplat.studio_app.views import KeptViews
 from stylesplat.stylization.recipe import read_recipe
@@ -374,7 +375,7 @@ def test_colours_change_at_once_and_undo_names_them(page: Page):
     now = page.session.state.scene.splats
     assert not torch.equal(now.sh0[mask], before.sh0[mask])
     assert torch.equal(now.sh0[~mask], before.sh0[~mask])
-    state = page.act("recolor", names=["3"], setting="match", value=1)
+    state = page.act("recolor", names=["3"], setting="match", value="turned")
     assert state.layers[0].recolor == {"hue": 120.0, "match": "turned"}
     assert page.act("adjust_layer", name="3/recolor", strength=0.5).layers[0].strength == 0.5
     page.act("recolor", names=["3"], setting="tint", value="teal")
@@ -394,6 +395,37 @@ def test_colours_change_at_once_and_undo_names_them(page: Page):
     assert "hue" in page.said[-1]
 
 
+def test_strokes_follow_lines_that_are_drawn_and_undo_takes_each_back(page: Page, tmp_path: Path):
+    page.act("guide_drawn", name="3", points=[place("3"), place("7")])
+    assert "not painted" in page.said.pop()
+    painted(page, "3")
+    free = page.session.state.scene
+    x, y = place("3")
+    line = [(x - 0.03, y), (x, y), (x + 0.03, y)]
+    (layer,) = page.act("guide_drawn", name="3", points=line, reach=0.3).layers
+    assert len(layer.guides) == 1 and len(layer.guides[0]) == 3 and "guides 1" in layer.settings
+    for drawn, known in zip(line, layer.guides[0], strict=True):
+        pixels = project(torch.tensor([known]), CAMERA)[0][0] / torch.tensor([WIDTH, HEIGHT])
+        assert torch.allclose(pixels, torch.tensor(drawn), atol=0.01), "where it was drawn"
+    first = page.session.state.scene
+    assert not torch.equal(first.layers[0].sh0, free.layers[0].sh0)
+    (layer,) = page.act("guide_drawn", name="3", points=[(x, y - 0.03), (x, y + 0.03)]).layers
+    assert len(layer.guides) == 2
+    page.act("step", rows=-1)
+    assert page.session.state.scene.splats is first.splats, "one step, to the bit"
+    page.act("save")
+    recipe = read_recipe(tmp_path / "balls" / "recipe.json")
+    assert recipe.objects[0].style.config.guides == tuple(first.layers[0].settings["guides"])
+    again = stylize(open(tmp_path / "balls").without_layers(), recipe, device="cpu")
+    assert torch.equal(again.layers[0].sh0, first.layers[0].sh0), "a recipe repeats it"
+    (layer,) = page.act("paint", style="turned", names=["3"], settings={"quality": "draft"}).layers
+    assert layer.title == "turned" and len(layer.guides) == 1, "another style keeps the lines"
+    (layer,) = page.act("repaint_layer", name="3", settings={"guides": []}).layers
+    assert not layer.guides
+    page.act("guide_drawn", name="3", points=[(0.01, 0.01), (0.02, 0.01)])
+    assert "does not lie on 3" in page.said.pop()
+
+
 def test_a_variant_changes_its_object_alone(page: Page):
     painted(page, "3")
     painted(page, "7")
@@ -401,43 +433,44 @@ def test_a_variant_changes_its_object_alone(page: Page):
     state = painted(page, "3", style=1)
     titles = [(each.object, each.title) for each in state.variants]
     assert titles == [("3", "stripes"), ("7", "stripes"), ("3", "turned")]
-    assert state.current == [1, 2]
-    state = page.act("use_variant", number=0)
+    first, second, third = (each.id for each in state.variants)
+    assert state.current == [second, third]
+    state = page.act("use_variant", id=first)
     assert [each.title for each in state.layers] == ["stripes", "stripes"]
-    assert state.current == [0, 1]
+    assert state.current == [first, second]
     assert page.session.state.scene.layers[1] is of_seven
-    page.act("compare_with", number=2)
+    page.act("compare_with", id=third)
     page.look(2, before=True)
     assert page.pictures["before"][1] != page.pictures["after"][1]
-    page.act("use_variant", number=2)
+    page.act("use_variant", id=third)
     page.look(3, before=True)
     assert page.pictures["before"][1] == page.pictures["after"][1]
 
-    page.act("star_variant", number=1, starred=True)
-    state = page.act("name_variant", number=0, name="calm")
+    page.act("star_variant", id=second, starred=True)
+    state = page.act("name_variant", id=first, name="calm")
     assert [each.title for each in state.variants] == ["calm", "stripes", "turned"]
     page.act("save")
     folder, wanted = page.session.folder, page.session.state.scene.layers[0]
     page.act("save_as", name="moved")
     for each in (folder, page.session.folder):  # as after a restart
         session = Session(open(each), folder=each)
-        kept = Variants(session, Files(), readonly=False)
+        kept = Variants(session, Files(), ObjectThumbnails(session, Files()), readonly=False)
         assert [(v.object, v.title, v.starred) for v in kept.cards()] == [
             ("3", "calm", False),
             ("7", "stripes", True),
             ("3", "turned", False),
         ]
-        assert kept.current(session.state.scene) == [1, 2]
-        layer, title = kept.layer(2)
+        assert kept.current(session.state.scene) == [second, third]
+        layer, title = kept.layer(third)
         assert title == "turned" and torch.equal(layer.sh0, wanted.sh0)
         assert all(v.thumbnail for v in kept.cards())
-    first, second = (each.thumbnail for each in state.variants[:2])
-    page.act("delete_variant", number=0, url=second)
-    assert "others by now" in page.said.pop()
-    state = page.act("delete_variant", number=0, url=first)
+    state = page.act("delete_variant", id=first)
     assert [each.title for each in state.variants] == ["stripes", "turned"]
-    page.act("use_variant", number=7)
+    assert [each.id for each in state.variants] == [second, third], "the others keep theirs"
+    assert state.compared == third
+    page.act("use_variant", id=first)
     assert "not there any more" in page.said.pop() and len(state.layers) == 2
+    assert page.act("delete_variant", id=third).compared is None
 
 
 def test_a_snapshot_brings_the_whole_scene_back(page: Page):
@@ -499,6 +532,29 @@ def test_views_are_kept_beside_the_scene_and_a_video_leads_through_them(page: Pa
     assert [each.name for each in state.views if each.position] == ["View 1"]
     page.act("preview_path")
     assert "two kept views" in page.said[-1]
+
+
+def test_the_shelf_takes_files_of_this_machine_and_lets_sent_ones_go(page: Page, tmp_path: Path):
+    gallery, file = page.actions.gallery, tmp_path / "local file.png"
+    Image.fromarray(to_uint8(stripes()).numpy()).save(file)
+    page.act("add_style", path=f"'{file}'")
+    page.act("add_style", path=file.as_uri())
+    assert [*gallery.pictures][-2:] == ["local file", "local file 2"]
+    page.act("add_style", path="local file.png")
+    assert "the whole path" in page.said.pop()
+    sent = gallery.upload("sent.png", file.read_bytes())
+    assert sent.own and sent.path.parent == tmp_path / "balls" / "studio-styles"
+    painted(page, "3", style=len(gallery.pictures) - 1)
+    page.act("forget_style", title="sent")
+    assert "3 has the style of sent" in page.said.pop() and sent.path.exists()
+    page.act("step", rows=-1)
+    assert "sent" not in [each.title for each in page.act("forget_style", title="sent").styles]
+    assert not sent.path.exists()
+    page.act("forget_style", title="local file")
+    assert "was not sent by a page" in page.said.pop() and file.exists()
+    page.actions._is_local = False
+    page.act("add_style", path=str(file))
+    assert "Drop the file here" in page.said.pop()
 
 
 def test_every_style_can_be_tried(page: Page):
@@ -571,10 +627,10 @@ def test_of_several_styles_in_a_row_the_newest_is_painted(page: Page):
 
 def test_what_cannot_be_painted_is_told(page: Page):
     for fields, words in (
-        ({"style": 0, "names": []}, "Nothing is picked"),
-        ({"style": 0, "names": ["3"], "settings": {"speed": 1}}, "speed"),
-        ({"style": 0, "names": ["3"], "settings": {"scale": -1}}, "scale"),
-        ({"style": 0, "names": ["3"], "settings": {"region": [0, 0, 2, 2]}}, "32|little"),
+        ({"style": "stripes", "names": []}, "Nothing is picked"),
+        ({"style": "stripes", "names": ["3"], "settings": {"speed": 1}}, "speed"),
+        ({"style": "stripes", "names": ["3"], "settings": {"scale": -1}}, "scale"),
+        ({"style": "stripes", "names": ["3"], "settings": {"region": [0, 0, 2, 2]}}, "32|little"),
     ):
         page.act("paint", **fields)
         assert any(word in page.said[-1] for word in words.split("|")), page.said[-1]

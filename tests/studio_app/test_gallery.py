@@ -1,11 +1,12 @@
 import io
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.studio_app.gallery import Gallery
+from stylesplat.studio_app.gallery import KEPT_STYLES, Gallery
 
 
 def picture(width: int = 64, height: int = 48) -> bytes:
@@ -40,3 +41,26 @@ def test_uploads_are_checked_and_their_names_are_no_paths(monkeypatch: pytest.Mo
         gallery.upload("a.png", picture(500, 500))
     gallery.close()
     assert not evil.path.exists()
+
+
+def test_what_pages_send_stays_with_the_scene(tmp_path: Path):
+    gallery = Gallery(kept=tmp_path / "scene" / KEPT_STYLES)
+    assert gallery.upload("early.png", picture()).path.exists(), "there is no folder of a scene"
+    (tmp_path / "scene").mkdir()
+    first, second = (gallery.upload(name, picture()) for name in ("wave.png", "wave.png"))
+    assert first.own and first.path != second.path
+    gallery.close()
+    again = Gallery(kept=tmp_path / "scene" / KEPT_STYLES)
+    assert {*again.pictures} == {"wave", "wave 2"} and all(e.own for e in again.pictures.values())
+    (tmp_path / "other").mkdir()
+    again.move_along(tmp_path / "other")
+    assert len([*(tmp_path / "other" / KEPT_STYLES).iterdir()]) == 2
+
+
+def test_the_colours_of_a_picture_are_shown_the_most_frequent_first(tmp_path: Path):
+    image = Image.new("RGB", (60, 40), (200, 30, 90))
+    image.paste((10, 20, 220), (0, 0, 20, 40))
+    image.save(tmp_path / "two.png")
+    first, second, *_ = Gallery(tmp_path).pictures["two"].colors
+    rgb = [[int(each[n : n + 2], 16) for n in (1, 3, 5)] for each in (first, second)]
+    assert np.abs(np.subtract(rgb, [(200, 30, 90), (10, 20, 220)])).max() < 12

@@ -121,6 +121,24 @@ def test_a_variant_is_swapped_by_its_thumbnail(opened: StudioServer, tab: Tab, t
     until(lambda: len(opened.server.actions.variants) == 2, "one less")
 
 
+def test_a_line_that_is_drawn_steers_the_strokes(opened: StudioServer, tab: Tab, tmp_path: Path):
+    session, actions = opened.session, opened.server.actions
+    adds_pictures(tab, tmp_path)
+    style = Style(actions.gallery.pictures["stripes"].path, config=QUICK)
+    session.ask(lambda: actions.queue.paint(["7"], style, "stripes"))
+    until(lambda: session.state.note == "Painted 7 like stripes", "strokes")
+    tab.click(*tab.middle_of("7"))
+    until(lambda: session.state.picked == ("7",), "a pick")
+    tab.press_button("Draw lines on the paint")
+    x, y = tab.middle_of("7")
+    tab.assert_accessible()
+    tab.drag((x - 12, y), (x + 12, y))
+    guides = until(lambda: session.state.scene.layers[0].settings["guides"] or None, "a draft")
+    assert len(guides) == 1
+    tab.press_button("Let the strokes run as they like")
+    until(lambda: not session.state.scene.layers[0].settings["guides"], "no line")
+
+
 def test_layers_are_dragged_and_brushed_out(opened: StudioServer, tab: Tab):
     session = opened.session
     session.do(lambda state: recolor_objects(state, ["3"], "hue", 90.0))
@@ -292,6 +310,7 @@ def test_the_history_goes_back_to_any_step_after_a_restart_too(opened: StudioSer
     opened.close()
     with restarted(opened) as again:
         tab.open(again.url)
+        settled(tab)
         assert_shows(tab, painted)
         tab.press_button("Go to: Opened")
         until(lambda: not again.session.state.scene.layers, "the first step")

@@ -6,7 +6,7 @@ worker's thread; methods of `Actions` for the browser `client`. What returns a s
 """
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import reduce
 from operator import or_
@@ -17,20 +17,18 @@ import msgspec
 
 from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.figures.web_page import start_of
-from stylesplat.io.files import reason
 from stylesplat.io.images import jpeg
 from stylesplat.io.layers import RECIPE
 from stylesplat.io.style_pictures import MATERIALS, PREFIX
 from stylesplat.options import PickSize
 from stylesplat.scene.content import content_of
-from stylesplat.scene.layers import RECOLOR, shown_like, split_name
+from stylesplat.scene.layers import RECOLOR, split_name
 from stylesplat.scene.virtual_cameras import has_rendered_views
 from stylesplat.studio_app import edits as layers
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app import selecting as picking
 from stylesplat.studio_app.brushes import Brushes
 from stylesplat.studio_app.deliveries import Deliveries
-from stylesplat.studio_app.edits import describe_settings, find_layer
 from stylesplat.studio_app.files import FORMATS, SceneStore
 from stylesplat.studio_app.gallery import (
     MOST_BYTES,
@@ -42,7 +40,6 @@ from stylesplat.studio_app.gallery import (
 from stylesplat.studio_app.history import (
     StudioState,
     find_step,
-    hidden_rows,
     object_names,
     require_picked,
 )
@@ -97,29 +94,32 @@ class Actions:
         gallery: Gallery,
         store: SceneStore | None,
         kept: HistoryFolder | None = None,
+        is_local: bool = True,
         **options: Any,
     ) -> None:
-        """`options` are those of `stylize_live`; without a store nothing can be changed."""
+        """`options` are those of `stylize_live`; without a store nothing can be changed.
+
+        `is_local`: whether it serves its own machine alone.
+        """
         self.session, self.gallery, self.readonly = session, gallery, store is None
-        self._store, self._kept = store, kept
+        self._store, self._kept, self._is_local = store, kept, is_local
         self.queue = PaintQueue(session, **options)
-        self.pictures = Pictures(session, self._before)
-        self.thumbnails = ObjectThumbnails(session, gallery.files)
+        self.thumbnails = thumbnails = ObjectThumbnails(session, gallery.files)
+        readonly = store is None
+        self.variants = Variants(session, gallery.files, thumbnails, readonly=readonly)
+        self.pictures = Pictures(session, self.variants.before)
         self.previews = StylePreviews(session, gallery, **options)
-        self.variants = Variants(session, gallery.files, readonly=store is None)
-        self.compared: int | None = None
-        self._reference: tuple[object, object, Display] | None = None
         self._spot: tuple[object, StudioState, StudioState] | None = None
         """Where was picked last, what became of it, and what was before."""
         self._is_place = False
-        scene = session.state.scene
+        scene, variants = session.state.scene, self.variants
         self._content = content_of(scene.splats).extent
         self._start = start_of(scene.splats, None if has_rendered_views(scene) else scene.cameras)
         self.views = KeptViews(session, gallery.files, tuple(self._start["slopes"]))
-        self.brushes = Brushes(self.pictures)
+        self.brushes = Brushes(self.pictures, self.queue)
         self.deliveries = files = Deliveries(self.pictures, self.views, gallery.files)
         self.pictures.on_rest.append(self._picture_step)
-        session.on_painted.append(self._painted)
+        session.on_painted.append(variants.keep_painted)
         changes = [picking.pick_names, picking.pick_box, picking.pick_words, picking.resize_picked]
         changes += [picking.unite_picked, picking.subtract_picked, picking.forget_picked]
         changes += [picking.rename_picked, picking.hide_objects, picking.feather_picked]
@@ -130,9 +130,12 @@ class Actions:
         methods = [self.pick_at, self.pick_drawn, self.recolor, self.paint, self.stop]
         methods += [self.repaint_layer, self.copy_settings, self.remove_picked]
         methods += [self.brushes.mask_drawn, self.brushes.mend_drawn, self.pick_extreme]
-        methods += [self.queue.resume, self.queue.remove, self.previews.try_all, self.use_variant]
-        methods += [self.variants.star_variant, self.variants.name_variant, self.delete_variant]
-        methods += [self.compare_with, self.snapshot, self.restore, self.forget_snapshot]
+        methods += [self.brushes.guide_drawn]
+        methods += [self.queue.resume, self.queue.remove, self.previews.try_all]
+        methods += [variants.use_variant, variants.compare_with, variants.star_variant]
+        methods += [variants.name_variant, variants.delete_variant]
+        methods += [self.snapshot, self.restore, self.forget_snapshot]
+        methods += [self.add_style, self.forget_style]
         methods += [session.step, session.go_to, self.background]
         methods += [files.export, files.exporter.cancel, files.picture, files.turntable]
         methods += [self.views.show_views, self.views.keep_view, self.views.forget_view]
@@ -142,9 +145,9 @@ class Actions:
         self._changes = {each.__name__: each for each in changes}
         known = {} if self.readonly else {**self._changes, **self._methods}
         structs = [_struct_of(name, each) for name, each in known.items()]
-        self.decoder = msgspec.json.Decoder(
-            reduce(or_, structs, m.ViewRequest | m.Ping | m.Interrupt)
-        )
+        self.requests = [m.ViewRequest, m.Ping, m.Interrupt, *structs]
+        """All that a page may send."""
+        self.decoder = msgspec.json.Decoder(reduce(or_, self.requests))
 
     def act(self, client: int, message: msgspec.Struct, done: Callable[[], None]) -> m.Busy:
         """Ask for an action that a page wants; called in the server's thread.
@@ -238,9 +241,9 @@ class Actions:
         setting: m.ShortText,
         value: float | m.ShortText | tuple[m.ShortText, ...] | None,
     ) -> Any:
-        """Change a setting of objects' recolouring; `match` is the number of a style picture."""
-        if setting == "match" and isinstance(value, float | int | str):
-            value = str(self._style(int(value)).path)
+        """Change a setting of objects' recolouring; `match` is the title of a style picture."""
+        if setting == "match" and isinstance(value, str):
+            value = str(self._style(value).path)
         state = before = self.session.state
         if not names:
             names = self._recolored(state)
@@ -287,17 +290,16 @@ class Actions:
 
     def repaint_layer(self, name: m.ShortText, settings: dict[str, Any]) -> None:
         """Paint a layer again in its own style, with other settings."""
-        layer = layers.find_layer(self.session.state.scene, name)
-        now = {"intensity": layer.strength, "form": layer.form}
-        style = layers.painted_style(layer, **{**now, **settings})
-        self.queue.paint([name], style, layer_title(layer), instead=True)
+        layers.refuse_locked(self.session.state, name)
+        self.brushes.repaint(layers.find_layer(self.session.state.scene, name), settings)
 
     def copy_settings(self, name: m.ShortText, source: m.ShortText) -> StudioState | None:
         """Give a layer the strength, form and blend of another, and paint it with its settings."""
         state = self.session.state
         layers.refuse_locked(state, name)
         layer, other = (layers.find_layer(state.scene, each) for each in (name, source))
-        settings = {**other.settings, "region": layer.settings.get("region")}
+        settings = {k: v for k, v in other.settings.items() if k not in layers.OF_OBJECT}
+        settings |= {k: v for k, v in layer.settings.items() if k in layers.OF_OBJECT}
         note = f"Gave {name} the settings of {source}"
         are_paint = {layer.kind, other.kind} == {"paint"}
         if not are_paint or settings == layer.settings:
@@ -312,13 +314,13 @@ class Actions:
 
     def paint(
         self,
-        style: int,
+        style: m.ShortText,
         names: list[m.ShortText] | None = None,
         settings: dict[str, Any] | None = None,
         instead: bool = False,
         above: bool = False,
     ) -> None:
-        """Paint objects or layers, by default what is picked, like a style picture.
+        """Paint objects or layers, by default what is picked, like the picture of a title.
 
         `instead`: in place of their painting that is under way, whose picture stays meanwhile.
         `above`: on new layers of these objects.
@@ -335,25 +337,18 @@ class Actions:
                 raise StyleSplatError(f"{name} is no paint. Pick an object, and click the style.")
         if above:
             found = [layers.free_layer_name(state.scene, split_name(name)[0]) for name in found]
-        self.queue.paint(found, own, picture.title, instead)
+        for name in found:
+            layers.refuse_locked(state, name)
+        if not found:
+            require_picked(replace(state, picked=()))
+        for name in found:
+            guides = self.brushes.guides_of(name)
+            guided = Style(picture.path, **{**guides, **(settings or {})}) if guides else own
+            self.queue.paint([name], guided, picture.title, instead)
 
     def stop(self) -> None:
         self.previews.stop()
         self.queue.stop()
-
-    def use_variant(self, number: int) -> StudioState:
-        return self._with_variant(self.session.state, number)
-
-    def delete_variant(self, number: int, url: m.ShortText) -> None:
-        self.compared = None
-        self.variants.delete_variant(number, url)
-
-    def compare_with(self, number: int | None = None) -> None:
-        """Show a variant on the left of the handle, or the scene before painting."""
-        if number is not None:
-            self._with_variant(self.session.state, number)
-        self.compared = number
-        self.session.on_change.call()
 
     def snapshot(self, name: m.ShortText) -> None:
         history = self.session.history
@@ -384,6 +379,7 @@ class Actions:
         self._store.save_as(name)
         if self._kept is not None:
             self._kept.move_along(before)
+        self.gallery.move_along(self.session.folder)
         self.views.write()
         self.variants.move_along()
 
@@ -391,41 +387,35 @@ class Actions:
         self.pictures.background = color
         self.pictures.refresh()
 
-    def _style(self, number: int) -> StylePicture:
-        return _item([*self.gallery.pictures.values()], number, "picture")
-
-    def _before(self) -> Display:
-        """What lies on the left of the handle."""
-        session, state = self.session, self.session.state
-        key = self.compared, state.hidden
-        known = self._reference
-        if known is None or known[0] is not state.scene or known[1] != key:
-            if self.compared is not None:
-                other = self._with_variant(state, self.compared)
-                display = Display(other.scene.splats, hidden_rows(other, session.masks))
-            else:
-                base, hidden = state.scene.base, hidden_rows(state, session.masks)
-                display = Display(base, None if hidden is None else hidden[: len(base)])
-            known = self._reference = state.scene, key, display
-        return known[2]
-
-    def _with_variant(self, state: StudioState, number: int) -> StudioState:
-        layer, title = self.variants.layer(number)
-        layers.refuse_locked(state, layer.name)
-        shown = shown_like(layer, state.scene.layer(layer.name), len(state.scene.base))
-        return layers.replace_layer(state, shown, f"Switched {layer.object} to {title}")
-
-    def _painted(self, name: str, title: str) -> None:
-        layer = find_layer(self.session.state.scene, name)
-        picture = self.thumbnails.paint_picture(layer.object)
-        count = len(self.variants)
-        try:
-            self.variants.add(layer, title, describe_settings(layer.settings), picture)
-        except (OSError, StyleSplatError) as error:
-            self.session.tell(f"The variant is not kept: {reason(error)}.", failure=True)
-        if len(self.variants) == count:  # an older one has gone, so that numbers are others
-            self.compared = None
+    def add_style(self, path: m.FileText) -> None:
+        """Put a picture of this machine on the shelf, by its path."""
+        if not self._is_local:
+            raise StyleSplatError(
+                "Paths are read only where the studio serves its own machine. Drop the file here."
+            )
+        title = self.gallery.add_file(path).title
+        self.session.tell(f"Added {title}.")
         self.session.on_change.call()
+
+    def forget_style(self, title: m.ShortText) -> None:
+        """Take a picture that a page sent off the shelf."""
+        picture, scene = self._style(title), self.session.state.scene
+        if not picture.own:
+            raise StyleSplatError(f"{title} was not sent by a page. Remove its file instead.")
+        user = next((e for e in scene.layers for s in e.styles if s.path == picture.path), None)
+        if user is not None:
+            raise StyleSplatError(
+                f"{user.object} has the style of {title}, which a new painting of it needs. Remove "
+                "that layer first."
+            )
+        self.gallery.forget(title)
+        self.session.on_change.call()
+
+    def _style(self, title: str) -> StylePicture:
+        found = self.gallery.pictures.get(title)
+        if found is None:
+            raise StyleSplatError(f"There is no picture {title} any more. Choose another one.")
+        return found
 
     def hello(self, title: str) -> m.Hello:
         scene = self.session.state.scene
@@ -477,7 +467,7 @@ class Actions:
             unsaved=session.unsaved,
             folder=str(session.folder),
             command=self._command(),
-            compared=self.compared,
+            compared=self.variants.compared,
             box=(vector(box.low), vector(box.high)),
         )
 
@@ -487,13 +477,6 @@ class Actions:
             return ""
         output = folder.resolve().with_name(f"{folder.resolve().name}-painted")
         return shell_command("stylize", folder, "--recipe", folder / RECIPE, "-o", output)
-
-
-def _item(items: Sequence[T], number: int, what: str) -> T:
-    """What a page means by a number, which it may have from before a restart."""
-    if not 0 <= number < len(items):
-        raise StyleSplatError(f"This {what} is not there any more. Reload the page.")
-    return items[number]
 
 
 def _struct_of(name: str, method: Callable[..., Any]) -> type[msgspec.Struct]:

@@ -24,6 +24,7 @@ from stylesplat.stylization.mending import mended_bands
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.adjust import adjust, recolor
 
+OF_OBJECT = ("region", "guides", "guide_reach")  # settings that are no other layer's
 MENDED = "mending/mended"  # the layer of all mending
 
 
@@ -258,9 +259,11 @@ def _with_scene(state: StudioState, scene: Scene, note: str) -> StudioState:
     return replace(state, scene=replace(scene, metrics=metrics), note=note)
 
 
-def describe_settings(settings: Mapping[str, object]) -> str:
+def describe_settings(settings: Mapping[str, Any]) -> str:
     """The settings of a layer that differ from the defaults."""
     usual = plain_settings(StyleConfig())
     other = {key: value for key, value in settings.items() if value != usual.get(key)}
+    if "guides" in other:
+        other["guides"] = len(settings["guides"])
     words = (f"{key.replace('_', ' ')} {value}" for key, value in other.items())
     return ", ".join(words) or "usual settings"

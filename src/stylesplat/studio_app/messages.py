@@ -16,6 +16,7 @@ from stylesplat.studio_app.gallery import StylePicture
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 PicturePoint = tuple[Share, Share]  # in a picture, from its top left corner
 ShortText = Annotated[str, msgspec.Meta(max_length=200)]
+FileText = Annotated[str, msgspec.Meta(max_length=4096)]
 PictureSide = Annotated[int, msgspec.Meta(ge=1, le=16384)]
 Bounded = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]  # float32 squares it
 ViewVector = tuple[Bounded, Bounded, Bounded]
@@ -23,6 +24,7 @@ How = Literal["new", "add", "away", "within"]
 Extreme = Literal["size", "opacity", "distance"]
 Shape = Literal["rectangle", "lasso", "brush"]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
+GuideReach = Annotated[float, msgspec.Meta(ge=0.01, le=1)]
 DrawnLine = Annotated[list[PicturePoint], msgspec.Meta(min_length=1, max_length=4000)]
 
 
@@ -119,11 +121,13 @@ class LayerInfo(msgspec.Struct, frozen=True):
     settings: str
     values: dict[str, Any]  # of the settings that can be changed in place
     recolor: dict[str, Any] | None = None  # the settings of a recolouring; None for paint
+    guides: list[list[ViewVector]] = []  # the lines that its strokes follow
 
 
 class Variant(msgspec.Struct, frozen=True):
     """A painting of an object that was finished, or stopped."""
 
+    id: str
     object: str
     title: str
     settings: str
@@ -157,7 +161,7 @@ class StateMessage(ServerMessage, frozen=True, tag="state"):
     views: list[ViewCard]  # those that are kept, then photos
     up: ViewVector | None  # as it was set by hand
     variants: list[Variant]
-    current: list[int]  # the variants that are shown
+    current: list[str]  # the ids of the variants that are shown
     history: list[StepCard]  # the first one first
     now: int  # the number of the present step
     snapshots: list[StepCard]
@@ -172,7 +176,7 @@ class StateMessage(ServerMessage, frozen=True, tag="state"):
     unsaved: bool
     folder: str
     command: str  # what gives the saved scene once more; empty if nothing is painted
-    compared: int | None
+    compared: str | None  # the id of the variant on the left of the handle
     box: tuple[ViewVector, ViewVector]  # around what is picked, or around the content
 
 

@@ -27,7 +27,7 @@ from stylesplat.studio_app.history import Selected, StudioState, hidden_rows, re
 from stylesplat.studio_app.messages import Progress
 from stylesplat.studio_app.selecting import with_object_of_selection
 from stylesplat.studio_app.session import Display, Session, Stopped
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.config import StyleConfig, plain_settings
 from stylesplat.stylization.style import Style, all_colors
 from stylesplat.verbs.stylize import Live, stylize_live
 
@@ -76,6 +76,11 @@ class PaintQueue:
         if stopped is None or session.painting or stopped[0].scene is not session.state.scene:
             return ""
         return stopped[0].note
+
+    def ordered_settings(self, name: str) -> dict[str, Any] | None:
+        """The settings of a layer that is painted now, or waits for it."""
+        found = [job for job in (self._current, *self.waiting) if job and job.name == name]
+        return plain_settings(found[-1].style.config) if found else None
 
     def paint(
         self,

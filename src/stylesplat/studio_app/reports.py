@@ -8,15 +8,17 @@ import torch
 from stylesplat.scene.content import Extent
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.world_offset import from_world
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.edits import describe_settings, recoloring_of
 from stylesplat.studio_app.gallery import Files, style_title
 from stylesplat.studio_app.history import Selected, Step, StudioState
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails
+from stylesplat.stylization.config import parse_guide
 
 STUDIO_NEAREST = 0.1  # world units from a photo's camera to its target, at least
-IN_PLACE = ("scale", "color", "quality")  # settings of paint that a layer shows
+IN_PLACE = ("scale", "color", "quality", "guide_reach")  # settings of paint that a layer shows
 EDITS = {"recolour": "recoloured"}
 
 
@@ -66,8 +68,18 @@ def layer_info(state: StudioState, layer: Layer) -> m.LayerInfo:
         masked=layer.mask is not None,
         settings=describe_settings(layer.settings),
         values={k: v for k, v in layer.settings.items() if k in IN_PLACE} if is_paint else {},
+        guides=guide_lines(state, layer),
         recolor={**recoloring_of(layer), "match": title} if layer.kind == "recolour" else None,
     )
+
+
+def guide_lines(state: StudioState, layer: Layer) -> list[list[m.ViewVector]]:
+    """The lines that a layer's strokes follow, for the page's camera."""
+    lines = list[list[m.ViewVector]]()
+    for guide in layer.settings.get("guides", ()):
+        line = torch.tensor(parse_guide(guide), dtype=torch.float64).view(-1, 3)
+        lines.append([vector(each) for each in from_world(line, state.scene.world_offset)])
+    return lines
 
 
 def layer_title(layer: Layer) -> str:

@@ -264,16 +264,18 @@ class Session:
         self._move(lambda: rows)
 
     def go_to(self, number: int) -> None:
-        """Ask for a step of the history by its number, as `step` does."""
-        self._move(lambda: self.history.row_of(number) - self.history.row)
+        """Ask for a step of the history by its number. A painting is ended as by `step`."""
+        self._move(lambda: self.history.row_of(number) - self.history.row, anyway=True)
 
-    def _move(self, rows: Callable[[], int]) -> None:
+    def _move(self, rows: Callable[[], int], *, anyway: bool = False) -> None:
+        """Go by so many rows; `anyway`: also if that ended a painting that had no step yet."""
+
         def job() -> None:
             if self.painting:
                 before = self.state
                 if rows() > 0 or not self.interrupt():
                     raise StyleSplatError(SESSION_BUSY)
-                if self.state is before:  # the painting had no step yet
+                if self.state is before and not anyway:  # the painting had no step yet
                     return
             self.history.step(rows())
             self.preview = None

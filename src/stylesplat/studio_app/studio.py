@@ -19,7 +19,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.studio_app.actions import Actions
 from stylesplat.studio_app.files import SceneStore
-from stylesplat.studio_app.gallery import Gallery
+from stylesplat.studio_app.gallery import KEPT_STYLES, Gallery
 from stylesplat.studio_app.guard import LOOPBACK, SERVER_ADDRESS
 from stylesplat.studio_app.history_files import HistoryFolder
 from stylesplat.studio_app.server import PageServer
@@ -109,11 +109,13 @@ def studio(
     if scene.path is None:
         raise StyleSplatError("This scene has no folder to save to. Save it first, and open that.")
     _refuse_empty(scene.splats)
-    gallery = Gallery(None if styles is None else Path(styles))
+    gallery = Gallery(None if styles is None else Path(styles), scene.path / KEPT_STYLES)
     session = Session(scene, folder=scene.path)
     store, kept = SceneStore(session), HistoryFolder(session)
     kept.resume()
-    server = PageServer("StyleSplat studio", Actions(session, gallery, store, kept, **options))
+    local = host in LOOPBACK
+    actions = Actions(session, gallery, store, kept, is_local=local, **options)
+    server = PageServer("StyleSplat studio", actions)
     server.start(host, port)
     opened = StudioServer(server, store, kept)
     if host not in LOOPBACK:

@@ -11,14 +11,23 @@ import msgspec
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_folder, refuse_unwritable
+from stylesplat.io.files import reason
 from stylesplat.io.json_yaml import read_json_as, write_json
 from stylesplat.io.layers import STACK, read_layers, write_layers
 from stylesplat.progress import say
-from stylesplat.scene.layers import Layer
+from stylesplat.scene.layers import Layer, shown_like
 from stylesplat.scene.scene import Scene
+from stylesplat.studio_app.edits import (
+    describe_settings,
+    find_layer,
+    refuse_locked,
+    replace_layer,
+)
 from stylesplat.studio_app.gallery import Files
+from stylesplat.studio_app.history import StudioState, hidden_rows
 from stylesplat.studio_app.messages import ShortText, Variant
-from stylesplat.studio_app.session import Session
+from stylesplat.studio_app.session import Display, Session
+from stylesplat.studio_app.thumbnails import ObjectThumbnails
 
 VARIANTS = "studio-variants"  # in the scene's folder: a folder each
 ABOUT, PICTURE = "variant.json", "picture.jpg"
@@ -40,12 +49,25 @@ class _Kept:
     about: _About
     url: str
 
+    @property
+    def id(self) -> str:
+        return self.folder.name
+
+    @property
+    def title(self) -> str:
+        return self.about.name or self.about.title
+
 
 class Variants:
     """Their layers stay on the disk until one is shown."""
 
-    def __init__(self, session: Session, files: Files, *, readonly: bool) -> None:
-        self._session, self._files = session, files
+    def __init__(
+        self, session: Session, files: Files, thumbnails: ObjectThumbnails, *, readonly: bool
+    ) -> None:
+        self._session, self._files, self._thumbnails = session, files, thumbnails
+        self.compared: str | None = None
+        """The id of the variant on the left of the handle."""
+        self._reference: tuple[object, object, Display] | None = None
         self._elsewhere: TemporaryDirectory[str] | None = None
         """Where they are kept if the scene's folder cannot be written to."""
         self._digests = WeakKeyDictionary[Layer, str]()
@@ -65,20 +87,30 @@ class Variants:
 
     def cards(self) -> list[Variant]:
         return [
-            Variant(a.object, a.name or a.title, a.settings, each.url, a.starred)
-            for each in self._kept
-            for a in (each.about,)
+            Variant(e.id, e.about.object, e.title, e.about.settings, e.url, e.about.starred)
+            for e in self._kept
         ]
 
-    def current(self, scene: Scene) -> list[int]:
-        """The variants that are shown."""
+    def current(self, scene: Scene) -> list[str]:
+        """The ids of the variants that are shown."""
         shown = {self._digest(layer) for layer in scene.layers}
-        return [number for number, each in enumerate(self._kept) if each.about.digest in shown]
+        return [each.id for each in self._kept if each.about.digest in shown]
 
-    def add(self, layer: Layer, title: str, settings: str, picture: bytes) -> None:
+    def keep_painted(self, name: str, title: str) -> None:
+        """Keep a layer that was painted just now."""
+        layer = find_layer(self._session.state.scene, name)
+        picture = self._thumbnails.paint_picture(layer.object)
+        try:
+            self._add(layer, title, describe_settings(layer.settings), picture)
+        except (OSError, StyleSplatError) as error:
+            self._session.tell(f"The variant is not kept: {reason(error)}.", failure=True)
+        self._session.on_change.call()
+
+    def _add(self, layer: Layer, title: str, settings: str, picture: bytes) -> None:
         about = _About(layer.object, title, settings, self._digest(layer))
         place = self._place()
-        last = max((int(e.name) for e in place.iterdir() if e.name.isdecimal()), default=0)
+        names = (*(each.name for each in place.iterdir()), *(each.id for each in self._kept))
+        last = max((int(name) for name in names if name.isdecimal()), default=0)
         folder = place / f"{last + 1:04}"
         with atomic_folder(folder, overwrite=False, marker=STACK) as draft:
             write_layers([layer], draft)
@@ -86,30 +118,61 @@ class Variants:
             write_json(msgspec.to_builtins(about), draft / ABOUT)
         self._kept.append(_Kept(folder, about, self._url(folder)))
         if len(self._kept) > MOST_VARIANTS:
-            plain = [n for n, each in enumerate(self._kept[:-1]) if not each.about.starred]
+            plain = [each for each in self._kept[:-1] if not each.about.starred]
             if plain:
                 self._session.tell(f"{MOST_VARIANTS} variants are kept: the oldest one has gone.")
-                self.delete_variant(plain[0])
+                self.delete_variant(plain[0].id)
 
-    def layer(self, number: int) -> tuple[Layer, str]:
+    def layer(self, id: str) -> tuple[Layer, str]:
         """The layer of a variant, and what it is called."""
-        each = self._item(number)
+        each = self._item(id)
         if self._last is None or self._last[0] != each.folder:
             (layer,) = read_layers(each.folder, len(self._session.state.scene.base))
             self._last = each.folder, layer
-        return self._last[1], each.about.name or each.about.title
+        return self._last[1], each.title
 
-    def star_variant(self, number: int, starred: bool) -> None:
-        self._change(number, starred=starred)
+    def use_variant(self, id: ShortText) -> StudioState:
+        return self._shown(self._session.state, id)
 
-    def name_variant(self, number: int, name: ShortText) -> None:
-        self._change(number, name=name.strip())
+    def compare_with(self, id: ShortText | None = None) -> None:
+        """Show a variant on the left of the handle, or the scene before painting."""
+        if id is not None:
+            self._shown(self._session.state, id)
+        self.compared = id
+        self._session.on_change.call()
 
-    def delete_variant(self, number: int, url: str | None = None) -> None:
-        """Delete a variant for good, the one of this picture; layers that show it stay."""
-        each = self._item(number)
-        if url not in (None, each.url):
-            raise StyleSplatError("The variants are others by now. Choose it again.")
+    def before(self) -> Display:
+        """What lies on the left of the handle."""
+        session, state = self._session, self._session.state
+        key = self.compared, state.hidden
+        known = self._reference
+        if known is None or known[0] is not state.scene or known[1] != key:
+            if self.compared is not None:
+                other = self._shown(state, self.compared)
+                display = Display(other.scene.splats, hidden_rows(other, session.masks))
+            else:
+                base, hidden = state.scene.base, hidden_rows(state, session.masks)
+                display = Display(base, None if hidden is None else hidden[: len(base)])
+            known = self._reference = state.scene, key, display
+        return known[2]
+
+    def _shown(self, state: StudioState, id: str) -> StudioState:
+        layer, title = self.layer(id)
+        refuse_locked(state, layer.name)
+        shown = shown_like(layer, state.scene.layer(layer.name), len(state.scene.base))
+        return replace_layer(state, shown, f"Switched {layer.object} to {title}")
+
+    def star_variant(self, id: ShortText, starred: bool) -> None:
+        self._change(id, starred=starred)
+
+    def name_variant(self, id: ShortText, name: ShortText) -> None:
+        self._change(id, name=name.strip())
+
+    def delete_variant(self, id: ShortText) -> None:
+        """Delete a variant for good; layers that show it stay."""
+        each = self._item(id)
+        if self.compared == id:
+            self.compared = None
         shutil.rmtree(each.folder, ignore_errors=True)
         self._kept.remove(each)
         self._session.on_change.call()
@@ -126,16 +189,17 @@ class Variants:
         if self._elsewhere is not None:
             self._elsewhere.cleanup()
 
-    def _item(self, number: int) -> _Kept:
-        if not 0 <= number < len(self._kept):
-            raise StyleSplatError("This variant is not there any more. Reload the page.")
-        return self._kept[number]
+    def _item(self, id: str) -> _Kept:
+        found = next((each for each in self._kept if each.id == id), None)
+        if found is None:
+            raise StyleSplatError("This variant is not there any more. Choose another one.")
+        return found
 
-    def _change(self, number: int, **changes: object) -> None:
-        each = self._item(number)
+    def _change(self, id: str, **changes: object) -> None:
+        each = self._item(id)
         about = msgspec.structs.replace(each.about, **changes)
         write_json(msgspec.to_builtins(about), each.folder / ABOUT)
-        self._kept[number] = _Kept(each.folder, about, each.url)
+        self._kept[self._kept.index(each)] = _Kept(each.folder, about, each.url)
         self._session.on_change.call()
 
     def _digest(self, layer: Layer) -> str:

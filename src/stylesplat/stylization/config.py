@@ -194,9 +194,7 @@ class StyleConfig(Config):
     guides: Annotated[tuple[str, ...], Option(research=True)] = ()
     """Lines on the object that the strokes near them follow, each as `x,y,z,x,y,z,...` in the
     world."""
-    guide_reach: Annotated[
-        float, Option(0.01, 1, research=True, label="Reach of lines", slider=(0.02, 0.5), step=0.01)
-    ] = 0.1
+    guide_reach: Annotated[float, Option(0.01, 1, research=True)] = 0.1
     """How far strokes follow a line, in extents of the object."""
     protect: Annotated[tuple[str, ...], Option(research=True)] = ()
     """Names of objects, such as its eyes, that get none of its paint."""

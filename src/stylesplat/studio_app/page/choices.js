@@ -9,7 +9,7 @@ export function kept(name, value, storage = sessionStorage) {
   return choice;
 }
 
-export const tool = signal("object"); // or surface, wand, color, ball, brush, lasso, rectangle, box, strokes, mask, mend
+export const tool = signal("object"); // or surface, wand, color, ball, brush, lasso, rectangle, box, strokes, mask, mend, guide
 export const active = signal(null); // the name of the layer whose controls are shown
 export const above = signal(false); // whether the next style goes on a new layer
 export const shows = signal(false); // whether the brush of a mask paints the layer in
@@ -21,14 +21,16 @@ export const size = signal("object"); // of what a click on the surface picks: o
 export const reach = signal(0); // of the wand, likewise
 export const tolerance = signal(0.15); // of colours that are alike: how far red, green and blue differ
 export const brush = signal(0.03); // its radius, as a share of the picture's height
+export const guideReach = signal(0.1); // how far strokes follow a line, in extents of the object
 export const mode = kept("mode", "after"); // or split, before
 export const cut = kept("cut", 0.5); // where the border between before and after is, as a share
 export const showPhotos = signal(false);
 export const background = signal([0.086, 0.086, 0.094]);
 export const settings = kept("settings", {}); // of paintings, where they are not the defaults
-export const regions = signal({}); // the parts of style pictures to use, by number
+export const regions = kept("regions", {}); // the parts of style pictures to use, by title
+export const presets = kept("presets", {}, localStorage); // settings that are kept in this browser, by name
 export const dialog = signal(null); // keep, settings, part, view, help
-export const variant = signal(null); // the number of the variant that is being named
+export const variant = signal(null); // the id of the variant that is being named
 export const part = signal(null); // the style picture whose part is being chosen
 export const hint = kept("hint", 0, localStorage); // how many hints were seen
 export const tab = signal("styles"); // on narrow screens

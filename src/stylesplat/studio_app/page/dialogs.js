@@ -2,14 +2,14 @@
 
 import { useRef } from "./libraries/hooks.js";
 import { useSignal } from "./libraries/signals.js";
-import { background, dialog, part, regions, settings, showPhotos, turntable as turn, variant } from "./choices.js";
+import { background, dialog, part, presets, regions, settings, showPhotos, turntable as turn, variant } from "./choices.js";
 import { act, hello, note, state } from "./connection.js";
 import { Button, Dialog, Entry, html, Select, Slider } from "./widgets.js";
 
 export function Dialogs({ viewport }) {
   const close = () => (dialog.value = part.value = variant.value = null);
-  const named = variant.value !== null && state.value.variants[variant.value];
-  if (named) return html`<${NamedVariant} each=${named} number=${variant.value} onClose=${close} />`;
+  const named = state.value.variants.find((each) => each.id === variant.value);
+  if (named) return html`<${NamedVariant} each=${named} onClose=${close} />`;
   if (part.value) return html`<${Part} style=${part.value} onClose=${close} />`;
   if (dialog.value === "keep") return html`<${Keep} onClose=${close} />`;
   if (dialog.value === "settings") return html`<${Settings} onClose=${close} />`;
@@ -18,15 +18,15 @@ export function Dialogs({ viewport }) {
   return null;
 }
 
-function NamedVariant({ each, number, onClose }) {
+function NamedVariant({ each, onClose }) {
   const done = (what, fields = {}) => {
-    act(what, { number, ...fields });
+    act(what, { id: each.id, ...fields });
     onClose();
   };
   return html`<${Dialog} title=${`${each.object}: ${each.title}`} onClose=${onClose}>
     <p class="hint">${each.settings}</p>
     <${Entry} label="Name" button="Rename" value=${each.title} onEnter=${(name) => done("name_variant", { name })} />
-    <div class="row"><${Button} danger icon="trash" text="Delete for good" label="Delete this variant for good; what is painted with it stays" onClick=${() => done("delete_variant", { url: each.thumbnail })} /></div>
+    <div class="row"><${Button} danger icon="trash" text="Delete for good" label="Delete this variant for good; what is painted with it stays" onClick=${() => done("delete_variant")} /></div>
   </${Dialog}>`;
 }
 
@@ -34,6 +34,10 @@ function Settings({ onClose }) {
   const set = (control, value) => {
     const { [control.name]: _, ...rest } = settings.value;
     settings.value = value === control.value ? rest : { ...rest, [control.name]: value };
+  };
+  const forget = (name) => {
+    const { [name]: _, ...rest } = presets.value;
+    presets.value = rest;
   };
   return html`<${Dialog} title="Settings of the painting" onClose=${onClose}>
     ${hello.value.settings.map((each) => {
@@ -43,6 +47,11 @@ function Settings({ onClose }) {
         : html`<${Slider} label=${each.label} value=${value} low=${each.low} high=${each.high} step=${each.step} onInput=${(chosen) => set(each, chosen)} />`;
     })}
     <p class="hint">They count for the next painting. Draft is quick, for trying things.</p>
+    <section aria-label="Presets"><h3>Presets</h3>
+      ${Object.keys(presets.value).map((name) => html`<div class="line" key=${name}><span>${name}</span>
+        <${Button} small text="Use" label=${`Use the settings ${name}`} onClick=${() => (settings.value = presets.value[name])} />
+        <${Button} small icon="trash" label=${`Delete the preset ${name}`} onClick=${() => forget(name)} /></div>`)}
+      <${Entry} key=${Object.keys(presets.value).length} label="Keep these settings as" button="Keep" onEnter=${(name) => name.trim() && (presets.value = { ...presets.value, [name.trim()]: settings.value })} /></section>
     <div class="row"><${Button} text="Defaults" label="Use the defaults" onClick=${() => (settings.value = {})} />
       <span class="grow"></span><${Button} primary text="Done" label="Close" onClick=${onClose} /></div>
   </${Dialog}>`;
@@ -50,7 +59,7 @@ function Settings({ onClose }) {
 
 // The part of a style picture to use: a rectangle that is dragged on it
 function Part({ style, onClose }) {
-  const frame = useRef(null), drawn = useSignal(regions.value[style.number] ?? null), start = useRef(null);
+  const frame = useRef(null), drawn = useSignal(regions.value[style.title] ?? null), start = useRef(null);
   const at = (event) => {
     const box = frame.current.getBoundingClientRect();
     const shares = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
@@ -76,8 +85,8 @@ function Part({ style, onClose }) {
     drawn.value = part.map((value, row) => (row === axis + 2 || (row === axis && !event.shiftKey) ? value + by : value));
   };
   const use = (region) => {
-    const { [style.number]: _, ...rest } = regions.value;
-    regions.value = region ? { ...rest, [style.number]: region } : rest;
+    const { [style.title]: _, ...rest } = regions.value;
+    regions.value = region ? { ...rest, [style.title]: region } : rest;
     onClose();
   };
   const share = (value, axis) => `${(100 * value) / style.size[axis]}%`;

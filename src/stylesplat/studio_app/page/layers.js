@@ -1,10 +1,11 @@
-// The panel of layers, the highest first, with variants and snapshots below
+// The panel of layers, the highest first, with variants, snapshots and the history below
 
 import { above, active, mode, tool, variant } from "./choices.js";
-import { useEffect, useRef } from "./libraries/hooks.js";
+import { useRef } from "./libraries/hooks.js";
 import { useSignal } from "./libraries/signals.js";
 import { act, hello, note, state } from "./connection.js";
-import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
+import { History, Snapshots } from "./history.js";
+import { Button, html, Icon, percent, Select, Slider } from "./widgets.js";
 
 const BLENDS = [["normal", "normal"], ["luminosity", "luminosity"], ["colour", "colour"]];
 const RESTING = 400; // milliseconds without motion of a slider, after which a layer is painted again
@@ -20,7 +21,7 @@ export function activeLayer() {
 export function Layers() {
   const now = state.value, chosen = now.objects.filter((each) => each.picked).map((each) => each.name);
   const layers = [...now.layers].reverse(), list = useRef(null), moving = useSignal(null);
-  const variants = now.variants.map((each, number) => ({ ...each, number, current: now.current.includes(number) }))
+  const variants = now.variants.map((each) => ({ ...each, current: now.current.includes(each.id) }))
     .filter((each) => !chosen.length || chosen.includes(each.object)).sort((a, b) => b.starred - a.starred);
   const move = (name, row) => act("move_layer", { name, to: layers.length - 1 - row });
   // A drag by the handle: the place is that of the row whose middle the pointer has passed
@@ -57,40 +58,20 @@ export function Layers() {
     <ul ref=${list}>${layers.map((layer, row) => html`<${Layer} key=${layer.name} layer=${layer} lowest=${row === layers.length - 1} grip=${grip(layer.name, row)}
       dragged=${row === from} place=${place(row)} />`)}</ul>
     ${variants.length > 0 && html`<section aria-label="Variants"><h3>Variants${chosen.length ? ` of ${chosen.join(", ")}` : ""}</h3>
-      <ul class="cards wide">${variants.map((each) => html`<li key=${each.number}>
-        <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { number: each.number })}>
+      <ul class="cards wide">${variants.map((each) => html`<li key=${each.id}>
+        <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { id: each.id })}>
           <img src=${each.thumbnail} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span>
           <span class="name quiet">${each.settings}</span></button>
-        <span class="corner-buttons"><${Button} small icon="star" label=${`${each.starred ? "Unstar" : "Star"} ${each.object}: ${each.title}`} active=${each.starred} onClick=${() => act("star_variant", { number: each.number, starred: !each.starred })} />
-        <${Button} small icon="more" label=${`Name or delete ${each.object}: ${each.title}`} onClick=${() => (variant.value = each.number)} />
-        <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.number} onClick=${() => compare(each.number)} /></span></li>`)}</ul></section>`}
-    <section aria-label="Snapshots"><h3>Snapshots</h3>
-      <ul class="steps">${now.snapshots.map((each) => html`<li class="line" key=${each.number}>
-        <${StepButton} step=${each} title=${`Restore ${each.note}`} onClick=${() => act("restore", { number: each.number })} />
-        <${Button} small icon="trash" label=${`Delete the snapshot ${each.note}`} onClick=${() => act("forget_snapshot", { number: each.number })} /></li>`)}</ul>
-      <${Entry} key=${now.snapshots.length} label="Keep the whole scene as" button="Keep" value=${`Snapshot ${now.snapshots.length + 1}`} onEnter=${(name) => act("snapshot", { name })} />
-    </section>
-    <${History} />
+        <span class="corner-buttons"><${Button} small icon="star" label=${`${each.starred ? "Unstar" : "Star"} ${each.object}: ${each.title}`} active=${each.starred} onClick=${() => act("star_variant", { id: each.id, starred: !each.starred })} />
+        <${Button} small icon="more" label=${`Name or delete ${each.object}: ${each.title}`} onClick=${() => (variant.value = each.id)} />
+        <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.id} onClick=${() => compare(each.id)} /></span></li>`)}</ul></section>`}
+    <${Snapshots} /><${History} />
   </aside>`;
 }
 
-// All steps, the last one first: a click goes back to one, or forth
-function History() {
-  const { history, now } = state.value, present = useRef(null);
-  const later = history.findIndex((each) => each.number === now);
-  useEffect(() => present.current?.scrollIntoView({ block: "nearest" }), [now]);
-  return html`<section aria-label="History"><h3>History</h3>
-    <ul class="steps history">${[...history.entries()].reverse().map(([row, each]) => html`<li key=${each.number} class=${row > later ? "undone" : ""} ref=${each.number === now ? present : null}>
-      <${StepButton} step=${each} current=${each.number === now} title=${`Go to: ${each.note}`} onClick=${() => each.number !== now && act("go_to", { number: each.number })} /></li>`)}</ul>
-    <p class="hint">It stays with the scene: the last 200 steps, in 2 GB at most.</p></section>`;
-}
-
-const StepButton = ({ step, title, current, onClick }) => html`<button type="button" class="card flat step" title=${title} aria-current=${current && "step"} onClick=${onClick}>
-  ${step.picture ? html`<img src=${step.picture} alt="" />` : html`<span class="blank"></span>`}<span>${step.note}</span></button>`;
-
-function compare(number) {
-  const other = state.value.compared === number ? null : number;
-  act("compare_with", { number: other });
+function compare(id) {
+  const other = state.value.compared === id ? null : id;
+  act("compare_with", { id: other });
   mode.value = other === null ? "after" : "split";
 }
 

@@ -7,7 +7,8 @@ import { brush, hint, mode, tab, tool } from "./choices.js";
 import { act, busy, connect, dismiss, hello, note, notes, online, progress, renewed, state, upload } from "./connection.js";
 import { Dialogs } from "./dialogs.js";
 import { Layers } from "./layers.js";
-import { Objects, paint, Strip, Toolbar } from "./panels.js";
+import { Objects, Toolbar } from "./panels.js";
+import { paint, Strip } from "./styles.js";
 import { isTyping, Viewport } from "./viewport.js";
 import { Button, html } from "./widgets.js";
 import { dialog } from "./choices.js";
@@ -29,7 +30,7 @@ function Picture() {
     event.stopPropagation();
     const name = objectBelow(event);
     viewport.overlay.setPointed(null);
-    if (name) paint(Number(event.dataTransfer.getData("style")), [name]);
+    if (name) paint(event.dataTransfer.getData("style"), [name]);
   };
   return html`<div class="view" ref=${root} onDragOver=${over} onDrop=${drop}></div>`;
 }

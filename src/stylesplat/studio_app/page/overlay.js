@@ -4,6 +4,7 @@ import { plus, scaled } from "/viewer/camera.js";
 import { inflated } from "/viewer/unpack.js";
 import { settings, showPhotos, tool } from "./choices.js";
 import { hello, state } from "./connection.js";
+import { activeLayer } from "./layers.js";
 
 const PICKED = [255, 168, 48], POINTED = [110, 180, 255];
 const SELECTED = [90, 200, 255], SELECTED_TINT = 90;
@@ -155,6 +156,7 @@ export class Overlay {
     if (this.isCurrent(this.picked) && this.glow.width) context.drawImage(this.glow, 0, 0, width, height);
     if (lit) context.drawImage(this.light, 0, 0, width, height);
     if (showPhotos.value) this.photos(context);
+    if (tool.value === "guide") this.drawGuides(context);
     if (this.box) this.drawBox(context);
     const knob = this.knob();
     if (knob) {
@@ -206,6 +208,17 @@ export class Overlay {
       context.stroke(path([...ends, ends[0]]));
       for (const end of ends) context.stroke(path([eye, end]));
       this.frusta.push({ photo, at: eye });
+    }
+  }
+
+  // The lines that the strokes of the layer that is chosen follow
+  drawGuides(context) {
+    const lines = (activeLayer()?.guides ?? []).map((line) => line.map((place) => this.viewport.project(place)));
+    for (const line of lines.filter((each) => each.every((place) => place[2] > 0.01))) {
+      for (const [style, thickness] of [["#000a", 4], ["#ffc566", 2]]) {
+        Object.assign(context, { strokeStyle: style, lineWidth: thickness, lineCap: "round", lineJoin: "round" });
+        context.stroke(path(line));
+      }
     }
   }
 

@@ -1,12 +1,11 @@
-// The panels: tools, objects, and style pictures
+// The panels: tools, objects
 
-import { above, brush, dialog, how, part, radius, reach, regions, settings, shows, size, SIZES, soft, strip, tolerance, tool } from "./choices.js";
-import { useEffect, useRef } from "./libraries/hooks.js";
+import { brush, guideReach, how, radius, reach, settings, shows, size, SIZES, soft, tolerance, tool } from "./choices.js";
 import { useSignal } from "./libraries/signals.js";
-import { act, hello, newest, note, state, upload } from "./connection.js";
+import { act, hello, state } from "./connection.js";
 import { activeLayer } from "./layers.js";
-import { Leveling, ViewStrip, ViewTools } from "./views.js";
-import { Button, Entry, html, Icon, percent, Select, Slider } from "./widgets.js";
+import { setStrokes } from "./styles.js";
+import { Button, Entry, html, percent, Select, Slider } from "./widgets.js";
 
 const TOOLS = [
   ["object", "Pick objects: click. Shift adds, Ctrl removes; both with a drag, too"],
@@ -20,47 +19,19 @@ const TOOLS = [
   ["box", "Pick what lies inside a box"],
   ["mask", "Brush the layer that is chosen out and in. Shift brushes in, Ctrl out; hold Alt to turn"],
   ["mend", "Mend: brush over a fault, and what is around it is continued. Hold Alt to turn"],
+  ["guide", "Draw lines on the paint that its strokes follow. Hold Alt to turn"],
   ["strokes", "Size and direction of the strokes of the picked object"],
 ];
 
 const STEP = 0.05; // of its extent, by which an object grows or shrinks
-const RESTING = 300; // milliseconds without motion of the handle, after which a draft begins
 
-const picked = () => state.value.objects.filter((each) => each.picked);
-
-let resting = null;
-
-// Other strokes: if the picked object has a style, that shows on it at once, and a draft follows
-export function setStrokes(values) {
-  settings.value = { ...settings.value, ...values };
-  const { layers, styles } = state.value, [one, ...others] = picked();
-  const layer = layers.find((each) => each.name === one?.name && !each.locked);
-  const style = styles.findIndex((each) => each.title === layer?.title);
-  if (style < 0 || others.length) return;
-  window.studio.overlay.setPattern(one.name, styles[style].url);
-  clearTimeout(resting);
-  const draft = { style, names: [one.name], settings: { ...settings.value, quality: "draft" }, instead: true };
-  resting = setTimeout(() => act("paint", draft), RESTING);
-}
-
-// Paint objects, by default what is picked, like a style picture
-export function paint(style, names = null) {
-  if (!names && !picked().length && !state.value.selection) {
-    note("Pick an object first, or drag the picture onto one.", true);
-    return;
-  }
-  const region = regions.value[style], layer = activeLayer(), isNew = above.value;
-  // Into the layer that is chosen, where that is paint of what is picked
-  if (!names && !isNew && layer?.kind === "paint" && String(picked().map((each) => each.name)) === layer.object) names = [layer.name];
-  above.value = false;
-  act("paint", { style, names, above: isNew, settings: { ...settings.value, ...(region ? { region } : {}) } });
-}
+export const picked = () => state.value.objects.filter((each) => each.picked);
 
 export function Toolbar() {
   const chosen = tool.value, { extent } = hello.value;
   return html`<div class="toolbar" role="toolbar" aria-label="Picking tools">
     <div class="tools">${TOOLS.map(([key, label]) => html`<${Button} icon=${key} label=${label} active=${chosen === key} onClick=${() => (tool.value = key)} />`)}</div>
-    ${!["mask", "mend", "strokes", "box"].includes(chosen) && html`<div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"], ["within", "Keep"]].map(([key, words]) =>
+    ${!["mask", "mend", "guide", "strokes", "box"].includes(chosen) && html`<div class="segments touch" role="group" aria-label="What a pick does">${[["new", "New"], ["add", "Add"], ["away", "Remove"], ["within", "Keep"]].map(([key, words]) =>
       html`<button type="button" title=${key === "within" ? "Keep what both have" : words} aria-pressed=${how.value === key} onClick=${() => (how.value = key)}>${words}</button>`)}</div>`}
     ${chosen === "surface" && html`<div class="options segments" role="group" aria-label="Size">
       ${SIZES.map((each) => html`<button type="button" aria-pressed=${size.value === each} onClick=${() => window.studio.tools.sizeAgain(each)}>${each}</button>`)}</div>`}
@@ -80,12 +51,22 @@ export function Toolbar() {
         html`<button type="button" aria-pressed=${shows.value === key} onClick=${() => (shows.value = key)}>${words}</button>`)}</div>
       <${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005} show=${percent} onInput=${(value) => (brush.value = value)} />
       <${Slider} label="Soft edge" value=${soft.value} show=${percent} onInput=${(value) => (soft.value = value)} /></div>`}
+    ${chosen === "guide" && html`<${GuideOptions} />`}
     ${chosen === "strokes" && html`<div class="options"><p>${strokesHint()}</p>
       ${hello.value.settings.filter(({ name }) => ["scale", "rotate"].includes(name)).map((each) => html`<${Slider} label=${each.label} value=${settings.value[each.name] ?? each.value}
         low=${each.low} high=${each.high} step=${each.step} onInput=${(value) => setStrokes({ [each.name]: value })} />`)}</div>`}
     ${chosen === "box" && html`<div class="options"><p>Drag the dots.</p>${[["new", "Pick"], ["add", "Add"], ["away", "Remove"], ["within", "Keep"]].map(([how, words]) =>
       html`<button type="button" onClick=${() => pickBox(how)}>${words}</button>`)}</div>`}
   </div>`;
+}
+
+function GuideOptions() {
+  const layer = activeLayer(), count = layer?.guides.length ?? 0;
+  const paint = layer?.kind === "paint", fixed = !paint || layer.locked;
+  return html`<div class="options"><p>${paint ? `Draw lines on ${layer.object}. A draft follows; Finish paints it in full.` : "Choose a layer of paint on the right, or paint an object."}</p>
+    <${Slider} label="Reach" value=${guideReach.value} low=${0.02} high=${0.5} step=${0.01} show=${percent} onInput=${(value) => (guideReach.value = value)} />
+    <${Button} text=${count ? `Remove ${count === 1 ? "the line" : `${count} lines`}` : "No lines"} label="Let the strokes run as they like" disabled=${fixed || !count}
+      onClick=${() => act("repaint_layer", { name: layer.name, settings: { guides: [], quality: "draft" } })} /></div>`;
 }
 
 function strokesHint() {
@@ -169,7 +150,7 @@ function Recolor() {
   const layer = now.layers.find((each) => each.recolor && each.object === names[0]), values = layer?.recolor ?? {};
   const fixed = now.painting || layer?.locked;
   const set = (setting, value) => act("recolor", { names, setting, value });
-  const match = now.styles.findIndex((each) => each.title === values.match), swaps = values.swap ?? [];
+  const swaps = values.swap ?? [];
   return html`<details><summary>Recolour ${now.selection ? "the selection" : chosen.length ? chosen.join(", ") : "the background"}</summary>
     ${hello.value.recolorings.map((each) => html`<${Slider} label=${each.label} value=${values[each.name] ?? each.value} low=${each.low} high=${each.high} step=${each.step}
       disabled=${fixed} onInput=${(value) => set(each.name, value)} />`)}
@@ -179,51 +160,8 @@ function Recolor() {
         onInput=${(event) => set("swap", swaps.with(number, `${from}=${event.target.value}`))} /><span>instead of ${from}</span></label>
       <${Button} text="Remove" label=${`Do not exchange ${from}`} disabled=${fixed} onClick=${() => set("swap", swaps.toSpliced(number, 1))} /></div>`; })}
     <div class="row"><label class="check"><input type="color" disabled=${fixed} onChange=${({ target }) => set("swap", [...swaps, `${target.value}=${target.value}`])} /><span>Exchange a colour of it</span></label></div>
-    <${Select} label="Match the colours of" value=${String(match)} choices=${[["-1", "no picture"], ...now.styles.map((each, number) => [String(number), each.title])]}
-      onChange=${(number) => set("match", number === "-1" ? null : Number(number))} />
+    <${Select} label="Match the colours of" value=${values.match ?? ""} choices=${[["", "no picture"], ...now.styles.map((each) => each.title)]}
+      onChange=${(title) => set("match", title || null)} />
     <div class="row"><${Button} text="Own colours" label="Remove the recolouring" disabled=${!layer || fixed} onClick=${() => act("remove_paint", { name: layer.name })} /></div>
   </details>`;
-}
-
-const STRIPS = [["styles", "Styles"], ["views", "Views"]];
-
-const Strips = () => html`<div class="segments" role="group" aria-label="What is shown below">${STRIPS.map(([key, words]) =>
-  html`<button type="button" aria-pressed=${strip.value === key} onClick=${() => (strip.value = key)}>${words}</button>`)}</div>`;
-
-// At the bottom: style pictures, or views
-export function Strip({ viewport }) {
-  if (strip.value === "styles") return html`<${Styles} />`;
-  return html`<section class="panel styles" aria-label="Views"><${Leveling} viewport=${viewport} />
-    <div class="head"><${Strips} /><span class="grow"></span><${ViewTools} viewport=${viewport} /></div>
-    <${ViewStrip} viewport=${viewport} /></section>`;
-}
-
-function Styles() {
-  const now = state.value, chosen = picked();
-  const tried = Object.keys(now.previews).length > 0;
-  const unusual = Object.keys(settings.value).length;
-  const list = useRef(null), row = now.styles.findIndex((each) => each.title === newest.value);
-  useEffect(() => list.current.children[row]?.scrollIntoView({ block: "nearest", inline: "nearest" }), [row]);
-  return html`<section class="panel styles" aria-label="Styles">
-    <div class="head"><${Strips} />
-      <p class="hint">${chosen.length || now.selection ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ") || "the selection"}${above.value ? " on a new layer" : ""}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
-      <span class="grow"></span>
-      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts" disabled=${!(chosen.length || now.selection) || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all")} />
-      <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting" onClick=${() => (dialog.value = "settings")} />
-      <label class="button"><${Icon} name="plus" /><span>Add pictures</span><input type="file" accept="image/*" multiple onChange=${add} /></label></div>
-    <ul class="strip" ref=${list}>${now.styles.map((each, number) => html`<li key=${each.title}>
-      <button type="button" class="card" draggable="true" title=${`Paint like ${each.title}`} onClick=${() => paint(number)}
-        onDragStart=${(event) => event.dataTransfer.setData("style", String(number))}>
-        <img src=${now.previews[each.title] || each.url} alt="" draggable="false" />
-        ${now.previews[each.title] && html`<img class="corner" src=${each.url} alt="" />`}
-        <span class="name">${each.title}</span></button>
-      <${Button} small icon="crop" label=${`Choose a part of ${each.title}`} active=${Boolean(regions.value[number])} onClick=${() => (part.value = { ...each, number })} /></li>`)}
-      ${!now.styles.length && html`<li class="hint">Drop pictures or a folder here, or add them.</li>`}</ul>
-  </section>`;
-}
-
-function add(event) {
-  const files = [...event.target.files];
-  event.target.value = "";
-  upload(files);
 }

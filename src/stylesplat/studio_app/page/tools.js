@@ -1,14 +1,14 @@
 // What the pointer does to objects: clicks, rectangles, lassos, brushes, balls and a box
 
 import { effect } from "./libraries/signals.js";
-import { brush, how, radius, reach, shows, size, SIZES, soft, tolerance, tool } from "./choices.js";
+import { brush, guideReach, how, radius, reach, shows, size, SIZES, soft, tolerance, tool } from "./choices.js";
 import { act, hello, note, state } from "./connection.js";
 import { KNOB_NEAR, KNOB_STEP } from "./overlay.js";
 import { activeLayer } from "./layers.js";
-import { setStrokes } from "./panels.js";
+import { setStrokes } from "./styles.js";
 
 const STILL = 5; // pixels: less is a click
-const DRAWING = ["brush", "mask", "mend", "lasso", "rectangle"];
+const DRAWING = ["brush", "mask", "mend", "guide", "lasso", "rectangle"];
 const BRUSHES = ["brush", "mask", "mend"];
 const REST = 150; // milliseconds without motion of a slider
 const GRIP = 16; // pixels around a handle
@@ -116,6 +116,12 @@ export class Tools {
     }
     if (tool.value === "mend") {
       act("mend_drawn", { points: thinned(line).map((each) => this.share(each)), radius: brush.value, soft: soft.value });
+      return;
+    }
+    if (tool.value === "guide") {
+      const layer = activeLayer();
+      if (layer?.kind !== "paint") note("Paint an object first, then draw the lines that its strokes follow.", true);
+      else act("guide_drawn", { name: layer.name, points: thinned(line).map((each) => this.share(each)), reach: guideReach.value });
       return;
     }
     if (tool.value === "mask") {

@@ -5,7 +5,7 @@ import { cross, dot, Orbit, plus, scaled, unit } from "/viewer/camera.js";
 import { drawer } from "/viewer/draw.js";
 import { listen, slide } from "/viewer/hands.js";
 import { inflated, unpack } from "/viewer/unpack.js";
-import { background, cut, kept, leveling, mode, settings, showPhotos } from "./choices.js";
+import { active, background, cut, kept, leveling, mode, settings, showPhotos, tool } from "./choices.js";
 import { act, hello, on, state } from "./connection.js";
 import { Overlay } from "./overlay.js";
 import { Tools } from "./tools.js";
@@ -49,7 +49,7 @@ export class Viewport {
     new ResizeObserver(() => this.moved()).observe(root);
     effect(() => this.compare(mode.value, Boolean(state.value?.layers.length)));
     effect(() => {
-      const variant = state.value?.variants[state.value.compared];
+      const variant = state.value?.variants.find((each) => each.id === state.value.compared);
       find(".cut span").textContent = variant ? `${variant.object}: ${variant.title}` : "before";
     });
     effect(() => {
@@ -63,6 +63,7 @@ export class Viewport {
     effect(() => state.value?.painting || this.overlay.setPattern(null));
     effect(() => state.value && this.overlay.tintAgain());
     effect(() => settings.value && this.overlay.draw());
+    effect(() => tool.value && state.value && active.value !== undefined && this.overlay.draw());
     effect(() => [showPhotos.value] && this.overlay.draw());
     window.addEventListener("keydown", (event) => event.key.toLowerCase() === "b" && !isTyping(event) && this.hold(true));
     window.addEventListener("keyup", (event) => event.key.toLowerCase() === "b" && this.hold(false));
