@@ -96,7 +96,7 @@ def write_model_glb(folder: Path, *, shared_uvs: bool = False) -> Path:
             points = np.arange(document["accessors"][-1]["count"])
             attributes["JOINTS_0"] = add((points[:, None] % [2, 3, 5, 7]).astype("u1"))
             attributes["WEIGHTS_0"] = add(np.eye(4, dtype="<f4")[points % 4])
-            primitive["targets"] = [{"POSITION": add(np.float32(points[:, None] * [1, 2, 3]))}]
+            primitive["targets"] = [{"POSITION": add((points[:, None] * [1, 2, 3]).astype("<f4"))}]
             del attributes["TEXCOORD_0"]
         document["meshes"].append({"name": f"ball {number}", "primitives": [primitive]})
     document["buffers"][0]["byteLength"] = len(binary)

@@ -49,7 +49,7 @@ def test_help_of_every_verb(verb: str, capsys):
 def test_settings_have_the_help_and_the_defaults_of_their_config(verb: str, config: type, capsys):
     page = " ".join(printed(capsys, verb, "--help").replace("│", "").split())
     for name, option in options_of(config).items():
-        shown = "" if option.default is None else f" (default: {option.default})"
+        shown = "" if option.default in (None, ()) else f" (default: {option.default})"
         shown = "" if isinstance(option.default, bool) else shown
         assert option.research or help_texts(config)[name] + shown in page
 

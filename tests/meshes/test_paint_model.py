@@ -126,8 +126,8 @@ def test_bones_and_morphs_follow_vertices_that_are_split(tmp_path: Path):
     for name in ("POSITION", "NORMAL", "JOINTS_0", "WEIGHTS_0"):
         before, after = corners(path, name), corners(output, name)
         assert before.dtype == after.dtype and np.array_equal(before, after), name
-    moved = (corners(each, "POSITION", target=True) for each in (path, output))
-    assert np.array_equal(*moved)
+    before, after = (corners(each, "POSITION", target=True) for each in (path, output))
+    assert np.array_equal(before, after)
 
 
 def test_ply_and_obj_are_read(tmp_path: Path):

@@ -263,6 +263,9 @@ def test_the_command_changes_a_scene_or_makes_another(tmp_path: Path, capsys):
     assert open_scene(tmp_path / "scene").layers[0].settings == {"hue": 90.0}
     assert read_json(tmp_path / "scene/layers.json")["layers"][0]["kind"] == "recolour"
     assert (tmp_path / "scene/before_after.png").is_file()
+    swaps = ("--swap", "red=teal", "--swap", "red=teal")
+    assert run("recolor", tmp_path / "scene", "--object", "red", *swaps) == 0
+    assert open_scene(tmp_path / "scene").layers[0].settings == {"swap": ["red=teal", "red=teal"]}
     other = tmp_path / "other"
     assert run("adjust", tmp_path / "scene", "--object", "red/recolor", "--undo", "-o", other) == 0
     assert_same_splats(open_scene(other).splats, open_scene(tmp_path / "scene").base)

@@ -21,6 +21,7 @@ from tyro.conf import (
     FlagCreatePairsOff,
     OmitArgPrefixes,
     PositionalMetavarFromFieldName,
+    UseAppendAction,
     arg,
     subcommand,
 )
@@ -104,8 +105,9 @@ def from_config(config: type, *names: str) -> Any:
         if field not in names and (names or option.research):
             continue
         kind, *others = get_args(option.kind) or (option.kind,)
+        kind = kind if others == [NoneType] else option.kind  # T of `T | None`
         offered[field] = Annotated[
-            kind if others == [NoneType] else option.kind,  # T of `T | None`
+            UseAppendAction[kind] if others == [...] else kind,  # lists grow as it is repeated
             arg(
                 name=option.name or field,
                 aliases=[f"--{field}"] if option.name else [],
@@ -139,8 +141,10 @@ def _command(info: StructTypeInfo) -> StructConstructorSpec | None:
             kind = Annotated[kind, arg(help_behavior_hint="")]
         settings = next(filter(is_typeddict, get_args(kind)), None)
         if settings is not None:
-            flags = {name for name, each in get_type_hints(settings).items() if each is bool}
-            kind, default = OmitArgPrefixes[settings], dict.fromkeys(flags, False)
+            kinds_inside = get_type_hints(settings).items()
+            default = {name: False for name, each in kinds_inside if each is bool}
+            default |= {name: () for name, each in kinds_inside if get_args(each)[1:] == (...,)}
+            kind = OmitArgPrefixes[settings]
         options.append(StructFieldSpec(each.name, kind, default, texts.get(each.name)))
     return StructConstructorSpec(info.type, tuple(options))
 

@@ -40,8 +40,9 @@ SHOWN = ("intensity", "form")  # settings that a recipe may give another value a
 class Stylize(MakingCommand):
     """Repaint objects of a scene, each in the style of a picture; or a mesh, in its texture.
 
-    Examples: stylesplat stylize garden-scene --style vase=wave.jpg -o garden-wave;
-    stylesplat stylize model.glb --style wave.jpg -o painted.glb
+    Example: stylesplat stylize garden-scene --style vase=wave.jpg -o garden-wave
+
+    Example: stylesplat stylize model.glb --style wave.jpg -o painted.glb
     """
 
     scene: Annotated[Positional[Path], arg(help="Folder of the scene; or a .glb, .obj or .ply.")]
@@ -170,6 +171,8 @@ class Recolor(EditingCommand):
     """Change the colours of an object or of the background, at once and without a style.
 
     Example: stylesplat recolor garden-scene --object vase --hue 120
+
+    Example: stylesplat recolor garden-scene --object vase --swap "#a02020=teal"
     """
 
     object: UseAppendAction[tuple[str, ...]] = ()
