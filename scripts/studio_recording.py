@@ -21,8 +21,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from browser import Tab, studio_tab, until
 
-WINDOW, WIDTH = (1120, 700), 800  # pixels of the window, and of the picture's width
+WINDOW, WIDTH = (1180, 760), 880  # pixels of the window, and of the picture's width
 SHORT, LONG = 90, 900  # milliseconds of a frame, and of one to look at
+READY = 10.0  # seconds: pictures of the objects and of the materials come meanwhile
 EVERY, MOST = 1.0, 420.0  # seconds between frames of a painting, and of it at most
 TURN, SPLIT = 18, 16  # frames
 HANDLE = "[...document.querySelectorAll('[role=slider]')].find((each) => each.offsetParent)"
@@ -59,6 +60,8 @@ class Recording:
 def record(tab: Tab, name: str, style: str) -> Recording:
     """Do what the docstring of this file says."""
     recording = Recording(tab)
+    tab.press_button("Skip")  # the hints of a first visit
+    time.sleep(READY)
     place = tab.middle_of(name)
     recording.take(LONG)
     tab.page.mouse("move", *place)
@@ -111,7 +114,7 @@ def main(scene: str, styles: str, name: str, style: str, output: str) -> None:
                     made = record(tab, name, style)
             finally:
                 run.terminate()
-    options = {"duration": made.times, "loop": 0, "quality": 50, "method": 4}
+    options = {"duration": made.times, "loop": 0, "quality": 60, "method": 4}
     made.frames[0].save(output, save_all=True, append_images=made.frames[1:], **options)
     size = Path(output).stat().st_size / 1e6
     print(f"{output}: {len(made.frames)} frames, {sum(made.times) / 1000:.0f} s, {size:.1f} MB")
