@@ -38,7 +38,7 @@ class Job:
         self.commands = [[program, *map(str, command)] for command in commands]
         self.done, self.share, self.line = 0, 0.0, "starting"
         self._process: subprocess.Popen[str] | None = None
-        self._fault = ""
+        self._fault = self._last = ""
         self._start()
 
     def _start(self) -> None:
@@ -60,8 +60,9 @@ class Job:
         for line in process.stderr:
             if found := PERCENT.search(line):
                 self.share, self.line = int(found[1]) / 100, line.split(":")[0]
+            self._last = line.strip() or self._last
             if line.startswith(NAME):
-                self._fault = line.removeprefix(NAME).strip()
+                self._fault = self._last.removeprefix(NAME)
 
     @property
     def progress(self) -> float:
@@ -79,7 +80,8 @@ class Job:
         self._reader.join()
         if self._process.returncode:
             code = self._process.returncode
-            raise ProgramError(self._fault or f"stylesplat ended with the exit status {code}.")
+            ended = f"stylesplat ended with the exit status {code}: {self._last}"
+            raise ProgramError(self._fault or ended)
         self.done, self.share = self.done + 1, 0.0
         if self.done == len(self.commands):
             self._process = None

@@ -31,18 +31,21 @@ def activate(thing):
     bpy.context.view_layer.objects.active = thing
 
 
-def as_points(file):
-    bpy.ops.wm.ply_import(filepath=file)
+def imported(file):
+    """What Blender's importer makes: a point cloud from 5.3 on, before it a mesh."""
+    bpy.ops.wm.ply_import(filepath=file, import_attributes=True)
     (thing,) = bpy.context.selected_objects
-    if splats.kind_of(thing) != splats.POINTS:  # before 5.3
-        return None
     half = splats.places(thing.data)[:, 0] < 0
-    thing.data.attributes.new(".selection", "BOOLEAN", "POINT").data.foreach_set("value", half)
+    if splats.kind_of(thing) == splats.POINTS:
+        thing.data.attributes.new(".selection", "BOOLEAN", "POINT").data.foreach_set("value", half)
+    else:
+        thing.data.vertices.foreach_set("select", half)
+    assert (splats.table_of(thing)[:, :3] == splats.read_ply(Path(file))[:, :3]).all()
     return thing, half
 
 
 def as_vertices(file):
-    """What the importer before 5.3 makes."""
+    """A mesh as importers of add-ons make it."""
     table = splats.read_ply(Path(file))
     mesh = bpy.data.meshes.new("vertices")
     mesh.vertices.add(len(table))
@@ -120,10 +123,10 @@ def main(folder, file, picture, path):
     extension.register()
     extension.operators.PROGRAM = path
     FACTS["version"] = bpy.app.version_string
-    for kind, make in ((splats.VERTICES, as_vertices), (splats.POINTS, as_points)):
-        if made := make(file):
-            check(kind, made, picture)
-            activate(made[0])
+    for make in (as_vertices, imported):
+        made = make(file)
+        check(splats.kind_of(made[0]), made, picture)
+        activate(made[0])
     settings = bpy.context.scene.stylesplat
     settings.picture = "no picture.jpg"
     FACTS["no_picture"] = refused(bpy.ops.stylesplat.stylize)
