@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import affine_transform
 from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from stylesplat.photo_libraries import cv2
 from stylesplat.rendering.weights import composite
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import project
@@ -25,7 +25,7 @@ from stylesplat.selection.shapes import robust_diameter
 from stylesplat.stylization.config import StyleConfig, parse_guide
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.matching import StyleIndex, most_similar
-from stylesplat.stylization.style import fit_style, style_parts
+from stylesplat.stylization.style import blurred, derivative, fit_style, style_parts
 
 GUIDE_SAMPLES = 200  # places along all lines for each length of the object
 GUIDE_NEAREST = 8  # of them, whose directions are averaged
@@ -153,15 +153,12 @@ def turned_style(
 
 def _turned(picture: Float[Tensor, "H W 3"], degrees: float) -> Float[Tensor, "H W 3"]:
     """A picture turned about its middle; its corners are filled by reflections."""
-    height, width = picture.shape[:2]
-    turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1)
-    turned = cv2.warpAffine(
-        picture.cpu().numpy(),
-        turn,
-        (width, height),
-        flags=cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REFLECT_101,
-    )
+    sin, cos = (f(math.radians(degrees)) for f in (math.sin, math.cos))
+    matrix = np.array([[cos, sin], [-sin, cos]])  # from rows and columns to those of the picture
+    middle = (np.array(picture.shape[:2]) - 1) / 2
+    place = {"offset": middle - matrix @ middle, "order": 1, "mode": "mirror"}
+    channels = picture.cpu().numpy().transpose(2, 0, 1)
+    turned = np.stack([affine_transform(each, matrix, **place) for each in channels], axis=-1)
     return torch.from_numpy(turned).to(picture)
 
 
@@ -182,7 +179,7 @@ def picture_flow(picture: Float[Tensor, "H W 3"], width: float) -> Float[Tensor,
     They are those of the structure tensor's smaller eigenvalue, averaged over so many pixels.
     """
     grey = (picture @ picture.new_tensor(LUMA)).cpu().numpy().astype(np.float32)
-    x, y = (cv2.Sobel(grey, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
-    xx, xy, yy = (cv2.GaussianBlur(each, (0, 0), width) for each in (x * x, x * y, y * y))
+    x, y = derivative(grey, 1, 0), derivative(grey, 0, 1)
+    xx, xy, yy = (blurred(each, width) for each in (x * x, x * y, y * y))
     double = np.stack([yy - xx, -2 * xy], axis=-1) / np.maximum(xx + yy, 1e-9)[..., None]
     return torch.from_numpy(double).to(picture)

@@ -87,11 +87,11 @@ def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor
     width, square = scale / 2, (3, 3, 1)
     size = 4 * round(width) + 3
     image = resize(picture, min(STYLE_LARGEST, float(max(picture.shape[:2])))).cpu().numpy()
-    image = _blurred(image, width / 2)  # else extremes would grow
+    image = blurred(image, width / 2)  # else extremes would grow
     for _ in range(round(SHOCKS * (scale - USUAL_SCALE))):
-        smooth = _blurred(image, width / 2)
-        grey = _blurred(image @ LUMA_601, width)
-        dx, dy, xx, xy, yy = (_derivative(grey, *each) for each in ORDERS)
+        smooth = blurred(image, width / 2)
+        grey = blurred(image @ LUMA_601, width)
+        dx, dy, xx, xy, yy = (derivative(grey, *each) for each in ORDERS)
         a, b, c = (uniform_filter(m, size, mode="mirror") for m in (dx * dx, dx * dy, dy * dy))
         across = np.arctan2(2 * b, a - c) / 2  # the flow: of the structure tensor (Bigun 1987)
         x, y = np.cos(across), np.sin(across)
@@ -101,11 +101,12 @@ def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor
     return torch.from_numpy(image).to(picture)
 
 
-def _blurred(image: Float[np.ndarray, "H W *D"], sigma: float) -> Float[np.ndarray, "H W *D"]:
+def blurred(image: Float[np.ndarray, "H W *D"], sigma: float) -> Float[np.ndarray, "H W *D"]:
+    """An image averaged by a Gaussian of so many pixels; beyond its border it is mirrored."""
     return gaussian_filter(image, sigma, mode="mirror", axes=(0, 1))
 
 
-def _derivative(image: Float[np.ndarray, "H W"], x: int, y: int) -> Float[np.ndarray, "H W"]:
+def derivative(image: Float[np.ndarray, "H W"], x: int, y: int) -> Float[np.ndarray, "H W"]:
     """The derivative of an order along each axis, by Sobel's kernels."""
     for axis, order in ((1, x), (0, y)):
         image = correlate1d(image, SOBEL[order], axis=axis, mode="mirror")
