@@ -408,6 +408,7 @@ def test_strokes_follow_lines_that_are_drawn_and_undo_takes_each_back(page: Page
         pixels = project(torch.tensor([known]), CAMERA)[0][0] / torch.tensor([WIDTH, HEIGHT])
         assert torch.allclose(pixels, torch.tensor(drawn), atol=0.01), "where it was drawn"
     first = page.session.state.scene
+    assert page.session.state.note == "Painted 3 like stripes, along 1 line"
     assert not torch.equal(first.layers[0].sh0, free.layers[0].sh0)
     (layer,) = page.act("guide_drawn", name="3", points=[(x, y - 0.03), (x, y + 0.03)]).layers
     assert len(layer.guides) == 2

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, count_noun
 from stylesplat.rendering.weights import COVERED, coverage, expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import Layer
@@ -83,7 +83,17 @@ class Brushes:
         """Paint a layer again in its own style, with other settings than now, or than ordered."""
         now = {"intensity": layer.strength, "form": layer.form}
         style = layers.painted_style(layer, **{**now, **self.guides_of(layer.name), **settings})
-        self.queue.paint([layer.name], style, layer_title(layer), instead=True)
+        how = described_change(settings)
+        self.queue.paint([layer.name], style, layer_title(layer), instead=True, how=how)
+
+
+def described_change(settings: Mapping[str, Any]) -> str:
+    """Other settings of a painting, for the note of its step."""
+    if "guides" in settings:
+        count = len(settings["guides"])
+        return f", along {count_noun(count, 'line')}" if count else ", without lines"
+    others = [f"{key} {value}" for key, value in settings.items() if key != "quality"]
+    return f", {', '.join(others) or 'finished'}"
 
 
 @torch.no_grad()

@@ -52,6 +52,8 @@ class PaintJob:
     weights: Float[Tensor, " B"] | None = None
     """What the paint is to show through."""
     blend: Blend | None = None
+    how: str = ""
+    """In what it differs from the painting before, for the note of its step."""
     merge: object = None
     """Of the step of the history that made the object, which the painting becomes part of."""
 
@@ -89,11 +91,13 @@ class PaintQueue:
         title: str,
         instead: bool = False,
         blend: Blend | None = None,
+        how: str = "",
     ) -> None:
         """Paint layers, by the names of objects or of their further layers, one after the other.
 
         Their paintings that wait or are under way are dropped. `instead` keeps the picture of that
         under way until there are strokes. `blend` is that of the layers, if it is to be another.
+        `how` they differ from those before is in the note.
         """
         if not names:
             raise StyleSplatError("Nothing is picked. Click an object first.")
@@ -107,7 +111,7 @@ class PaintQueue:
             self.session.worker.set_background_task(None)
         numbers = self._numbers
         for name in names:
-            job = PaintJob(next(numbers), name, style, title, instead, blend=blend)
+            job = PaintJob(next(numbers), name, style, title, instead, blend=blend, how=how)
             if name in before:
                 job = replace(job, weights=before[name].weights, merge=before[name].merge)
             self.waiting.append(job)
@@ -227,7 +231,7 @@ class PaintQueue:
             latest = self._latest
             assert latest is not None  # there is at least one step
             self._usual[job.style.config.quality] = self._times
-            self._finish(job, latest, f"Painted {job.name} like {job.title}")
+            self._finish(job, latest, f"Painted {job.name} like {job.title}{job.how}")
             self.session.on_painted.call(job.name, job.title)
         except Stopped:
             return
