@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 
 import stylesplat as ss
-from glb_models import write_model_glb
+from glb_models import png, write_model_glb
 from scenes import glb_of, glb_parts
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.models.model import base_colors, displayed
@@ -143,6 +143,21 @@ def test_ply_and_obj_are_read(tmp_path: Path):
     assert displayed(np.array([[0.0, 0.5, 1.0]]))[0, 1] == pytest.approx(0.735, abs=1e-3)
     (tmp_path / "b.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 4 3\n")
     assert sum(len(part.faces) for part in read_model(tmp_path / "b.obj").parts) == 2
+
+
+def test_an_obj_reads_files_of_its_own_folder_alone(tmp_path: Path, said: list[str]):
+    folder, text = tmp_path / "inner", "newmtl a\nKd 1 0 0\nmap_Kd a.png\n"
+    folder.mkdir()
+    for place in (folder, tmp_path):
+        (place / "a.mtl").write_text(text)
+        (place / "a.png").write_bytes(png((0, 0, 255)))
+    shape = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\n"
+    (folder / "in.obj").write_text("mtllib a.mtl\n" + shape)
+    (folder / "out.obj").write_text("mtllib ../a.mtl\n" + shape)
+    (inside,), (outside,) = (read_model(folder / f"{each}.obj").parts for each in ("in", "out"))
+    assert inside.picture is not None and inside.picture[0, 0].tolist() == [0, 0, 255, 255]
+    assert outside.picture is None or (outside.picture[..., 2] < 255).all()  # trimesh's own grey
+    assert len(said) == 1 and "../a.mtl" in said[0]
 
 
 def test_an_obj_gets_its_material_and_picture(tmp_path: Path, picture: Path):

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.atomic import atomic_path, refuse_file
-from stylesplat.io.files import is_there, read_bytes, reading
+from stylesplat.io.files import is_there, read_bytes, reading, resolve_within
 from stylesplat.io.models.glb import painted_glb, parse_glb
 from stylesplat.io.models.model import Model, PaintedPart
+from stylesplat.progress import say
 
 GLB, OBJ, MATERIALS = ".glb", ".obj", ".mtl"
 CONVERTED = (OBJ, ".ply")
@@ -97,8 +98,20 @@ def _converted(path: Path) -> bytes:
             "save it as .glb."
         )
     import trimesh
+    from trimesh.resolvers import FilePathResolver
 
-    scene = trimesh.load_scene(path, process=False)
+    class Beside(FilePathResolver):
+        """Materials and pictures of the file's own folder alone."""
+
+        def get(self, name: str) -> bytes:
+            try:
+                resolve_within(path.parent, name)
+            except StyleSplatError as error:
+                say(f"{path} names {shorten(name)!r}, which is outside its folder: left out.")
+                raise FileNotFoundError(name) from error
+            return super().get(name)
+
+    scene = trimesh.load_scene(path, process=False, resolver=Beside(str(path)))
     meshes = {
         name: each
         for name, each in scene.geometry.items()
