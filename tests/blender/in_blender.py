@@ -98,7 +98,7 @@ def check(kind, made, picture):
     corners = np.array([mesh.matrix_world @ vertex.co for vertex in mesh.data.vertices])
     places = splats.places(thing.data)[half] + (1, 2, 3)
     ends = [[each.min(axis=0), each.max(axis=0)] for each in (corners, places)]
-    facts["mesh_off"] = float(abs(np.subtract(*ends)).max())
+    facts["mesh_off"] = float(abs(np.array(ends[0]) - np.array(ends[1])).max())
     nodes = mesh.material_slots[0].material.node_tree.nodes
     images = [node.image for node in nodes if node.type == "TEX_IMAGE"]
     facts["texture"] = bool(images and images[0].packed_file and [*images[0].size] == [256, 256])
