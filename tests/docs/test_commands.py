@@ -6,13 +6,11 @@ alone. Other programs are not run: they change the environment, or need a networ
 
 import re
 import shlex
-from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
-from doc_pages import PAGES, ROOT, blocks
+from doc_pages import ALL, OURS, PAGES, ROOT, Command
 from stylesplat.cli import VERBS
 from stylesplat.cli.arguments import read_arguments
 
@@ -31,46 +29,7 @@ OTHERS = {  # programs that are not run, and why
     ".venv/bin/pytest": "the suite itself, whose paths are looked up",
     "apt-get": "changes the system",
 }
-INLINE = re.compile(r"`(stylesplat [a-z][^`\n]*)`")
 PLACEHOLDERS = {"...": "x", "VERB": "objects", "HOST": "host"}
-
-
-class Command(NamedTuple):
-    place: str
-    words: list[str]
-
-
-def commands() -> Iterator[Command]:
-    """Of blocks, and those in the text that have more than the name of a verb."""
-    for block in blocks("sh", ""):
-        text = block.text.replace("\\\n", " ")
-        for number, line in enumerate(text.splitlines()):
-            line = line.removeprefix("$ ")
-            if block.language or line.startswith("stylesplat "):  # others show files and output
-                yield from _split(f"{block.page}:{block.line + number}", line)
-    for path in PAGES:
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-            for match in INLINE.finditer(line):
-                if len(match[1].split()) > 3 and "VERB" not in match[1]:
-                    yield from _split(f"{path.relative_to(ROOT).as_posix()}:{number}", match[1])
-
-
-def _split(place: str, line: str) -> Iterator[Command]:
-    words = shlex.split(line, comments=True)
-    while words:
-        end = next((i for i, word in enumerate(words) if word in ("&&", ";")), len(words))
-        if words[:end]:
-            yield Command(place, words[:end])
-        words = words[end + 1 :]
-
-
-ALL = [*commands()]
-# What writes a file for the shell is run by tests/cli/test_usage.py
-OURS = [
-    each
-    for each in ALL
-    if each.words[0] == "stylesplat" and each.words[1] != "--tyro-write-completion"
-]
 SCRIPT = re.compile(r"(?:scripts|benchmarks|examples|tests)/[\w/]+\.(?:py|ipynb)")
 
 
