@@ -72,13 +72,13 @@ class Stylize(MakingCommand):
         return self._run_mesh() if is_model(self.scene) else self._run_scene()
 
     def _run_mesh(self) -> Answer:
-        from stylesplat.verbs.stylize_mesh import WHOLE, stylize_mesh
+        from stylesplat.verbs.stylize_mesh import WHOLE_MESH, stylize_mesh
 
         self.refuse_given(("recipe", "protect"), "a mesh")
         settings = {"preset": self.preset, **self.settings}
-        texts = [text if "=" in text else f"{WHOLE}={text}" for text in self.style]
+        texts = [text if "=" in text else f"{WHOLE_MESH}={text}" for text in self.style]
         styles = {name: ss.Style(*files, **settings) for name, files in map(parse_style, texts)}
-        if not styles or (WHOLE in styles and len(texts) > 1):
+        if not styles or (WHOLE_MESH in styles and len(texts) > 1):
             raise StyleSplatError(
                 f"A mesh takes --style IMAGE, or --style NAME=IMAGE for parts of it; got "
                 f"{' '.join(self.style) or 'none'}."
@@ -88,7 +88,7 @@ class Stylize(MakingCommand):
             options["texture_size"] = self.texture_size
         found = stylize_mesh(
             self.scene,
-            styles.get(WHOLE, styles),
+            styles.get(WHOLE_MESH, styles),
             self.output,
             overwrite=self.overwrite,
             **options,

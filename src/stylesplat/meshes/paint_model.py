@@ -29,13 +29,15 @@ from stylesplat.stylization.style import Style
 
 DISCS = 80_000  # on the surface that is painted, at most
 TEXELS_OF_DISC = 8  # at least
-PACKED = 0.7  # of random discs that are as dense as can be: their number times distance^2 over area
+DISCS_PACKED = (
+    0.7  # of random discs that are as dense as can be: their number times distance^2 over area
+)
 CANDIDATES = 5  # points by disc, from which discs are chosen
 SOLID_DISC = 0.99  # opacity
 SEVERAL = 2  # times the side of one texture has the square that holds several
 LOOKED_AT = 512  # pixels of the side of the texture in which overlaps are looked for
 UV_ROUNDING = 1e-4  # of UVs at the texture's border
-OVERLAP = 1.1  # times the area that is covered: less is rounding
+UV_OVERLAP = 1.1  # times the area that is covered: less is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +107,7 @@ def sample_discs(
     points, normals, colors = (
         torch.from_numpy(np.concatenate(each)).float() for each in zip(*found, strict=True)
     )
-    spacing = math.sqrt(PACKED * total / discs)
+    spacing = math.sqrt(DISCS_PACKED * total / discs)
     rows = poisson_disk_sample(points, spacing, seed=seed)
     sh0, count = sh0_from_rgb(colors[rows])[:, None], len(rows)
     blank = Splats(
@@ -163,12 +165,6 @@ def _textures(parts: Sequence[Part]) -> tuple[list[list[int]], list[int]]:
             kept.append(rows)
         else:
             anew += rows
-    for row in anew:
-        if parts[row].other_maps:
-            raise StyleSplatError(
-                f"{parts[row].names[-1]} has UVs that overlap or repeat, and other textures at "
-                "them. Save the model as .glb, which can hold other UVs for the paint."
-            )
     return kept, sorted(anew)
 
 
@@ -231,7 +227,7 @@ def _is_one_to_one(parts: Sequence[Part]) -> bool:
     used, size = np.abs(across).sum() / 2, (LOOKED_AT, LOOKED_AT)
     depths = np.ones(len(uvs), np.float32)
     drawn = draw_triangles(uvs.astype(np.float32) * LOOKED_AT, depths, faces.astype(np.int32), size)
-    return bool(0 < used < OVERLAP * (drawn.faces != NOTHING).sum())
+    return bool(0 < used < UV_OVERLAP * (drawn.faces != NOTHING).sum())
 
 
 @torch.no_grad()

@@ -26,7 +26,7 @@ from stylesplat.stylization.config import Network
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.stylize import stylize
 
-WHOLE = "all"  # the name of a mesh that is painted as one
+WHOLE_MESH = "all"  # the name of a mesh that is painted as one
 UP = torch.tensor([0.0, -1.0, 0.0])
 
 
@@ -76,8 +76,10 @@ def stylize_mesh(
     MeshConfig(texture_size=texture_size)  # which checks it
     refuse_model_file(mesh, output, overwrite=overwrite)
     model = read_model(mesh)
-    named = styles if isinstance(styles, Mapping) else {WHOLE: styles}
-    chosen = _chosen(model.parts, named) if isinstance(styles, Mapping) else {WHOLE: [*model.parts]}
+    named = styles if isinstance(styles, Mapping) else {WHOLE_MESH: styles}
+    chosen = (
+        _chosen(model.parts, named) if isinstance(styles, Mapping) else {WHOLE_MESH: [*model.parts]}
+    )
     painted, pictures = [], []
     for name, parts in chosen.items():
         style = named[name]

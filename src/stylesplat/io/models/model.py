@@ -29,8 +29,6 @@ class Part:
     """Parts with an equal value share the places of their texture."""
     place: Any
     """Where the file has it; its writer knows."""
-    other_maps: bool = False
-    """Whether other textures lie at the same UVs, which cannot be made anew in this format."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,19 +18,21 @@ from stylesplat.progress import say
 
 GLB, OBJ, MATERIALS = ".glb", ".obj", ".mtl"
 CONVERTED = (OBJ, ".ply")
-MODELS = (GLB, *CONVERTED)
+MODEL_SUFFIXES = (GLB, *CONVERTED)
 MODEL_REMEDY = "Export it again as .glb."
 
 
 def is_model(path: Path) -> bool:
     """Whether a path names a file of meshes, from its name alone."""
-    return path.suffix.lower() in MODELS and not path.is_dir()
+    return path.suffix.lower() in MODEL_SUFFIXES and not path.is_dir()
 
 
 def refuse_model_file(source: Path, output: Path, *, overwrite: bool) -> None:
     """Refuse files that no mesh can be read from or written to, before any work."""
-    if source.suffix.lower() not in MODELS:
-        raise StyleSplatError(f"Cannot read {source} as a mesh. Give a {', '.join(MODELS)}.")
+    if source.suffix.lower() not in MODEL_SUFFIXES:
+        raise StyleSplatError(
+            f"Cannot read {source} as a mesh. Give a {', '.join(MODEL_SUFFIXES)}."
+        )
     if not is_there(source):
         raise StyleSplatError(f"There is no mesh {source}. Check the name.")
     kinds = (GLB, OBJ) if source.suffix.lower() in CONVERTED else (GLB,)

@@ -36,7 +36,7 @@ USD_PACKAGE = ".usdz"
 FIELD, SPLAT_FIELD = "ParticleField", "ParticleField3DGaussianSplat"
 ELLIPSOID = "ParticleFieldKernelGaussianEllipsoidAPI"
 SURFLET = "ParticleFieldKernelGaussianSurfletAPI"
-DEGREE = "radiance:sphericalHarmonicsDegree"
+USD_DEGREE = "radiance:sphericalHarmonicsDegree"
 COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
 CUTOFF = 3.0  # standard deviations, within which the extent holds a Gaussian
 # From a stage's world to ours (COLMAP's): x right, y down, z forward
@@ -197,7 +197,7 @@ def _harmonics(prim: Any, count: int, path: Path, time: Any) -> Float[Tensor, "N
     if "lin" in space.lower():
         say(f"{path} has its colours in {shorten(space)!r}: read as sRGB, so they may look darker.")
     found = _rows(prim, COEFFICIENTS, 3, time)
-    attribute = prim.GetAttribute(DEGREE)
+    attribute = prim.GetAttribute(USD_DEGREE)
     degree = (attribute.Get() if attribute else None) or 0
     if found is None or not 0 <= degree or len(found) < count * sh_bases(degree):
         say(f"{path} has no colours for each of {prim.GetPath()}: they are grey.")
