@@ -41,6 +41,14 @@ def test_what_is_read_composes_to_the_same(tmp_path: Path):
     assert_same(scene_folder.open(tmp_path / "scene"), bare)
 
 
+def test_two_objects_of_one_mask(tmp_path: Path):
+    scene = plain_scene()
+    name, known = next(iter(scene.objects.items()))
+    scene = replace(scene, objects={name: known, "again": known})
+    scene_folder.save(scene, tmp_path / "scene")
+    assert_same(scene_folder.open(tmp_path / "scene"), scene)
+
+
 def test_the_deepest_relief_that_painting_measures(tmp_path: Path):
     scene = full_scene()
     layers = [replace(layer, relief=layer.relief * 0 - 2) for layer in scene.layers]

@@ -52,7 +52,12 @@ PICKED = Declared(("N",), torch.bool)
 
 
 def write_tensors(tensors: Mapping[str, Tensor], path: Path) -> None:
-    whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    whole, memory = dict[str, Tensor](), set[int]()
+    for name, tensor in tensors.items():
+        tensor = tensor.detach().cpu().contiguous()
+        place = tensor.untyped_storage().data_ptr()
+        whole[name] = tensor.clone() if place in memory else tensor  # each has memory of its own
+        memory.add(place)
     with atomic_path(path) as draft:
         draft.touch()
         mode = draft.stat().st_mode  # safetensors takes it away from group and others
