@@ -230,7 +230,8 @@ def turning(scene: Path, styles: Path, turns: int) -> Iterator[list[str]]:
             studio_tab(size=SIZE, downloads=Path(folder)) as tab,
         ):
             tab.page.open(url)
-            until(lambda: tab.page.evaluate("studio.overlay.map?.names.length > 0"), "it", 900.0)
+            goal = "window.studio?.overlay.map?.names.length > 0"
+            until(lambda: tab.page.evaluate(goal), "all objects", 900.0)
             time.sleep(8.0)  # kernels and the network are loaded meanwhile
             tab.page.evaluate(WATCH)
             times = [seconds for _, seconds in moves(tab, turns)]
