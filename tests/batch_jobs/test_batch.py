@@ -60,7 +60,7 @@ def test_a_folder_of_others_is_left_alone(scene: Path, tmp_path: Path, capsys):
     for call, fault in (
         ((jobs, "-o", scene), "no result of jobs"),
         ((jobs, "-o", out, "--workers", 0), "at least one worker"),
-        ((jobs, "-o", out, "--workers", 2, "--ray", "local"), "--workers out"),
+        ((jobs, "-o", out, "--workers", 2, "--ray", "local"), "Leave out --workers"),
         ((jobs, "-o", "s3://bucket/results"), "is an address"),
         (("gs://bucket/jobs.yaml", "-o", out), "is an address"),
         ((tmp_path / "no.yaml", "-o", out), "No such file"),

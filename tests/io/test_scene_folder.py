@@ -42,9 +42,8 @@ def test_what_is_read_composes_to_the_same(tmp_path: Path):
 
 
 def test_two_objects_of_one_mask(tmp_path: Path):
-    scene = plain_scene()
-    name, known = next(iter(scene.objects.items()))
-    scene = replace(scene, objects={name: known, "again": known})
+    scene = full_scene().without_layers()
+    scene = replace(scene, objects={**scene.objects, "again": scene.objects["fox"]})
     scene_folder.save(scene, tmp_path / "scene")
     assert_same(scene_folder.open(tmp_path / "scene"), scene)
 

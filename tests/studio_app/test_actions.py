@@ -418,7 +418,8 @@ def test_strokes_follow_lines_that_are_drawn_and_undo_takes_each_back(page: Page
     recipe = read_recipe(tmp_path / "balls" / "recipe.json")
     assert recipe.objects[0].style.config.guides == tuple(first.layers[0].settings["guides"])
     again = stylize(open(tmp_path / "balls").without_layers(), recipe, device="cpu")
-    assert torch.equal(again.layers[0].sh0, first.layers[0].sh0), "a recipe repeats it"
+    found, wanted = again.layers[0].sh0, first.layers[0].sh0
+    assert torch.allclose(found, wanted, atol=0.01), "a recipe repeats it, on as many threads"
     (layer,) = page.act("paint", style="turned", names=["3"], settings={"quality": "draft"}).layers
     assert layer.title == "turned" and len(layer.guides) == 1, "another style keeps the lines"
     (layer,) = page.act("repaint_layer", name="3", settings={"guides": []}).layers

@@ -54,7 +54,7 @@ def test_views_on_a_device_rasterize_what_reaches_them(cuda: str, network: Featu
     target = Painting("ball", mask, (), StyleConfig(block=2))
     context = paint_setup(splats, CAMERAS, network.to(cuda))
     boxes = find_boxes(splats, CAMERAS[:2], mask)
-    for view in object_views(context, target, boxes, 1.0):
+    for view in object_views(context, target, boxes, 1.0, max_memory=1e9):
         assert isinstance(view.linear, TiledContributions)
         assert len(view.linear.gaussians) + view.linear.others < len(splats)
         whole = rasterize(splats, view.camera)[0][0]
