@@ -38,7 +38,7 @@ class StyleSplatPanel(bpy.types.Panel):
                 *("picture", "stroke_size", "intensity", "form", "color", "quality", "seed"),
             ),
             "stylesplat.recolor": (
-                *("hue", "saturation", "brightness", "contrast", "temperature", "tint"),
+                *("hue", "saturation", "brightness", "contrast", "temperature", "tint", "swap"),
             ),
             "stylesplat.mesh": ("faces", "texture_size"),
         }

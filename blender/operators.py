@@ -46,6 +46,10 @@ class Settings(bpy.types.PropertyGroup):
     contrast: bpy.props.FloatProperty(name="Contrast", default=1, min=0, max=4)
     temperature: bpy.props.FloatProperty(name="Warmth", min=-1, max=1)
     tint: bpy.props.StringProperty(name="Tint", description="#rrggbb or the name of a colour")
+    swap: bpy.props.StringProperty(
+        name="Swap",
+        description="Main colours that become others, shades and highlights kept: #a02020=teal",
+    )
     faces: bpy.props.IntProperty(name="Faces", default=50_000, min=100, max=1_000_000)
     texture_size: bpy.props.EnumProperty(
         name="Texture", items=choices("2048", "1024", "4096", "512", "256")
@@ -228,6 +232,7 @@ class Recolor(ColorOperator, bpy.types.Operator):
         options: dict = {name: round(getattr(settings, name), 6) for name in names}
         if settings.tint:
             options["tint"] = settings.tint
+        options["swap"] = settings.swap.replace(",", " ").split()
         return program.recolor_commands(folder, up, options)
 
 

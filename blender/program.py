@@ -108,7 +108,11 @@ def paint_commands(
 
 def recolor_commands(folder: Path, up: str, settings: dict[str, object]) -> list[list[object]]:
     """The same for other colours."""
-    options = [f"--{name}={value}" for name, value in settings.items()]
+    options = [
+        f"--{name}={each}"
+        for name, value in settings.items()
+        for each in (value if isinstance(value, list) else [value])
+    ]
     recolor = ["recolor", folder / "scene", "--object", "selection", "-o", folder / "new", *options]
     return [*_selected(folder, up), recolor, ["export", folder / "new", folder / "out.ply"]]
 

@@ -290,6 +290,12 @@ class RecolorSplat(io.ComfyNode):
                 io.Float.Input("contrast", default=1.0, min=0.0, max=4.0, step=0.05),
                 io.Float.Input("temperature", default=0.0, min=-1.0, max=1.0, step=0.05),
                 io.String.Input("tint", default="", tooltip="#rrggbb or the name of a colour"),
+                io.String.Input(
+                    "swap",
+                    default="",
+                    tooltip="Main colours that become others, shades and highlights kept: "
+                    "#a02020=teal, gold=silver",
+                ),
                 io.Float.Input("strength", default=1.0, min=0.0, max=1.5, step=0.05),
                 Selection.Input("selection", optional=True, tooltip="All without one."),
                 io.Image.Input("match", optional=True, tooltip="Takes the colours of a picture."),
@@ -302,13 +308,15 @@ class RecolorSplat(io.ComfyNode):
         cls,
         splat: Any,
         tint: str,
+        swap: str,
         selection: Tensor | None = None,
         match: Tensor | None = None,
         **settings: float,
     ) -> io.NodeOutput:
         """Calls `recolor`."""
         with observed(Progress()), tempfile.TemporaryDirectory() as folder:
-            given: dict[str, Any] = {**settings, "tint": tint or None}
+            swaps = tuple(swap.replace(",", " ").split())
+            given: dict[str, Any] = {**settings, "tint": tint or None, "swap": swaps}
             if match is not None:
                 pixels = (255 * pictures_of(match)[0]).round().byte().numpy()
                 given["match"] = Path(folder) / "match.png"

@@ -84,7 +84,7 @@ def check(kind, made, picture):
     facts["painted"] = float(changed[half].mean())
     facts["placed"] = [*painted.matrix_world.translation] == [1, 2, 3]
     activate(thing)
-    settings.result, settings.hue = "LAYER", 120
+    settings.result, settings.hue, settings.swap = "LAYER", 120, "red=teal, blue=gold"
     facts["recolor"] = bpy.ops.stylesplat.recolor() == {"FINISHED"}
     facts["layer_rest"] = unchanged(before, thing, ~half)
     facts["recolored"] = bool((values(thing)[color] != before[color])[half].any())

@@ -22,7 +22,8 @@ VIEW = {"view": 0, "width": 160, "height": 120}
 SELECT = {"box": "", "point": "", "size": "group", "words": "", "ids": "", "grow": 0.0}
 SELECT |= {"mode": "add", **VIEW}
 STYLE = {"stroke_size": 2.0, "intensity": 1.0, "form": 1.0, "color": "style", "seed": 0}
-COLORS = {"saturation": 1.0, "brightness": 1.0, "contrast": 1.0, "temperature": 0.0, "tint": ""}
+COLORS = {"saturation": 1.0, "brightness": 1.0, "contrast": 1.0, "temperature": 0.0}
+COLORS |= {"tint": "", "swap": ""}
 FIELDS = "positions", "scales", "rotations", "opacities", "sh"
 
 
@@ -154,6 +155,13 @@ def test_paint_and_colours_change_what_is_selected_and_no_bit_of_the_rest(loaded
         for before, after in zip(rows_of(splat, ~selected), rows_of(made), strict=True):
             assert torch.equal(after[:count][~selected], before)
         assert not torch.equal(made.sh[0, :count][selected], splat.sh[0][selected])
+
+
+def test_a_colour_is_swapped_for_another(loaded: tuple, run: Run):
+    colors = COLORS | {"swap": "red=teal"}
+    (splat,) = run("Recolor", splat=loaded[0], hue=0.0, strength=1.0, **colors)
+    (before, after) = (each.sh[0, :, 0] for each in (loaded[0], splat))
+    assert (after[RED].mean(dim=0) - before[RED].mean(dim=0))[0] < -0.5, "less red"
 
 
 def test_the_colours_of_a_picture_are_matched(loaded: tuple, run: Run):
