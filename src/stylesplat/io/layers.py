@@ -234,7 +234,7 @@ def _declared(count: int, kind: LayerKind) -> dict[str, Declared]:
     mask = replace(share, optional=True)
     covered = {"rows": replace(index, unique=True), "shares": share, "mask": mask}
     if kind == "recolour":
-        palette = Declared(("K", 6), **UNIT, optional=True)
+        palette = replace(share, shape=("K", 6), optional=True)
         return covered | {"color_map": Declared((3, 4)), "palette": palette}
     shapes = {name: each.shape[1:] for name, each in GAUSSIANS.items()}
     shapes["shN"] = ("canvas bands", 3)
