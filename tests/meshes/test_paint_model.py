@@ -158,6 +158,9 @@ def test_an_obj_reads_files_of_its_own_folder_alone(tmp_path: Path, said: list[s
     assert inside.picture is not None and inside.picture[0, 0].tolist() == [0, 0, 255, 255]
     assert outside.picture is None or (outside.picture[..., 2] < 255).all()  # trimesh's own grey
     assert len(said) == 1 and "../a.mtl" in said[0]
+    (folder / "a.mtl").write_text(text + "map_Ks b.png\nbump c.png\n")
+    read_model(folder / "in.obj")
+    assert len(said) == 2 and "a.mtl: bump, map_Ks will not be in the painted mesh" in said[1]
 
 
 def test_an_obj_gets_its_material_and_picture(tmp_path: Path, picture: Path):

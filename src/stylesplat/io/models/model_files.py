@@ -1,5 +1,6 @@
 """Meshes that others made: GLB, and what trimesh makes a GLB of (OBJ with its material, PLY)."""
 
+import re
 from collections.abc import Sequence
 from contextlib import ExitStack
 from importlib.util import find_spec
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from stylesplat.errors import StyleSplatError, shorten
+from stylesplat.errors import StyleSplatError, join_names, shorten
 from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.io.files import is_there, read_bytes, reading, resolve_within
 from stylesplat.io.models.glb import painted_glb, parse_glb
@@ -19,6 +20,7 @@ from stylesplat.progress import say
 GLB, OBJ, MATERIALS = ".glb", ".obj", ".mtl"
 CONVERTED = (OBJ, ".ply")
 MODEL_SUFFIXES = (GLB, *CONVERTED)
+OTHER_MAPS = re.compile(rb"^\s*(map_(?!Kd\b)\w+|bump|norm|disp|decal|refl)\b", re.MULTILINE)
 MODEL_REMEDY = "Export it again as .glb."
 
 
@@ -111,7 +113,14 @@ def _converted(path: Path) -> bytes:
             except StyleSplatError as error:
                 say(f"{path} names {shorten(name)!r}, which is outside its folder: left out.")
                 raise FileNotFoundError(name) from error
-            return super().get(name)
+            content = super().get(name)
+            left = sorted({each.decode() for each in OTHER_MAPS.findall(content)})
+            if name.lower().endswith(MATERIALS) and left:
+                say(
+                    f"{name}: {join_names(left)} will not be in the painted mesh, which has base "
+                    "colours alone. Paint a .glb to keep them."
+                )
+            return content
 
     scene = trimesh.load_scene(path, process=False, resolver=Beside(str(path)))
     meshes = {
