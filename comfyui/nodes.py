@@ -18,6 +18,7 @@ from torch import Tensor
 
 import stylesplat as ss
 from stylesplat.functional import coverage, rasterize
+from stylesplat.io.kinds import SPLATS
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.progress import Observer, observed, track
 from stylesplat.stylization.config import parse_color
@@ -32,7 +33,6 @@ from .conversion import (
 )
 
 CATEGORY = "StyleSplat"
-SUFFIXES = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".gltf")  # of files to load
 FORMATS = ("ply", "compressed.ply", "spz", "sog", "splat", "glb", "html")
 SIDECAR = ".objects.npz"  # of `export --sidecar`: what the objects of a file are
 WIDTH, HEIGHT = 960, 720
@@ -111,13 +111,13 @@ class LoadSplat(io.ComfyNode):
         files = sorted(
             each.relative_to(folder).as_posix()
             for each in folder.rglob("*")
-            if each.suffix.lower() in SUFFIXES
+            if each.suffix.lower() in SPLATS
         )
         return io.Schema(
             node_id="StyleSplatLoad",
             display_name="Load Splat (StyleSplat)",
             category=CATEGORY,
-            description="PLY, compressed PLY, SPZ, .splat, .ksplat, SOG or glTF.",
+            description="PLY, compressed PLY, SPZ, .splat, .ksplat, SOG, glTF, USD, a checkpoint.",
             inputs=[io.Combo.Input("file", options=files, upload=io.UploadType.model)],
             outputs=[
                 Splat.Output(display_name="splat"),
