@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from stylesplat.rendering import reference
-from stylesplat.rendering.reference import EPS2D, FAR_PLANE, NEAR_PLANE, Drawable, View
+from stylesplat.rendering.reference import EPS2D, FAR_PLANE, NEAR_PLANE, Gaussians, View
 from stylesplat.scene.splats import sh_basis
 
 SUPPORTED = {1, 2, 3, 4, 5, 8, 9, 16, 17, 32, 33, 64, 65, 128, 129, 256, 257, 512, 513}
@@ -39,7 +39,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Calls:
             assert cuts == [EPS2D, NEAR_PLANE, FAR_PLANE, 0.0]
             assert len(means), "gsplat divides whole numbers by that of Gaussians: the process dies"
             calls.projections += 1
-            gaussians = Drawable(means, quats, scales, opacities, compensate)
+            gaussians = Gaussians(means, quats, scales, opacities, compensate)
             each = [
                 project(gaussians, View(viewmat, K, width, height))
                 for viewmat, K in zip(viewmats, Ks, strict=True)

@@ -24,7 +24,7 @@ from stylesplat.rendering.kernels.sh_colors import Harmonics
 from stylesplat.rendering.kernels.tiles import Ellipses, TileLists
 from stylesplat.rendering.kernels.vec import LANES, FlatRows
 from stylesplat.rendering.reference import (
-    Drawable,
+    Gaussians,
     Projected,
     ProjectedView,
     Rasterizer,
@@ -86,7 +86,7 @@ class _SphericalHarmonics(Function):
 class _Project(Function):
     @staticmethod
     def forward(ctx, view, viewmat, *fields):
-        gaussians = Drawable(*fields)
+        gaussians = Gaussians(*fields)
         ctx.view, ctx.antialiased = view, gaussians.antialiased
         n, new = len(gaussians.means), gaussians.means.new_empty
         opacities = new(n if gaussians.antialiased else 0, 1)
@@ -108,11 +108,11 @@ class _Project(Function):
         moves_view = ctx.needs_input_grad[1]
         sums = np.zeros((get_num_threads(), 12 if moves_view else 0, LANES))
         project.project_backward(
-            arrays(Drawable(*gaussians, opacities, ctx.antialiased)),
+            arrays(Gaussians(*gaussians, opacities, ctx.antialiased)),
             arrays(ctx.view._replace(viewmat=viewmat)),
             arrays(projected),
             arrays(Projected(*v_projected)),
-            arrays(Drawable(v_means, v_quats, v_scales, v_opacities)),
+            arrays(Gaussians(v_means, v_quats, v_scales, v_opacities)),
             sums,
         )
         v_viewmat = None
@@ -302,7 +302,7 @@ class CpuRasterizer(Rasterizer):
         lowest = sh_colors.ZERO if clamp else sh_colors.UNCLAMPED
         return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
 
-    def project_gaussians(self, gaussians: Drawable, view: View) -> Projected:
+    def project_gaussians(self, gaussians: Gaussians, view: View) -> Projected:
         projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
         if gaussians.antialiased:
             return projected

@@ -19,7 +19,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering import nvrtc
 from stylesplat.rendering.nvrtc import FOLDER, THREADS, Argument
 from stylesplat.rendering.reference import (
-    Drawable,
+    Gaussians,
     Projected,
     Rasterizer,
     View,
@@ -89,7 +89,7 @@ def _parts(channels: int) -> list[slice]:
 class _Project(Function):
     @staticmethod
     def forward(ctx, view, viewmat, *fields):
-        gaussians = Drawable(*fields)
+        gaussians = Gaussians(*fields)
         *tensors, antialiased = gaussians
         tensors = _float32(*tensors, viewmat, view.K)
         count, new = len(gaussians.means), gaussians.means.new_empty
@@ -227,7 +227,7 @@ class CudaRasterizer(Rasterizer):
         lowest = 0.0 if clamp else -math.inf
         return _SphericalHarmonics.apply(sh_bases(degree), lowest, dirs, sh0, shN)
 
-    def project_gaussians(self, gaussians: Drawable, view: View) -> Projected:
+    def project_gaussians(self, gaussians: Gaussians, view: View) -> Projected:
         projected = Projected(*_Project.apply(view, view.viewmat, *gaussians))
         if gaussians.antialiased:
             return projected

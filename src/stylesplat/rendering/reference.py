@@ -50,7 +50,7 @@ PIXELS_AT_ONCE = 4096  # bounds the pixels x Gaussians matrix
 FLAT = 1e-12  # share of an area, whose root makes all opacities invisible: a root has no slope at 0
 
 
-class Drawable(NamedTuple):
+class Gaussians(NamedTuple):
     """Activated splats."""
 
     means: Float[Tensor, "N 3"]
@@ -97,12 +97,12 @@ def views_of(cameras: Cameras) -> list[View]:
     return [View(viewmat, K, *cameras.size) for viewmat, K in matrices]
 
 
-def activated(splats: Splats, part: slice = EVERYONE) -> Drawable:
+def activated(splats: Splats, part: slice = EVERYONE) -> Gaussians:
     """The Gaussians of splats, or of a part of them, as renderers take them."""
     scales = splats.scales[part].clamp(max=LARGEST_SCALE).exp()
     opacities = torch.sigmoid(splats.opacities[part])
     places = splats.means[part], splats.quats[part]
-    return Drawable(*places, scales, opacities, splats.antialiased)
+    return Gaussians(*places, scales, opacities, splats.antialiased)
 
 
 def with_matrices_of(splats: Splats, cameras: Cameras) -> Cameras:
@@ -175,7 +175,7 @@ def adjoint(
 
 
 def depth_planes(
-    gaussians: Drawable, view: View, conics: Float[Tensor, "N 3"]
+    gaussians: Gaussians, view: View, conics: Float[Tensor, "N 3"]
 ) -> Float[Tensor, "N 3"]:
     """The depth of each Gaussian in one camera's pixels: at its centre, its slopes in x and y.
 
@@ -289,7 +289,7 @@ class Rasterizer:
         colors = torch.einsum("nk,nkc->nc", basis, sh)
         return (colors + 0.5).clamp(min=0) if clamp else colors + 0.5
 
-    def project_gaussians(self, gaussians: Drawable, view: View) -> Projected:
+    def project_gaussians(self, gaussians: Gaussians, view: View) -> Projected:
         """Elliptical weighted average projection of one camera's Gaussians."""
         means, quats, scales, opacities, antialiased = gaussians
         viewmat, K, width, height = view
@@ -348,7 +348,7 @@ class Rasterizer:
 
     def rasterize(
         self,
-        gaussians: Drawable,
+        gaussians: Gaussians,
         colors: Float[Tensor, "C N D"],
         cameras: Cameras,
         *,

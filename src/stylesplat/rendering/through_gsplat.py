@@ -15,7 +15,7 @@ from stylesplat.rendering.reference import (
     EPS2D,
     FAR_PLANE,
     NEAR_PLANE,
-    Drawable,
+    Gaussians,
     Projected,
     Projections,
     Rasterizer,
@@ -64,7 +64,7 @@ class GsplatRasterizer(Rasterizer):
         return colors.clamp(min=0) if clamp else colors
 
     @torch.no_grad()
-    def project_gaussians(self, gaussians: Drawable, view: View) -> Projected:
+    def project_gaussians(self, gaussians: Gaussians, view: View) -> Projected:
         means, quats, scales, opacities, antialiased = gaussians
         if not len(means):
             return super().project_gaussians(gaussians, view)
@@ -89,7 +89,7 @@ class GsplatRasterizer(Rasterizer):
 
     def rasterize(
         self,
-        gaussians: Drawable,
+        gaussians: Gaussians,
         colors: Float[Tensor, "C N D"],
         cameras: Cameras,
         *,

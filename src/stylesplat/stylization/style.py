@@ -286,16 +286,18 @@ class Recipe:
         return replace(self, objects=tuple(objects))
 
 
+def as_style(style: Style | Picture | Sequence[Picture]) -> Style:
+    """A style, or that of one or several pictures with the default settings."""
+    pictures = (style,) if isinstance(style, Path | str | Tensor) else style
+    return pictures if isinstance(pictures, Style) else Style(*pictures)
+
+
 def as_recipe(styles: Mapping[str, Style | Picture | Sequence[Picture]] | Recipe) -> Recipe:
     """Objects and their styles or pictures as a recipe with the default settings."""
     if isinstance(styles, Recipe):
         return styles
-    objects = []
-    for name, style in styles.items():
-        pictures = (style,) if isinstance(style, Path | str | Tensor) else style
-        style = pictures if isinstance(pictures, Style) else Style(*pictures)
-        objects.append(StyledObject(str(name), style))
-    return Recipe(tuple(objects))
+    named = (StyledObject(str(name), as_style(style)) for name, style in styles.items())
+    return Recipe(tuple(named))
 
 
 def digest(path: Path) -> str:

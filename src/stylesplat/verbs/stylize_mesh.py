@@ -23,7 +23,7 @@ from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.stylization.config import Network
-from stylesplat.stylization.style import Style
+from stylesplat.stylization.style import Style, as_style
 from stylesplat.verbs.stylize import stylize
 
 WHOLE_MESH = "all"  # the name of a mesh that is painted as one
@@ -76,16 +76,13 @@ def stylize_mesh(
     MeshConfig(texture_size=texture_size)  # which checks it
     refuse_model_file(mesh, output, overwrite=overwrite)
     model = read_model(mesh)
-    named = styles if isinstance(styles, Mapping) else {WHOLE_MESH: styles}
-    chosen = (
-        _chosen(model.parts, named) if isinstance(styles, Mapping) else {WHOLE_MESH: [*model.parts]}
-    )
+    if isinstance(styles, Mapping):
+        named, chosen = styles, _chosen(model.parts, styles)
+    else:
+        named, chosen = {WHOLE_MESH: styles}, {WHOLE_MESH: [*model.parts]}
     painted, pictures = [], []
     for name, parts in chosen.items():
-        style = named[name]
-        if not isinstance(style, Style):
-            style = Style(*((style,) if isinstance(style, (Path, str, torch.Tensor)) else style))
-        places = in_unit_ball(parts)
+        style, places = as_style(named[name]), in_unit_ball(parts)
         layout = lay_out(parts, places, texture_size)
         discs = sample_discs(parts, places, texture_size=texture_size, seed=style.config.seed)
         everything = SceneObject(torch.ones(len(discs), dtype=torch.bool))
