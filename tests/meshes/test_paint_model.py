@@ -158,9 +158,83 @@ def test_an_obj_reads_files_of_its_own_folder_alone(tmp_path: Path, said: list[s
     assert inside.picture is not None and inside.picture[0, 0].tolist() == [0, 0, 255, 255]
     assert outside.picture is None or (outside.picture[..., 2] < 255).all()  # trimesh's own grey
     assert len(said) == 1 and "../a.mtl" in said[0]
-    (folder / "a.mtl").write_text(text + "map_Ks b.png\nbump c.png\n")
+    (folder / "a.mtl").write_text("newmtl a\nmap_Kd none.png\n")
     read_model(folder / "in.obj")
-    assert len(said) == 2 and "a.mtl: bump, map_Ks will not be in the painted mesh" in said[1]
+    assert len(said) == 2 and "'none.png', which is not in its folder" in said[1]
+
+
+MATERIAL = """# by hand
+newmtl wood
+Ns 8
+Kd 0.5 0.5 0.5
+map_Kd wood.png
+map_Bump -bm 0.5 textures\\bent.png
+map_Pr rough.png
+map_Ks shine.png
+illum 2
+
+newmtl glass
+Kd 0 1 0
+d 0.25
+"""
+SQUARE = "v 0 0 {0}\nv 1 0 {0}\nv 1 1 {0}\nv 0 1 {0}\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+QUADS = f"""# two squares
+mtllib two.mtl
+{SQUARE.format(0)}o table
+g top
+usemtl wood
+s off
+f 1/1 2/2 3/3 4/4
+{SQUARE.format(1)}usemtl glass
+f 5/5 6/6 7/7 8/8
+"""
+
+
+def two_squares(folder: Path) -> Path:
+    (folder / "textures").mkdir(parents=True)
+    (folder / "two.obj").write_text(QUADS)
+    (folder / "two.mtl").write_text(MATERIAL)
+    for name, color in (
+        ("wood.png", (200, 150, 90)),
+        ("textures/bent.png", (128, 128, 255)),
+        ("rough.png", (64, 64, 64)),
+        ("shine.png", (9, 9, 9)),
+    ):
+        (folder / name).write_bytes(png(color))
+    return folder / "two.obj"
+
+
+def test_only_base_colours_of_an_obj_change(tmp_path: Path, said: list[str]):
+    path, output = two_squares(tmp_path / "from"), tmp_path / "to" / "painted.obj"
+    output.parent.mkdir()
+    assert repainted(path, output, ("wood",), size=64) == 0
+    assert output.read_text() == QUADS.replace("two.mtl", "painted.mtl")
+    before = MATERIAL.replace("Kd 0.5 0.5 0.5\nmap_Kd wood.png\n", "")
+    before = before.replace("newmtl wood\n", "newmtl wood\nKd 1 1 1\nmap_Kd painted-paint-0.png\n")
+    before = before.replace("textures\\bent.png", "textures/bent.png")
+    for name in ("textures/bent.png", "rough.png", "shine.png"):
+        own = "painted-" + name.replace("/", "-")
+        before = before.replace(name, own)
+        assert (output.parent / own).read_bytes() == (path.parent / name).read_bytes()
+    assert output.with_suffix(".mtl").read_text() == before
+    wood = next(part for part in read_model(output).parts if "wood" in part.names)
+    assert wood.picture is not None and wood.picture.shape == (64, 64, 4) and not said
+    beside = path.with_name("beside.obj")  # where the other maps are they need no copy
+    repainted(path, beside, ("wood",), size=64)
+    assert "map_Pr rough.png" in beside.with_suffix(".mtl").read_text()
+
+
+def test_a_glb_of_an_obj_has_its_maps(tmp_path: Path, said: list[str]):
+    output = tmp_path / "painted.glb"
+    repainted(two_squares(tmp_path / "from"), output, ("wood",), size=64)
+    document, _ = glb_parts(output)
+    wood, glass = sorted(document["materials"], key=lambda each: each["name"], reverse=True)
+    assert {"normalTexture", "name"} <= {*wood} and wood["name"] == "wood"
+    assert "metallicRoughnessTexture" in wood["pbrMetallicRoughness"]
+    assert glass["alphaMode"] == "BLEND"
+    assert glass["pbrMetallicRoughness"]["metallicFactor"] == 0
+    assert glass["pbrMetallicRoughness"]["baseColorFactor"][3] == pytest.approx(0.25, abs=0.01)
+    assert said == [f"{output} is without the maps map_ks of its materials."]
 
 
 def test_an_obj_gets_its_material_and_picture(tmp_path: Path, picture: Path):

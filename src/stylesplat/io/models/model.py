@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from stylesplat.io.models.obj import Obj
+
 LINEAR_BELOW = 0.0031308  # of sRGB's curve, from its standard
 
 
@@ -59,6 +61,10 @@ class Model:
 
     parts: Sequence[Part]
     content: Any
+    obj: Obj | None = None
+    """What it was read from, if that was an OBJ with materials."""
+    left_out: frozenset[str] = frozenset()
+    """Kinds of its maps that are not in the content."""
 
 
 def displayed(linear: Float[np.ndarray, "*B 3"]) -> Float[np.ndarray, "*B 3"]:
