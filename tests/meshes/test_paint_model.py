@@ -18,6 +18,7 @@ from stylesplat.io.models.model import base_colors, displayed
 from stylesplat.io.models.model_files import read_model, write_model
 from stylesplat.io.splats.gltf_file import open_gltf
 from stylesplat.meshes.paint_model import in_unit_ball, lay_out, sample_discs
+from stylesplat.meshes.surface import cameras_all_around
 from stylesplat.scene.splats import rgb_from_sh0
 
 SIZE = 128  # of textures
@@ -54,6 +55,15 @@ def test_discs_lie_on_the_surface_in_its_colours(tmp_path: Path):
     assert abs(share - 0.8) < 0.03
     # glTF's x goes to the right; ours to the left, as the world is turned by half about z
     assert discs.means[is_red, 0].mean() > discs.means[~is_red, 0].mean()
+
+
+def test_a_mesh_is_looked_at_from_all_sides(tmp_path: Path):
+    parts = read_model(write_model_glb(tmp_path)).parts
+    discs = sample_discs(parts, in_unit_ball(parts), texture_size=SIZE, seed=0)
+    cameras = cameras_all_around(discs, length=64)
+    outward = torch.nn.functional.normalize(cameras.positions, dim=1)
+    sides = torch.cat([torch.eye(3), -torch.eye(3)])
+    assert ((sides @ outward.T).amax(dim=1) > 0.9).all()
 
 
 def test_painting_changes_base_colours_alone(tmp_path: Path, picture: Path):

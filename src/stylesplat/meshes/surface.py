@@ -26,11 +26,11 @@ from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.surface import near_side_depth_map
 from stylesplat.rendering.weights import COVERED, geometry_only
 from stylesplat.scene.cameras import Cameras, look_at
-from stylesplat.scene.content import extent_of
+from stylesplat.scene.content import Extent, extent_of
 from stylesplat.scene.projection import share_in_images
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
-from stylesplat.scene.virtual_cameras import centred_K
+from stylesplat.scene.virtual_cameras import cameras_of, centred_K
 from stylesplat.stylization.views import per_view
 
 AROUND = 48  # directions all around
@@ -77,7 +77,6 @@ class MeshViews:
 def mesh_views(splats: Splats, photos: Cameras | None, *, length: int) -> MeshViews:
     """Square views of a whole object; without photos all of them are trusted."""
     extent = extent_of(splats, torch.ones(len(splats), dtype=torch.bool))
-    radius = float(extent.size.norm()) / 2
     outward = _all_around(AROUND if photos is not None else AROUND + FUSION_PHOTOS)
     trusted = torch.full((len(outward),), photos is None)
     if photos is not None:
@@ -86,16 +85,22 @@ def mesh_views(splats: Splats, photos: Cameras | None, *, length: int) -> MeshVi
         towards = F.normalize(photos.positions[rows].double() - extent.centre, dim=1)
         outward = torch.cat([towards, outward])
         trusted = torch.cat([torch.ones(len(towards), dtype=torch.bool), trusted])
-    count, up = len(outward), torch.eye(3).double()[0]  # which no direction equals
+    return MeshViews(_cameras_at(extent, outward, length), trusted.numpy())
+
+
+def cameras_all_around(splats: Splats, *, length: int) -> Cameras:
+    """Square views of a whole object from all directions, above and below as well."""
+    return _cameras_at(
+        extent_of(splats, torch.ones(len(splats), dtype=torch.bool)), _all_around(AROUND), length
+    )
+
+
+def _cameras_at(extent: Extent, outward: Float[Tensor, "M 3"], length: int) -> Cameras:
+    radius = float(extent.size.norm()) / 2
+    up = torch.eye(3).double()[0]  # which no direction equals
     viewmats = look_at(extent.centre + AWAY * radius * outward, extent.centre, up)
     K = centred_K(length / 2 * math.sqrt(AWAY**2 - 1), (length, length))
-    cameras = Cameras(
-        viewmats=viewmats.float(),
-        Ks=K.repeat(count, 1, 1),
-        sizes=torch.full((count, 2), length),
-        names=tuple(f"{row:03d}" for row in range(count)),
-    )
-    return MeshViews(cameras, trusted.numpy())
+    return cameras_of(viewmats, K, (length, length), names="{:03d}")
 
 
 def _all_around(count: int) -> Float[Tensor, "M 3"]:

@@ -18,16 +18,16 @@ from stylesplat.io.models.model_files import (
 from stylesplat.io.style_pictures import Picture
 from stylesplat.meshes.mesh_config import MeshConfig
 from stylesplat.meshes.paint_model import in_unit_ball, lay_out, paint_texture, sample_discs
+from stylesplat.meshes.surface import cameras_all_around
 from stylesplat.options import check_arguments
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.stylization.config import Network
 from stylesplat.stylization.style import Style, as_style
 from stylesplat.verbs.stylize import stylize
 
 WHOLE_MESH = "all"  # the name of a mesh that is painted as one
-UP = torch.tensor([0.0, -1.0, 0.0])
+LOOKED_AT = 960  # pixels of the views in which it is painted
 
 
 @check_arguments
@@ -86,7 +86,8 @@ def stylize_mesh(
         layout = lay_out(parts, places, texture_size)
         discs = sample_discs(parts, places, texture_size=texture_size, seed=style.config.seed)
         everything = SceneObject(torch.ones(len(discs), dtype=torch.bool))
-        scene = Scene(discs, ring_cameras(discs, UP)).with_object(name, everything)
+        cameras = cameras_all_around(discs, length=LOOKED_AT)
+        scene = Scene(discs, cameras).with_object(name, everything)
         options = {"features": features, "weights": weights, "device": device, "measured": False}
         styled = stylize(scene, {name: style}, **options)
         texture = paint_texture(layout, discs, styled.splats, styled.layers[0], style, name)
