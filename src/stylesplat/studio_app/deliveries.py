@@ -17,7 +17,7 @@ from stylesplat.scene.virtual_cameras import turned_view
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.files import FORMATS, Exporter
 from stylesplat.studio_app.gallery import Files
-from stylesplat.studio_app.pictures import Pictures, render_display
+from stylesplat.studio_app.pictures import Pictures, render_pixels
 from stylesplat.studio_app.reports import vector
 from stylesplat.studio_app.views import KeptViews
 from stylesplat.verbs.export import export
@@ -50,7 +50,7 @@ class Deliveries:
     def picture(self, width: Annotated[int, msgspec.Meta(ge=1, le=STUDIO_MOST_PIXELS)]) -> None:
         camera = self.pictures.camera(ANY_PIXELS)
         camera = camera.downscale(camera.size[0] / width).at_most(STUDIO_MOST_PIXELS)
-        pixels = render_display(self.session.display, camera, self.pictures.background)
+        pixels = render_pixels(self.session.display.visible, camera, self.pictures.background)
         file = io.BytesIO()
         Image.fromarray(pixels).save(file, "PNG")
         self._deliver("-view.png")(file.getvalue())

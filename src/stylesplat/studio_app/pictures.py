@@ -19,7 +19,7 @@ from typing import Any
 from zlib import compress
 
 import torch
-from jaxtyping import Int, Shaped
+from jaxtyping import Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -33,6 +33,7 @@ from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import centred_K
 from stylesplat.selection.labels import MIN_COVERAGE
+from stylesplat.studio_app.detail import ReducedSplats, most_visible
 from stylesplat.studio_app.gallery import ThumbnailPixels
 from stylesplat.studio_app.history import object_names
 from stylesplat.studio_app.messages import ViewRequest
@@ -68,9 +69,9 @@ def binary_message(kind: str, content: bytes, **header: Any) -> bytes:
 
 
 @torch.no_grad()
-def render_display(display: Display, camera: Cameras, background: RgbColor) -> ThumbnailPixels:
-    behind = torch.tensor(background).to(display.splats.means)
-    image, _ = render(display.visible, camera, background=behind)
+def render_pixels(splats: Splats, camera: Cameras, background: RgbColor) -> ThumbnailPixels:
+    behind = torch.tensor(background).to(splats.means)
+    image, _ = render(splats, camera, background=behind)
     return to_uint8(image).cpu().numpy()
 
 
@@ -85,6 +86,7 @@ class Pictures:
         """The page that asks for what the worker does."""
         self._sent = dict[tuple[int, str], object]()  # what each browser has of each kind
         self._packed: tuple[Display, bytes] | None = None
+        self._reduced = dict[str, tuple[Display, ReducedSplats]]()  # of a moving camera
         session.on_change.append(self.refresh)
 
     def look(self, client: int, look: ViewRequest) -> None:
@@ -137,12 +139,22 @@ class Pictures:
         for which, display in displays.items():
             value = look.number, look.moving, display, self.background
             if self._is_new(client, f"{which} {pixels}", value):
-                content = render_display(display, camera, self.background)
+                splats = self._moving(which, display, camera) if look.moving else display.visible
+                content = render_pixels(splats, camera, self.background)
                 if which == "after" and not look.moving:
                     self.on_rest.call(display, content)
                 content = jpeg(content, MOVING_QUALITY if look.moving else QUALITY)
                 header = {"which": which, "moving": look.moving, "drawn": self._has_splats(client)}
                 self._send(client, which, "picture", content, look, **header)
+
+    def _moving(self, which: str, display: Display, camera: Cameras) -> Splats:
+        """What shows while the camera moves: on a CPU a part of many Gaussians."""
+        if display.visible.device.type != "cpu":
+            return display.visible
+        known = self._reduced.get(which)
+        if known is None or known[0] is not display:
+            known = self._reduced[which] = display, ReducedSplats(display.visible)
+        return known[1].seen_from(camera)
 
     def _sharp(self, client: int, look: ViewRequest) -> None:
         """In a large window, the picture with all its pixels; a painting goes on meanwhile."""
@@ -237,10 +249,3 @@ class Pictures:
 
 def _digest(mask: Shaped[Tensor, " N"]) -> int:
     return hash(mask.cpu().numpy().tobytes())
-
-
-def most_visible(splats: Splats, count: int) -> Int[Tensor, " M"]:
-    """Rows of the `count` Gaussians of the largest visible area, in order."""
-    sizes = splats.scales.sort(dim=1).values[:, 1:].sum(dim=1)  # logarithm of the larger area
-    weights = torch.nn.functional.logsigmoid(splats.opacities) + sizes
-    return weights.topk(min(count, len(splats))).indices.sort().values

@@ -21,7 +21,7 @@ from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.virtual_cameras import has_rendered_views, path_of, smooth_path
 from stylesplat.studio_app.gallery import Files
 from stylesplat.studio_app.messages import ShortText, ViewCard, ViewVector
-from stylesplat.studio_app.pictures import render_display
+from stylesplat.studio_app.pictures import render_pixels
 from stylesplat.studio_app.session import Session
 
 KEPT = "studio-views.json"  # in the scene's folder
@@ -160,7 +160,7 @@ class KeptViews:
             key, camera = missing[0]
             self._pictures[key] = ""  # of a view along what has become the up direction
             with suppress(StyleSplatError):
-                pixels = render_display(session.display, camera().at_most(CARD_SIDE), BEHIND)
+                pixels = render_pixels(session.display.visible, camera().at_most(CARD_SIDE), BEHIND)
                 self._pictures[key] = self._files.add(jpeg(pixels))
             session.ask(self._draw_next, kind="views", patient=True)
             session.on_change.call()

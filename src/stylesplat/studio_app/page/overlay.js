@@ -145,51 +145,35 @@ export class Overlay {
 
   now() {
     this.frame = null;
-    const { canvas, size: [width, height] } = this.viewport;
+    const { canvas, size: [width, height] } = this.viewport, knob = this.knob();
     const scale = Math.min(2, window.devicePixelRatio || 1);
-    canvas.width = Math.round(scale * width);
-    canvas.height = Math.round(scale * height);
+    const size = [width, height].map((side) => Math.round(scale * side));
+    const lit = this.pointed !== null && this.isCurrent(this.map) && this.light.width > 0;
+    const parts = [
+      [this.pattern, (context) => this.drawPattern(context)],
+      [this.isCurrent(this.picked) && this.glow.width, (context) => context.drawImage(this.glow, 0, 0, width, height)],
+      [lit, (context) => context.drawImage(this.light, 0, 0, width, height)],
+      [showPhotos.value, (context) => this.photos(context)],
+      [tool.value === "guide", (context) => this.drawGuides(context)],
+      [this.box, (context) => this.drawBox(context)],
+      [knob, (context) => drawKnob(context, knob)],
+      [canvas.matches(":focus-visible"), (context) => drawCross(context, [width / 2, height / 2])],
+      [this.ball, (context) => drawBall(context, this.ball)],
+      [this.line.length, (context) => this.drawLine(context)],
+    ].filter(([shows]) => shows);
+    if (!parts.length && !this.covered && String(size) === String([canvas.width, canvas.height])) return; // a browser composes what changed alone
+    this.covered = parts.length > 0;
+    [canvas.width, canvas.height] = size;
     const context = canvas.getContext("2d");
     context.scale(scale, scale);
-    const lit = this.pointed !== null && this.isCurrent(this.map) && this.light.width > 0;
-    if (this.pattern) this.drawPattern(context);
-    if (this.isCurrent(this.picked) && this.glow.width) context.drawImage(this.glow, 0, 0, width, height);
-    if (lit) context.drawImage(this.light, 0, 0, width, height);
-    if (showPhotos.value) this.photos(context);
-    if (tool.value === "guide") this.drawGuides(context);
-    if (this.box) this.drawBox(context);
-    const knob = this.knob();
-    if (knob) {
-      context.lineWidth = 2.5;
-      context.strokeStyle = "#fff";
-      circle(context, knob.middle, knob.radius);
-      context.stroke();
-      context.stroke(path([knob.middle, knob.at]));
-      context.fillStyle = "#ffa830";
-      circle(context, knob.at, 9);
-      context.fill();
-    }
-    if (canvas.matches(":focus-visible")) {
-      const [x, y] = [width / 2, height / 2], cross = [[[x - 9, y], [x + 9, y]], [[x, y - 9], [x, y + 9]]];
-      for (const [style, thickness] of [["#000", 4], ["#fff", 2]]) {
-        Object.assign(context, { strokeStyle: style, lineWidth: thickness });
-        for (const line of cross) context.stroke(path(line));
-      }
-    }
-    if (this.ball) {
-      context.lineWidth = 2;
-      context.strokeStyle = "#fff";
-      context.fillStyle = "#6eb4ff33";
-      circle(context, ...this.ball);
-      context.fill();
-      context.stroke();
-    }
-    if (this.line.length) {
-      context.lineWidth = this.width ?? 1.5;
-      context.lineCap = context.lineJoin = "round";
-      context.strokeStyle = this.width ? "#ffa83088" : "#ffc566";
-      context.stroke(path(this.line));
-    }
+    for (const [, draw] of parts) draw(context);
+  }
+
+  drawLine(context) {
+    context.lineWidth = this.width ?? 1.5;
+    context.lineCap = context.lineJoin = "round";
+    context.strokeStyle = this.width ? "#ffa83088" : "#ffc566";
+    context.stroke(path(this.line));
   }
 
   photos(context) {
@@ -267,6 +251,35 @@ export class Overlay {
 // The size and direction of strokes
 function strokes() {
   return { ...Object.fromEntries(hello.value.settings.map(({ name, value }) => [name, value])), ...settings.value };
+}
+
+function drawKnob(context, { middle, radius, at }) {
+  context.lineWidth = 2.5;
+  context.strokeStyle = "#fff";
+  circle(context, middle, radius);
+  context.stroke();
+  context.stroke(path([middle, at]));
+  context.fillStyle = "#ffa830";
+  circle(context, at, 9);
+  context.fill();
+}
+
+// Where Enter picks
+function drawCross(context, [x, y]) {
+  const cross = [[[x - 9, y], [x + 9, y]], [[x, y - 9], [x, y + 9]]];
+  for (const [style, thickness] of [["#000", 4], ["#fff", 2]]) {
+    Object.assign(context, { strokeStyle: style, lineWidth: thickness });
+    for (const line of cross) context.stroke(path(line));
+  }
+}
+
+function drawBall(context, ball) {
+  context.lineWidth = 2;
+  context.strokeStyle = "#fff";
+  context.fillStyle = "#6eb4ff33";
+  circle(context, ...ball);
+  context.fill();
+  context.stroke();
 }
 
 function boxCorners([low, high]) {

@@ -32,6 +32,7 @@ export class Viewport {
     this.place = kept(`place in ${hello.value.title} ${state.value.folder}`, null);
     Object.assign(this.camera, this.place.value ?? {});
     this.number = 0; // of the camera's place
+    this.decoding = 0; // pictures
     this.shown = { after: -1, before: -1 };
     this.moving = this.waiting = this.holding = false;
     this.draws = hasGraphicsCard();
@@ -155,7 +156,7 @@ export class Viewport {
     this.overlay.draw();
   }
 
-  // One picture of a moving camera at a time: the next is asked for when one has come
+  // One picture of a moving camera at a time: the next is asked for when one has come, and while it is decoded
   ask(moving) {
     if (moving && this.waiting) return;
     const [width, height] = this.size;
@@ -178,12 +179,15 @@ export class Viewport {
   async picture({ which, look, moving, drawn }, bytes) {
     this.current = drawn;
     if (!drawn) this.root.classList.remove("moving");
+    const next = moving && which === "after", early = next && !this.decoding;
+    if (early) this.went();
+    this.decoding += 1;
     const image = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
-    if (moving && which === "after") this.went();
+    this.decoding -= 1;
+    if (next && !early) this.went();
     if (look < this.shown[which] || (moving && !this.moving)) return;
     const canvas = this[which];
-    canvas.width = image.width;
-    canvas.height = image.height;
+    if (canvas.width !== image.width || canvas.height !== image.height) [canvas.width, canvas.height] = [image.width, image.height];
     canvas.getContext("2d").drawImage(image, 0, 0);
     image.close();
     this.shown[which] = look;
