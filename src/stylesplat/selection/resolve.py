@@ -162,7 +162,8 @@ def find_objects(scene: Scene, names: Sequence[str]) -> dict[str, Bool[Tensor, "
 def _unknown(scene: Scene, name: str) -> StyleSplatError:
     ids = map(str, object_ids(scene.base)) if scene.base.classifier else ()
     known = ", ".join([*scene.objects, *ids]) or "none"
-    way = shell_command("select", scene.path or "SCENE", "--name", "NAME", "--id", "N")
+    choice = ("--id", "N") if scene.base.classifier else ("--point", "VIEW:x,y")
+    way = shell_command("select", scene.path or "SCENE", "--name", "NAME", *choice)
     return StyleSplatError(
         f"The scene has no object {name!r}. Names and ids: {known}. Name one with `{way}`."
     )
