@@ -66,6 +66,33 @@ def test_painting_gives_what_stylize_gives_and_shows_it_on_the_way(
     assert len(seen) > 2 and session.preview is None and session.progress is None
 
 
+def test_an_object_is_not_measured_again_while_what_is_below_its_layer_stays(
+    session: Session, wanted: Splats
+):
+    measured = list[str]()
+
+    def note() -> None:
+        if session.progress is not None and session.progress.doing == "finding contours":
+            measured.append(session.progress.what.split(" like ")[0])
+
+    session.on_progress.append(note)
+    queue = PaintQueue(session, device="cpu")
+
+    def paint_anew(name: str) -> bool:
+        """Whether it was measured for that."""
+        measured.clear()
+        session.ask(lambda: queue.paint([name], quick_style(), "stripes"))
+        assert session.worker.wait_until_idle()
+        assert {*measured} <= {f"Painting {name}"}
+        return bool(measured)
+
+    assert paint_anew("3") and not paint_anew("3")
+    assert torch.equal(session.state.scene.splats.sh0, wanted.sh0), "as if it had been"
+    assert paint_anew("7") and not paint_anew("7")
+    session.do(partial(adjust_layer, name="3", strength=0.5))
+    assert paint_anew("7"), "what is below is another now"
+
+
 def test_several_are_queued_and_undo_takes_one_after_the_other_back(session: Session):
     painted(session, "3", "7")
     assert [*strengths_of(session.state.scene)] == ["3", "7"]

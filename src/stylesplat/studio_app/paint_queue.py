@@ -28,6 +28,7 @@ from stylesplat.studio_app.messages import Progress
 from stylesplat.studio_app.selecting import with_object_of_selection
 from stylesplat.studio_app.session import Display, Session, Stopped
 from stylesplat.stylization.config import StyleConfig, plain_settings
+from stylesplat.stylization.painter import Survey
 from stylesplat.stylization.style import Style, all_colors
 from stylesplat.verbs.stylize import Live, stylize_live
 
@@ -69,6 +70,8 @@ class PaintQueue:
         self._times = list[tuple[float, float]]()  # when each share of it was done
         self._usual = dict[str, list[tuple[float, float]]]()  # the times of the last, by quality
         self._drawn_at, self._drawing = 0.0, 0.0
+        self._surveyed: tuple[Scene, Bool[Tensor, " B"], Survey] | None = None
+        """What was below the layer that was painted last, its object's mask, and its survey."""
         session.interrupt = self.stop
 
     @property
@@ -187,8 +190,17 @@ class PaintQueue:
         else:
             splats = preview_colors(state.scene.splats, picked, job.style.read())
             session.preview = replace(session.display_of(state), splats=splats)
-        lives = stylize_live(state.scene, job.name, job.style, **self.options)
+        survey = self._survey_of(state.scene.below(job.name), own)
+        lives = stylize_live(state.scene, job.name, job.style, survey=survey, **self.options)
         self._begin(job, lives)
+
+    def _survey_of(self, below: Scene, own: Bool[Tensor, " B"]) -> Survey | None:
+        """What was measured of the same object on the same layers, if that was the last."""
+        if self._surveyed is None:
+            return None
+        known, mask, survey = self._surveyed
+        same = known.base is below.base and known.cameras is below.cameras
+        return survey if same and known.layers == below.layers and torch.equal(mask, own) else None
 
     def _as_object(self, job: PaintJob, selected: Selected) -> PaintJob:
         """Make an object of what a job is to paint; it is picked if it is still selected."""
@@ -225,6 +237,9 @@ class PaintQueue:
                     return
                 if live is None:
                     break
+                if not begun and live.survey is not None:
+                    own = self.session.masks.of(live.before, split_name(job.name)[0])
+                    self._surveyed = replace(live.below, composed=None), own, live.survey
                 self._latest, begun = live, True
                 self._show(job, live)
                 yield

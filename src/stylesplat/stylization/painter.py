@@ -118,6 +118,16 @@ class Subject:
         return self.canvas.splats.with_rows(self.rows, {"sh0": colors[:, None]})
 
 
+class Survey(NamedTuple):
+    """What of an object is the same whatever its style."""
+
+    own: Bool[Tensor, " N"]
+    """Its Gaussians, without those that lie mostly beside it."""
+    boxes: list[ObjectBox]
+    """Where the views show it."""
+    detail: FormSurvey
+
+
 class Goal(NamedTuple):
     """What the colours of an object are to become."""
 
@@ -133,20 +143,31 @@ Finish = Callable[[Colors, Sequence[ObjectView]], Colors]
 """What completes the colours of a stage; it gets the views of the stage, too."""
 
 
+def survey_object(setup: PaintSetup, painting: Painting) -> Survey:
+    """Measure an object in its views. Raises a StyleSplatError if none shows it."""
+    painting = own_part(setup, painting)
+    boxes = require_boxes(setup, painting)
+    return Survey(painting.mask, boxes, survey_detail(setup.splats, painting.mask, boxes))
+
+
 def paint_steps(
-    setup: PaintSetup, painting: Painting, *, preview: bool = False
+    setup: PaintSetup,
+    painting: Painting,
+    *,
+    preview: bool = False,
+    survey: Survey | None = None,
 ) -> Iterator[PaintState]:
     """Paint one object of a scene; yields the state after every step.
 
     With `preview` first strokes show on the object's own Gaussians before the canvas is laid. These
-    steps come in addition, and change nothing in the result.
+    steps come in addition, and change nothing in the result. `survey` is that of `survey_object`,
+    if it is known already.
     """
     painting = replace(painting, config=with_relief_form(painting.config))
     if painting.config.published:
         return paint_as_published(setup, painting)
-    painting = own_part(setup, painting)
-    boxes = require_boxes(setup, painting)
-    detail = survey_detail(setup.splats, painting.mask, boxes)
+    own, boxes, detail = survey or survey_object(setup, painting)
+    painting = replace(painting, mask=own)
     canvas = Canvas.without_discs(setup.splats, painting.mask)
     guides = Guides.of(painting.config, setup.splats, painting.mask)
     subject = Subject(setup, painting, boxes, detail, canvas, guides)

@@ -20,7 +20,13 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import PaintState, layer_of
 from stylesplat.stylization.config import Network, Precision
-from stylesplat.stylization.painter import check_visible, paint_layer, paint_steps
+from stylesplat.stylization.painter import (
+    Survey,
+    check_visible,
+    paint_layer,
+    paint_steps,
+    survey_object,
+)
 from stylesplat.stylization.painting import (
     MAX_MEMORY,
     Painting,
@@ -200,6 +206,8 @@ class Live:
     painting: Painting
     """The object among the Gaussians of `below`."""
     precision: Precision
+    survey: Survey | None = None
+    """Of the object, for other paintings of it on the same layers; None with the preset `paper`."""
     finished: Layer | None = None
     """The layer after the last step, if its form takes more than relief."""
 
@@ -233,6 +241,7 @@ def stylize_live(
     weights: Path | str | None = None,
     max_memory: float = MAX_MEMORY,
     device: str = "auto",
+    survey: Survey | None = None,
 ) -> Iterator[Live]:
     """As `stylize` with one object, step by step.
 
@@ -244,6 +253,8 @@ def stylize_live(
         weights: The network's file.
         max_memory: GiB for prepared views.
         device: Where to compute.
+        survey: That of an earlier `Live` of the object on the same layers, whose first step then
+            comes sooner.
 
     Yields:
         The state after every step. Whoever stops asking keeps what there is; whoever asks again
@@ -264,8 +275,10 @@ def stylize_live(
     setup_of = setup_maker(paintings, training, held_out, max_memory, pick_device(device))
     setup = setup_of(below.splats, painting)
     painting = painting.at(below.parents).to(setup.splats)
-    for state in paint_steps(setup, painting, preview=True):
-        live = Live(state, scene, below, painting, setup.precision_name)
+    if survey is None and not painting.config.published:
+        survey = survey_object(setup, painting)
+    for state in paint_steps(setup, painting, preview=True, survey=survey):
+        live = Live(state, scene, below, painting, setup.precision_name, survey)
         if state.step == state.steps and painting.config.form > RELIEF_FORM:
             live = replace(live, finished=sculpted(below, live.layer))
         yield live
