@@ -167,7 +167,8 @@ def reconstruct(
         counts = feature_counts(workspace)
         check_features(counts, len(names))
         times.append(time.perf_counter())
-        models, table, matched, turned = list[pycolmap.Reconstruction](), None, 0.0, False
+        models, table, turned = list[pycolmap.Reconstruction](), None, False
+        matched, motions = 0.0, 0.0
         may_turn = turntable or prepared.cut_outs
         if may_turn and prepared.ordered and config.matching == "auto":
             table, matched = match_pairs(workspace, orbit_pairs(len(names))), time.perf_counter()
@@ -177,25 +178,15 @@ def reconstruct(
         if table is None or not is_orbit or _posed(models) < MIN_POSED * len(names):
             table = match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
             check_matches(table)
+            if folder is None:
+                motions = _refuse_two_motions(workspace, photos, prepared)
             matched = time.perf_counter()
             models = _map_photos(workspace)
             turned = turntable and bool(models) and turn_on_one_axis(models[0], names)
         if _posed(models) < MOSTLY_POSED * len(names) and not is_without_depth(models, table):
             models, counts, table = _look_closer(workspace, photos, models, counts, table)
         times += [matched, time.perf_counter()]
-        sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in names]
-        motions, shown, around = 0.0, 0, (0.0,) * 4
-        if folder is None:
-            motions, shown, around = find_two_motions(*read_matches(workspace), sides)
-    why = two_motions(motions, prepared.origins[names[shown]], around)
-    try:
-        check_models(models, table, len(names))
-    except StyleSplatError as error:
-        if why:
-            raise StyleSplatError(why) from error
-        raise
-    if why:
-        raise StyleSplatError(why)
+    check_models(models, table, len(names))
     model = models[0]
     return Reconstruction(
         model=model,
@@ -216,6 +207,15 @@ def reconstruct(
             },
         },
     )
+
+
+def _refuse_two_motions(workspace: Workspace, photos: Path, prepared: PreparedPhotos) -> float:
+    """The share of pairs with two motions. Where these are many no poses fit, so none are found."""
+    sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in prepared.names]
+    motions, shown, around = find_two_motions(*read_matches(workspace), sides)
+    if why := two_motions(motions, prepared.origins[prepared.names[shown]], around):
+        raise StyleSplatError(why)
+    return motions
 
 
 def _look_closer(

@@ -159,6 +159,7 @@ def _carve(
     steps = (torch.arange(HULL_CELLS) + 0.5) / HULL_CELLS * 2 - 1
     cells = middle + reach * torch.cartesian_prod(steps, steps, steps)
     size = 2 * reach / HULL_CELLS
+    most_outside = round((1 - HULL_SHARE) * len(masks), 6)  # masks, of a cell that is kept
     for level in track(range(HULL_LEVELS), "finding outlines"):
         is_last = level == HULL_LEVELS - 1
         seen, inside = (torch.zeros(len(cells)) for _ in range(2))
@@ -170,6 +171,8 @@ def _carve(
             x, y = places[shown].T
             seen[shown] += 1
             inside[shown] += mask[y, x].float()
+            kept = seen - inside <= most_outside  # most cells are ruled out by the first masks
+            cells, seen, inside = cells[kept], seen[kept], inside[kept]
         cells = cells[(seen >= HULL_SEEN * len(masks)) & (inside >= HULL_SHARE * seen)]
         if not is_last:
             corners = size / 4 * torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3)
