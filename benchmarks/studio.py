@@ -178,7 +178,8 @@ def small(scene: Path, styles: Path, objects: tuple[str, str], turns: int) -> li
         copy = shutil.copytree(scene, Path(folder) / "scene")
         with (
             studio(copy, styles) as (url, _),
-            studio_tab(size=SIZE, downloads=Path(folder)) as tab,
+            launched() as browser,
+            studio_tab(browser, size=SIZE, downloads=Path(folder)) as tab,
         ):
             for name, seconds in pictures(tab, url, turns):
                 times.setdefault(name, []).append(seconds)
@@ -202,7 +203,10 @@ def large(scene: Path, styles: Path) -> Iterator[list[str]]:
         larger = replace(small_scene, base=splats, layers=(), objects={}, path=None)
         ss.save(larger, Path(folder) / "scene")
         del small_scene, splats, larger
-        with studio_tab(size=SIZE, downloads=Path(folder)) as tab:
+        with (
+            launched() as browser,
+            studio_tab(browser, size=SIZE, downloads=Path(folder)) as tab,
+        ):
             start = time.perf_counter()
             with studio(Path(folder) / "scene", styles) as (url, pid):
                 tab.page.open(url)
@@ -227,7 +231,8 @@ def turning(scene: Path, styles: Path, turns: int) -> Iterator[list[str]]:
         ss.save(larger, Path(folder) / "scene")
         with (
             studio(Path(folder) / "scene", styles) as (url, _),
-            studio_tab(size=SIZE, downloads=Path(folder)) as tab,
+            launched() as browser,
+            studio_tab(browser, size=SIZE, downloads=Path(folder)) as tab,
         ):
             tab.page.open(url)
             goal = "window.studio?.overlay.map?.names.length > 0"
@@ -243,7 +248,11 @@ def viewer(scene: Path) -> Iterator[list[str]]:
     """Frames of the viewer, of exported pages as well, at 960x540 by software."""
     opened = ss.open(scene)
     for count, frames in VIEWER.items():
-        with tempfile.TemporaryDirectory() as folder, launched(960, 540) as page:
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            launched() as browser,
+            browser.tab(960, 540) as page,
+        ):
             file = Path(folder) / "page.html"
             splats = resized(opened.splats, count)
             ss.export(replace(opened, base=splats, layers=(), objects={}), file)

@@ -19,7 +19,7 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from browser import Tab, studio_tab, until
+from browser import Tab, launched, studio_tab, until
 
 WINDOW, WIDTH = (1180, 760), 880  # pixels of the window, and of the picture's width
 SHORT, LONG = 90, 900  # milliseconds of a frame, and of one to look at
@@ -109,7 +109,10 @@ def main(scene: str, styles: str, name: str, style: str, output: str) -> None:
             try:
                 while (found := search(r"http://\S+", run.stderr.readline())) is None:
                     pass
-                with studio_tab(size=WINDOW, downloads=Path(folder)) as tab:
+                with (
+                    launched() as browser,
+                    studio_tab(browser, size=WINDOW, downloads=Path(folder)) as tab,
+                ):
                     tab.open(found[0])
                     made = record(tab, name, style)
             finally:

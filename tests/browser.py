@@ -14,7 +14,6 @@ from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
-from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -50,6 +49,7 @@ class Page:
 
     def __init__(self, socket: Connection):
         self._socket, self._number = socket, 0
+        self.profile: dict[str, Any] = {}
         self.events: list[dict[str, Any]] = []
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
@@ -113,38 +113,56 @@ class Page:
         return said
 
 
+class Browser:
+    """A Chromium that runs."""
+
+    def __init__(self, address: str):
+        self._address = address  # of the whole browser; each tab has one of its own
+
+    @contextmanager
+    def tab(self, width: int = 800, height: int = 600) -> Iterator[Page]:
+        """An empty tab of a size, with a profile of its own that goes with it."""
+        with _connected(self._address) as browser:
+            context = browser.call("Target.createBrowserContext")
+            try:
+                tab = browser.call("Target.createTarget", url="about:blank", **context)["targetId"]
+                root, _, _ = self._address.partition("/devtools/")
+                with _connected(f"{root}/devtools/page/{tab}") as page:
+                    page.profile = context
+                    for domain in ("Page", "Runtime", "Log"):
+                        page.call(f"{domain}.enable")
+                    size = {"width": width, "height": height}
+                    page.call(
+                        "Emulation.setDeviceMetricsOverride",
+                        **{**size, "deviceScaleFactor": 1, "mobile": False},
+                    )
+                    yield page
+            finally:
+                browser.call("Target.disposeBrowserContext", **context)
+
+
 @contextmanager
-def launched(width: int = 800, height: int = 600, *flags: str) -> Iterator[Page]:
-    """A browser with one empty tab of a size, and a profile of its own that goes with it."""
+def _connected(address: str) -> Iterator[Page]:
+    with connect(address, max_size=None, ping_interval=None) as socket:
+        yield Page(socket)
+
+
+@contextmanager
+def launched() -> Iterator[Browser]:
+    """A browser that ends with the block."""
     assert PROGRAM is not None
     with TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        command = [PROGRAM, *FLAGS, *flags, f"--user-data-dir={profile}", "about:blank"]
+        command = [PROGRAM, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         try:
-            with connect(_address(process), max_size=None, ping_interval=None) as socket:
-                page = Page(socket)
-                for domain in ("Page", "Runtime", "Log"):
-                    page.call(f"{domain}.enable")
-                page.call(
-                    "Emulation.setDeviceMetricsOverride",
-                    **{"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False},
-                )
-                yield page
+            assert process.stderr is not None
+            said = (re.search(r"listening on (\S+)", line.decode()) for line in process.stderr)
+            found = next(filter(None, said), None)
+            assert found is not None, "Chromium did not start"
+            yield Browser(found[1])
         finally:
             process.terminate()
             process.communicate()
-
-
-def _address(process: "subprocess.Popen[bytes]") -> str:
-    """Where the tab listens, from what the browser says when it starts."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if b"DevTools listening on" in line:
-            port = line.split(b"127.0.0.1:")[1].split(b"/")[0].decode()
-            with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=SECONDS) as answer:
-                tabs = json.load(answer)
-            return next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
-    raise AssertionError("Chromium did not start")
 
 
 def as_url(path: Path) -> str:
@@ -424,10 +442,11 @@ def until(ask: Callable[[], T | None], what: str, seconds: float = PATIENCE) -> 
 
 
 @contextmanager
-def studio_tab(*, size: tuple[int, int], downloads: Path) -> Iterator[Tab]:
+def studio_tab(browser: Browser, *, size: tuple[int, int], downloads: Path) -> Iterator[Tab]:
     """An empty page, and where its downloads go."""
-    with launched(*size) as page:
-        page.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(downloads))
+    with browser.tab(*size) as page:
+        place = {"behavior": "allow", "downloadPath": str(downloads)}
+        page.call("Browser.setDownloadBehavior", **place, **page.profile)
         yield Tab(page)
 
 

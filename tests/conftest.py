@@ -6,7 +6,7 @@ import signal
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import type_checks  # noqa: F401  # isort: skip  (before what it checks)
 
@@ -24,6 +24,9 @@ from numba.core.dispatcher import Dispatcher
 
 from stylesplat.progress import Observer, observed
 from tiny_models import network, stripes  # noqa: F401  (fixtures)
+
+if TYPE_CHECKING:
+    from browser import Browser
 
 
 def pytest_configure() -> None:
@@ -116,6 +119,15 @@ def said() -> Iterator[list[str]]:
 
     with observed(Listener()):
         yield lines
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator["Browser"]:
+    """It takes seconds to start."""
+    from browser import launched  # loads what types are checked of from later on
+
+    with launched() as found:
+        yield found
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 import stylesplat as ss
-from browser import as_url, launched, needs_chromium
+from browser import Browser, as_url, needs_chromium
 from stylesplat.demo import demo_run
 from stylesplat.demo.demo_run import (
     ARCHIVE,
@@ -128,8 +128,8 @@ def test_the_report_holds_everything_and_names_no_file(made: Path):
 
 
 @needs_chromium
-def test_the_report_shows_the_splat_in_a_browser(made: Path):
-    with launched(500, 700) as browser:
+def test_the_report_shows_the_splat_in_a_browser(made: Path, chromium: Browser):
+    with chromium.tab(500, 700) as browser:
         browser.open(as_url(made / "report.html"))
         browser.evaluate("document.querySelector('iframe').scrollIntoView()")
         browser.until("document.querySelector('iframe').contentWindow.viewer")

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from balls import CAMERAS, SPLATS, enlarged
-from browser import Page, as_url, element, launched, needs_chromium, read, scene
+from browser import Browser, Page, as_url, element, needs_chromium, read, scene
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.web_page import page_of
 from stylesplat.io.splats.packing import morton_order
@@ -104,8 +104,8 @@ def test_refusals(tmp_path: Path):
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Page]:
-    with launched(*SIZE) as page:
+def browser(chromium: Browser) -> Iterator[Page]:
+    with chromium.tab(*SIZE) as page:
         yield page
 
 

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS, SPLATS, enlarged
-from browser import QUICK, Tab, needs_chromium, studio_tab, until
+from browser import QUICK, Browser, Tab, needs_chromium, studio_tab, until
 from stylesplat.io.scene_folder import open, save
 from stylesplat.io.splats.splat_files import read_splats
 from stylesplat.rendering.weights import coverage
@@ -31,8 +31,9 @@ SLIGHT = 12  # of 255: JPEG changes pixels by less
 
 
 @pytest.fixture
-def opened(tmp_path: Path) -> Iterator[StudioServer]:
-    """The balls, and a picture of stripes."""
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StudioServer]:
+    """The balls, and a picture of stripes. What warms up has its own test."""
+    monkeypatch.setattr("stylesplat.studio_app.server.WARM_UP_AFTER", 600.0)  # seconds
     folder, styles = tmp_path / "balls", tmp_path / "styles"
     save(Scene(SPLATS, enlarged(CAMERAS[::2], 4)), folder)
     styles.mkdir()
@@ -46,9 +47,9 @@ def opened(tmp_path: Path) -> Iterator[StudioServer]:
 
 
 @pytest.fixture
-def tab(opened: StudioServer, tmp_path: Path) -> Iterator[Tab]:
+def tab(opened: StudioServer, chromium: Browser, tmp_path: Path) -> Iterator[Tab]:
     (tmp_path / "downloads").mkdir()
-    with studio_tab(size=SIZE, downloads=tmp_path / "downloads") as tab:
+    with studio_tab(chromium, size=SIZE, downloads=tmp_path / "downloads") as tab:
         tab.open(opened.url)
         yield tab
 
@@ -349,8 +350,10 @@ def test_keys_are_shown_and_the_first_visit_has_three_hints(opened: StudioServer
     assert not tab.page.complaints(), json.dumps(tab.page.complaints(), indent=1)
 
 
-def test_two_fingers_move_the_camera_whatever_the_tool(opened: StudioServer, tmp_path: Path):
-    with studio_tab(size=(390, 760), downloads=tmp_path) as tab:
+def test_two_fingers_move_the_camera_whatever_the_tool(
+    opened: StudioServer, chromium: Browser, tmp_path: Path
+):
+    with studio_tab(chromium, size=(390, 760), downloads=tmp_path) as tab:
         tab.page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
         tab.open(opened.url)
         x, y = 200, 360  # below the tools
@@ -511,9 +514,11 @@ OVERFLOW = """[document.documentElement, document.querySelector(".bar")]
 KNOB = "Object.values(document.querySelector('.knob').getBoundingClientRect().toJSON())"
 
 
-def test_on_a_narrow_screen_everything_can_be_reached(opened: StudioServer, tmp_path: Path):
+def test_on_a_narrow_screen_everything_can_be_reached(
+    opened: StudioServer, chromium: Browser, tmp_path: Path
+):
     session = opened.session
-    with studio_tab(size=(NARROW, 760), downloads=tmp_path) as tab:
+    with studio_tab(chromium, size=(NARROW, 760), downloads=tmp_path) as tab:
         tab.open(opened.url)
         session.do(lambda state: recolor_objects(state, ["7"], "hue", 90.0))
         for label in ("Objects", "Layers", "Styles", "Views", "Keep this view", "Level", "Export"):
