@@ -140,6 +140,7 @@ def test_the_report_shows_the_splat_in_a_browser(made: Path, chromium: Browser):
         assert browser.complaints() == []
 
 
+@pytest.mark.usefixtures("quick_painting")
 def test_warm_up_calls_every_kernel(capture: Path):
     stylize_noise(capture)  # an error in it would only cost time, so nobody would notice
 

@@ -9,9 +9,9 @@ from PIL import Image
 
 NOTEBOOK = Path(__file__).parents[2] / "examples" / "paint.ipynb"
 TINY = {
-    "TRAIN_STEPS": 60,
+    "TRAIN_STEPS": 20,
     "DOWNSCALE": 8.0,
-    "PAINT": {"quality": "draft", "steps": 4, "object_size": 60},
+    "PAINT": {"quality": "draft", "steps": 2, "object_size": 48},
 }
 
 

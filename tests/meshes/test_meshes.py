@@ -22,6 +22,7 @@ from stylesplat.meshes.refine import refine
 from stylesplat.meshes.repaint import repaint
 from stylesplat.meshes.surface import (
     FusedSurface,
+    MeshViews,
     find_mesh_surface,
     mesh_views,
     split_nonmanifold_edges,
@@ -49,12 +50,18 @@ def ball(opacity: float = 4.0) -> Splats:
 
 
 BALL = ball()
-CAMERAS = ring_cameras(BALL, UP)
+RING = ring_cameras(BALL, UP)
+CAMERAS = RING[::3]
 LAYER = replace(
     plain_layer(BALL, torch.arange(len(BALL)), "ball", settings={}, form=0.0),
     sh0=BALL.sh0,
     opacity_factors=torch.ones(len(BALL)),
 )
+
+
+@pytest.fixture(scope="module")
+def views() -> MeshViews:
+    return mesh_views(BALL, CAMERAS, length=200)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +85,7 @@ def test_the_surface_is_closed_and_in_its_place(mesh: TexturedMesh):
 
 
 def test_renders_are_those_of_the_splats(mesh: TexturedMesh):
-    for row in (0, 20):
+    for row in (0, 7):
         camera = CAMERAS[row].downscale(4)
         image, shown = draw(mesh, camera)
         wanted, covered = render(BALL, camera)
@@ -114,7 +121,7 @@ def test_nearer_faces_hide_others():
     assert np.allclose(fragments.weights.sum(axis=2), 1, atol=1e-5)
 
 
-def test_vertices_move_to_where_views_agree(mesh: TexturedMesh):
+def test_vertices_move_to_where_views_agree(mesh: TexturedMesh, views: MeshViews):
     surface = merged(mesh)
     directions = surface.vertices / np.linalg.norm(surface.vertices, axis=1, keepdims=True)
     true = np.linalg.norm(surface.vertices, axis=1)
@@ -124,14 +131,14 @@ def test_vertices_move_to_where_views_agree(mesh: TexturedMesh):
         surface.faces.astype(np.int32),
         np.zeros(len(true), np.float32),
     )
-    moved = refine(dented, BALL, mesh_views(BALL, None, length=200)).vertices
+    moved = refine(dented, BALL, views).vertices
     before, after = (np.linalg.norm(each, axis=1) - true for each in (dented.vertices, moved))
     assert np.square(after).mean() < 0.5 * np.square(before).mean()
 
 
-def test_vertices_move_to_outlines(mesh: TexturedMesh):
+def test_vertices_move_to_outlines(mesh: TexturedMesh, views: MeshViews):
     grey = replace(BALL, sh0=torch.zeros_like(BALL.sh0))  # so that colours agree everywhere
-    found, views = merged(mesh), mesh_views(BALL, None, length=200)
+    found = merged(mesh)
     surface = FusedSurface(
         (0.93 * found.vertices).astype(np.float32),
         found.faces.astype(np.int32),
@@ -154,7 +161,7 @@ def test_vertices_move_to_outlines(mesh: TexturedMesh):
 
 def test_a_hole_where_it_stands_is_closed(said: list[str]):
     standing = BALL[BALL.means[:, 2] > -0.9 * RADIUS]
-    found = merged(make_mesh(standing, CAMERAS, SMALL))
+    found = merged(make_mesh(standing, RING, SMALL))
     assert found.is_watertight and not said
     assert found.bounds[0, 2] < -0.85 * RADIUS
 
@@ -241,7 +248,7 @@ def test_repainting_brings_the_style(
     Image.fromarray(stripes).save(tmp_path / "stripes.png")
     (source,) = LAYER.styles
     source = replace(source, path=tmp_path / "stripes.png", sha256=None)
-    views = mesh_views(BALL, CAMERAS[[0, 6, 12, 18]].downscale(4), length=160)
+    views = mesh_views(BALL, CAMERAS[[0, 2, 4, 6]].downscale(4), length=160)
     found = repaint(mesh, BALL, views, replace(LAYER, styles=(source,)), "ball").texture
     before, after = (np.abs(np.diff(each, axis=1)).mean() for each in (mesh.texture, found))
     assert after > 1.2 * before, "strokes are sharper than what was there"
