@@ -1,5 +1,6 @@
 """Set-up of the whole suite."""
 
+import gc
 import os
 import random
 import signal
@@ -50,6 +51,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         }
         drawn.shuffle(items)
         items.sort(key=lambda item: (groups[item.path.parent], groups[item.path]))
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()  # else Python looks for garbage in all modules, again and again
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -30,7 +30,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def capture(photos: Path) -> ss.Capture:
-    return ss.sfm(photos, photos.with_name("capture"))
+    return ss.sfm(photos, photos.with_name("capture"), max_features=500)
 
 
 def test_all_that_fit_are_posed(capture: ss.Capture, photos: Path):
@@ -75,7 +75,7 @@ class InterruptedAt(Observer):
 def test_each_photo_without_a_pose_is_named_once(tmp_path: Path, said: list[str]):
     elsewhere = photograph_corner(towards(places_around(COUNT))[3], seed=9)
     write_photos(tmp_path / "photos", corner(COUNT) | {"elsewhere.jpg": elsewhere})
-    ss.sfm(tmp_path / "photos", tmp_path / "capture")
+    ss.sfm(tmp_path / "photos", tmp_path / "capture", max_features=500)
     (line,) = [line for line in said if "elsewhere.jpg" in line]
     assert line.startswith("Not posed: ")
     assert any(line.startswith("Take more photos between") for line in said)
@@ -94,10 +94,10 @@ def test_an_interrupted_call_goes_on_and_keeps_label_maps(
     before = {file: file.read_bytes() for file in output.rglob("*") if file.is_file()}
     for stage in ("finding features", "finding poses", "undistorting photos"):
         with observed(InterruptedAt(stage)), pytest.raises(KeyboardInterrupt):
-            ss.sfm(photos, output, overwrite=True)
+            ss.sfm(photos, output, overwrite=True, max_features=500)
         assert {file: file.read_bytes() for file in output.rglob("*") if file.is_file()} == before
         assert (partial / "sfm" / "prepared" / "00.jpg").is_file()
-    assert len(ss.sfm(photos, output, overwrite=True)) == COUNT
+    assert len(ss.sfm(photos, output, overwrite=True, max_features=500)) == COUNT
     by_hand = output / "object_mask" / "00.png"
     assert by_hand.read_bytes() == before[by_hand]
     assert [p.name for p in partial.iterdir()] == ["diary.txt"]
