@@ -4,7 +4,6 @@ import pytest
 import torch
 from safetensors.torch import load_file
 from torch.nn import functional as F
-from torchvision.models import vgg
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.stylization.features import (
@@ -52,6 +51,8 @@ def either(
 
 @pytest.mark.parametrize(("name", "block"), OFFICIAL_LAYERS)
 def test_layers_are_those_of_torchvision(name: str, block: int):
+    from torchvision.models import vgg  # loads a compiler: seconds
+
     layers = OFFICIAL_LAYERS[name, block]
     with torch.random.fork_rng():
         torch.manual_seed(0)
