@@ -7,9 +7,10 @@ contours) and layers of strokes from broad to fine. The strokes leave a relief o
 from math import floor, sqrt
 
 import cv2
-import numba
 import numpy as np
 from jaxtyping import Float, UInt8
+
+from stylesplat.rendering.kernels.jit import cached
 
 from .vectors import FAST, kernel, noise, smoothstep
 
@@ -54,7 +55,7 @@ def _lay(
         relief[row, column] = 0.6 * relief[row, column] + half * (0.10 * bristle + 0.11 * ridge)
 
 
-@numba.njit(**FAST)
+@cached(**FAST)
 def _paint(color: np.ndarray, relief: np.ndarray, field: np.ndarray, strokes: np.ndarray) -> None:
     for k in range(len(strokes)):
         x, y = strokes[k, 0], strokes[k, 1]

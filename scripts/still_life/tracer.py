@@ -2,8 +2,10 @@
 
 from math import sqrt
 
-import numba
 import numpy as np
+from numba import prange
+
+from stylesplat.rendering.kernels.jit import cached
 
 from .objects import BOUNDS, NAMES, albedo, distance, gloss
 from .surroundings import (
@@ -177,7 +179,7 @@ def _ray(x: float, y: float, K: np.ndarray, c2w: np.ndarray) -> Vec:
     )
 
 
-@numba.njit(**FAST, parallel=True)
+@cached(**FAST, parallel=True)
 def render_view(
     K: np.ndarray, c2w: np.ndarray, layout: np.ndarray, photo: np.ndarray, geometry: np.ndarray
 ) -> None:
@@ -188,7 +190,7 @@ def render_view(
     """
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
     cone = HALF_PIXEL / min(K[0, 0], K[1, 1])
-    for row in numba.prange(photo.shape[0]):
+    for row in prange(photo.shape[0]):
         starts = np.empty(OBJECTS)
         for column in range(photo.shape[1]):
             starts[:] = 0

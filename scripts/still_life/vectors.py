@@ -6,14 +6,13 @@ The noise has no seed: a seed shifts the position.
 from math import floor, sqrt
 from typing import Any
 
-import numba
+from stylesplat.rendering.kernels.jit import INNER, cached
 
 Vec = tuple[float, float, float]
 
 FAST: dict[str, Any] = {"fastmath": True, "error_model": "numpy"}
-INNER: dict[str, Any] = FAST | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
-kernel = numba.njit(**INNER)
+kernel = cached(**FAST, **INNER)
 """Decorator of functions that only other kernels call: half of the time to compile them."""
 
 

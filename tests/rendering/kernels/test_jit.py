@@ -55,14 +55,13 @@ def test_without_a_folder_kernels_run_all_the_same(said: list[str], monkeypatch)
     assert said == [NO_CACHE]
 
 
-def test_caches_older_than_the_kernels_are_deleted(tmp_path: Path):
+def test_caches_older_than_the_kernels_or_what_lies_beside_them_are_deleted(tmp_path: Path):
     folder = tmp_path / "package" / "__pycache__"
     folder.mkdir(parents=True)
-    old, new, other = (folder / name for name in ("a.f-1.py311.nbi", "b.nbc", "c.pyc"))
-    for each in (old, new, other):
-        each.touch()
-    for each in (old, other):
-        os.utime(each, (0, 0))
-    os.utime(new, (2**32, 2**32))  # a century from now
+    source = folder.parent / "inner.py"
+    ages = {"a.f-1.py311.nbi": 0, "b.nbc": 2**32, "c.pyc": 0, "d.nbi": 2**31}  # 2**31: in 2038
+    for path, age in ((source, 2**31 + 1), *((folder / name, age) for name, age in ages.items())):
+        path.touch()
+        os.utime(path, (age, age))
     delete_stale_caches(folder.parent)
-    assert [each.exists() for each in (old, new, other)] == [False, True, True]
+    assert {path.name for path in folder.iterdir()} == {"b.nbc", "c.pyc"}

@@ -80,7 +80,7 @@ def delete_stale_caches(folder: Path) -> None:
     """
     with suppress(OSError):
         own = Path(__file__).parent
-        sources = own.parent / "reference.py", *own.glob("*.py")
+        sources = own.parent / "reference.py", *own.glob("*.py"), *folder.glob("*.py")
         newest = max(each.stat().st_mtime for each in sources)
         for kernel in (folder / "__pycache__").glob("*.nb[ic]"):
             if kernel.stat().st_mtime < newest:
