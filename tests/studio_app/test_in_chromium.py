@@ -521,7 +521,8 @@ def test_on_a_narrow_screen_everything_can_be_reached(
     with studio_tab(chromium, size=(NARROW, 760), downloads=tmp_path) as tab:
         tab.open(opened.url)
         session.do(lambda state: recolor_objects(state, ["7"], "hue", 90.0))
-        for label in ("Objects", "Layers", "Styles", "Views", "Keep this view", "Level", "Export"):
+        views = "Views", "Keep this view", "Level", "Keep this horizon"
+        for label in ("Objects", "Layers", "Styles", *views, "Export"):
             tab.press_button(label)
             tab.assert_accessible()
             assert not tab.page.evaluate(SMALL)

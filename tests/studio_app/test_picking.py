@@ -9,6 +9,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.options import PickSize
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
+from stylesplat.selection.text import clear_winner
 from stylesplat.studio_app import selecting
 from stylesplat.studio_app.history import ObjectMasks, StudioState, hidden_rows, object_names
 from stylesplat.studio_app.messages import How
@@ -175,8 +176,20 @@ def test_without_a_pick_it_says_what_to_do(change):
 def test_words_download_no_model_while_all_browsers_wait(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(selecting, "is_at_hand", lambda name: False)
     monkeypatch.setattr(selecting, "resolve_selection", lambda *_, **__: pytest.fail())
-    with pytest.raises(StyleSplatError, match=r"pip install .*hf download IDEA-Research/"):
+    with pytest.raises(StyleSplatError, match="not installed here") as told:
         pick_words(STATE, "red chair")
+    assert "pip" not in str(told.value), "whom the page is for may have no terminal"
+
+
+def test_words_that_fit_nothing_are_told_without_the_command_line(monkeypatch: pytest.MonkeyPatch):
+    def resolve(*_: object, **__: object) -> None:
+        clear_winner({}, "red chair")
+
+    monkeypatch.setattr(selecting, "is_at_hand", lambda name: True)
+    monkeypatch.setattr(selecting, "resolve_selection", resolve)
+    with pytest.raises(StyleSplatError, match="fits 'red chair'") as told:
+        pick_words(STATE, "red chair")
+    assert "--" not in str(told.value)
 
 
 def test_a_soft_brush_follows_the_line_and_does_not_close_it():

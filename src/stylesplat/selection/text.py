@@ -26,6 +26,10 @@ CONCEPTS = ("sam3", "sam3_video")  # take one phrase
 MIN_SCORE = 0.3  # below it detectors guess; both kinds have about this default
 
 
+class NoMatch(StyleSplatError):
+    """No object fits the words, or several do."""
+
+
 @dataclass(frozen=True, eq=False)
 class Detections:
     """Boxes in a picture: left, top, right, bottom in pixels, and scores from 0 to 1."""
@@ -164,7 +168,7 @@ def clear_winner(
 ) -> int:
     """The object with clearly the best score; names by label id and the folder are for messages."""
     if not scores:
-        raise StyleSplatError(
+        raise NoMatch(
             f"No object of the scene fits {phrase!r}. Try another phrase, or run "
             f"`{shell_command('objects', folder or UNKNOWN_SCENE)}` and select with --id."
         )
@@ -172,12 +176,12 @@ def clear_winner(
     called = {id: f" {name!r}" for id, name in (names or {}).items()}
     candidates = ", ".join(f"{id}{called.get(id, '')} ({scores[id]:.2f})" for id in (best, *rest))
     if scores[best] < CHANCE:
-        raise StyleSplatError(
+        raise NoMatch(
             f"Hardly any view shows what fits {phrase!r}. By id, with scores: {candidates}. Select "
             "with --id, or try another phrase."
         )
     if rest and scores[rest[0]] >= RIVAL * scores[best]:
-        raise StyleSplatError(
+        raise NoMatch(
             f"{phrase!r} may mean several objects. By id, with scores: {candidates}. Select with "
             "--id, or try another phrase."
         )

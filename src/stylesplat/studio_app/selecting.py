@@ -39,7 +39,7 @@ from stylesplat.selection.shapes import (
 )
 from stylesplat.selection.surface_cut import pick_clicked
 from stylesplat.selection.surface_graph import NothingToPick
-from stylesplat.selection.text import CHECKPOINT
+from stylesplat.selection.text import CHECKPOINT, NoMatch
 from stylesplat.studio_app.history import Selected, StudioState, replace_scene, require_picked
 from stylesplat.studio_app.messages import Extreme, How, PicturePoint, Shape, ViewVector
 from stylesplat.training.initialize import neighbor_distances
@@ -252,10 +252,15 @@ def pick_words(state: StudioState, text: str) -> StudioState:
     # A download would take minutes, in which the page answers nothing
     if not is_at_hand(CHECKPOINT):
         raise StyleSplatError(
-            "No model that knows words is installed. Run `pip install 'stylesplat[segment]'` and "
-            f"`hf download {CHECKPOINT}`, then try again."
+            "Finding by words needs a model that is not installed here. The documentation's page "
+            "on the studio says how to get it. Until then, pick by a click or with the brush."
         )
-    return _resolved(state, "new", Selection(text=(text,)))
+    try:
+        return _resolved(state, "new", Selection(text=(text,)))
+    except NoMatch as error:
+        raise StyleSplatError(
+            f"No object, or more than one, fits {text!r}. Use other words, or click the object."
+        ) from error
 
 
 def unite_picked(state: StudioState) -> StudioState:
