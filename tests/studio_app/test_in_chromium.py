@@ -539,3 +539,12 @@ def test_on_a_narrow_screen_everything_can_be_reached(
         tab.press_button("After")
         tab.click(*tab.middle_of("7"))
         until(lambda: opened.session.state.picked == ("7",), "a pick")
+
+        size = {"width": 844, "height": NARROW, "deviceScaleFactor": 1, "mobile": False}
+        tab.page.call("Emulation.setDeviceMetricsOverride", **size)  # on its side
+        session.tell("Something failed. Do something else.", failure=True)
+        until(lambda: "Something failed" in tab.text(), "a note")
+        sides = tab.page.evaluate("""[".notes", ".stage"]
+            .map((each) => document.querySelector(each).getBoundingClientRect())
+            .flatMap((box) => [box.left, box.right])""")
+        assert sides[2] <= sides[0] and sides[1] <= sides[3], "no panel is covered"
