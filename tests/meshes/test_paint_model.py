@@ -91,13 +91,21 @@ def test_painting_changes_base_colours_alone(tmp_path: Path, picture: Path):
     assert sum(len(each.faces) for each in loaded.geometry.values()) == found["faces"]
 
 
-def repainted(source: Path, output: Path, names: tuple[str, ...] = (), size: int = SIZE) -> int:
+def repainted(
+    source: Path,
+    output: Path,
+    names: tuple[str, ...] = (),
+    size: int = SIZE,
+    *,
+    seed: int = 0,
+    overwrite: bool = False,
+) -> int:
     """Write a mesh with noise in the place of paint; returns how many faces got new UVs."""
     found = read_model(source)
     parts = [part for part in found.parts if not names or {*names} & {*part.names}]
     layout = lay_out(parts, in_unit_ball(parts), size)
-    noise = np.random.default_rng(0).random(layout.mesh.texture.shape, np.float32)
-    write_model(found, layout.parts, layout.pictures(noise), output)
+    noise = np.random.default_rng(seed).random(layout.mesh.texture.shape, np.float32)
+    write_model(found, layout.parts, layout.pictures(noise), output, overwrite=overwrite)
     return sum(len(each.part.faces) for each in layout.parts if each.unwrapped is not None)
 
 
@@ -234,6 +242,83 @@ def test_only_base_colours_of_an_obj_change(tmp_path: Path, said: list[str]):
     assert "map_Pr rough.png" in beside.with_suffix(".mtl").read_text()
 
 
+def pictures(path: Path) -> dict[str, np.ndarray]:
+    """The pictures of a model's materials."""
+    parts = read_model(path).parts
+    return {part.names[-1]: part.picture for part in parts if part.picture is not None}
+
+
+def test_painting_an_obj_replaces_no_other_file(tmp_path: Path):
+    path, output = two_squares(tmp_path / "from"), tmp_path / "to" / "painted.obj"
+    output.parent.mkdir()
+    for name in ("painted-rough.png", "painted-paint-0.png"):
+        (output.parent / name).write_text("somebody's")
+    repainted(path, output, ("wood",), size=64)
+    for name in ("painted-rough.png", "painted-paint-0.png"):
+        assert (output.parent / name).read_text() == "somebody's"
+    first = pictures(output)
+    assert first["wood"].shape == (64, 64, 4)
+    # painted again in its place: what it goes on using has the names that new pictures would have
+    repainted(output, output, ("glass",), size=64, seed=1, overwrite=True)
+    again = pictures(output)
+    assert np.array_equal(again["wood"], first["wood"])
+    assert not np.array_equal(again["glass"], again["wood"])
+    before = {each: each.read_bytes() for each in path.parent.rglob("*.*")}
+    path.rename(other := path.with_name("other.obj"))  # whose materials have the output's name
+    repainted(other, path, ("wood",), size=64, overwrite=True)
+    assert all(each.read_bytes() == before[each] for each in before if each != path)
+    assert pictures(path)["wood"].shape == (64, 64, 4)
+
+
+def test_an_obj_may_have_several_libraries(tmp_path: Path, said: list[str]):
+    path, output = two_squares(tmp_path / "from"), tmp_path / "to" / "painted.obj"
+    output.parent.mkdir()
+    wood, glass = MATERIAL.split("\n\n")
+    (path.parent / "two.mtl").write_text(wood)
+    glass = glass + "map_Kd green.png\nmap_Pr ../rough.png\n"
+    (path.parent / "textures" / "a glass.mtl").write_bytes(glass.replace("\n", "\r\n").encode())
+    (path.parent / "textures" / "green.png").write_bytes(png((0, 255, 0)))
+    text = QUADS.replace("two.mtl\n", "two.mtl\nmtllib textures\\a glass.mtl\n")
+    path.write_bytes(text.replace("\n", "\r\n").encode())
+    assert pictures(path)["glass"][0, 0].tolist() == [0, 255, 0, 255]
+    repainted(path, output, ("wood",), size=64)
+    written = QUADS.replace("two.mtl", "painted.mtl").replace("\n", "\r\n")
+    assert output.read_bytes() == written.encode()
+    assert pictures(output)["glass"][0, 0].tolist() == [0, 255, 0, 255] and not said
+    named = QUADS.replace("two.mtl", "two.mtl none.mtl")
+    path.write_text(named)
+    assert "wood" in pictures(path) and "'none.mtl', which is not in its folder" in said[0]
+
+
+def test_corners_of_an_obj_may_count_back(tmp_path: Path):
+    last = "f -4/-4 -3/-3 -2/-2 -1/-1"
+    (tmp_path / "a.obj").write_text(f"{SQUARE.format(0)}{last}\n{SQUARE.format(1)}{last}\n")
+    (part,) = read_model(tmp_path / "a.obj").parts
+    heights = part.vertices[part.faces][..., 2]
+    assert sorted(heights[:, 0]) == [0, 0, 1, 1] and (heights == heights[:, :1]).all()
+    (tmp_path / "a.obj").write_text(f"{SQUARE.format(0)}f -5 -4 -3\n")
+    with pytest.raises(StyleSplatError, match="counts back 5 v, of 4"):
+        read_model(tmp_path / "a.obj")
+
+
+def test_names_of_an_obj_in_latin_1_stay(tmp_path: Path):
+    path, output = two_squares(tmp_path / "from"), tmp_path / "painted.obj"
+    path.write_bytes(QUADS.replace("wood", "bl\xe4tter").encode("latin-1"))
+    path.with_suffix(".mtl").write_bytes(
+        MATERIAL.replace("newmtl wood", "newmtl bl\xe4tter").encode("latin-1")
+    )
+    assert repainted(path, output, ("bl\xe4tter",), size=64) == 0
+    assert b"newmtl bl\xe4tter\nKd 1 1 1" in output.with_suffix(".mtl").read_bytes()
+    assert pictures(output)["bl\xe4tter"].shape == (64, 64, 4)
+
+
+def test_a_damaged_picture_of_an_obj_is_named(tmp_path: Path):
+    path = two_squares(tmp_path)
+    (tmp_path / "wood.png").write_text("no picture")
+    with pytest.raises(StyleSplatError, match=r"wood\.png"):
+        read_model(path)
+
+
 def test_a_glb_of_an_obj_has_its_maps(tmp_path: Path, said: list[str]):
     output = tmp_path / "painted.glb"
     repainted(two_squares(tmp_path / "from"), output, ("wood",), size=64)
@@ -278,6 +363,11 @@ def splats_in_glb(folder: Path) -> Path:
     return folder / "splats.glb"
 
 
+def text_for_glb(folder: Path) -> Path:
+    (folder / "text.glb").write_text("hello")
+    return folder / "text.glb"
+
+
 def changed(folder: Path, **values: Any) -> Path:
     document, binary = glb_parts(write_model_glb(folder))
     (folder / "bad.glb").write_bytes(glb_of(document | values, binary))
@@ -287,6 +377,7 @@ def changed(folder: Path, **values: Any) -> Path:
 BAD = {
     "a cloud of points": (no_faces, "no faces"),
     "splats": (splats_in_glb, "stylesplat import"),
+    "no GLB": (text_for_glb, "does not begin as a GLB"),
     "no meshes": (lambda folder: changed(folder, nodes=[{"name": "a"}, {"name": "b"}]), "no faces"),
     "compression": (
         lambda folder: changed(folder, extensionsUsed=["KHR_draco_mesh_compression"]),

@@ -51,7 +51,7 @@ class Stylize(MakingCommand):
     style: UseAppendAction[tuple[str, ...]] = ()
     """OBJECT=IMAGE or OBJECT=IMAGE,IMAGE; OBJECT is a name that `select` gave, or a label id, IMAGE
     a file or a material (material:bronze, marble, gold-leaf, clay or jade). May be repeated. Of a
-    mesh OBJECT is a node, group or material; IMAGE alone paints all of it."""
+    mesh OBJECT is a node or material; IMAGE alone paints all of it."""
     recipe: Path | None = None
     """YAML file with objects, styles and settings instead of --style; options given here override
     its own. A styled scene's recipe.json is one too."""

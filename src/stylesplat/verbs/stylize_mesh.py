@@ -51,8 +51,8 @@ def stylize_mesh(
 
     Args:
         mesh: A `.glb`, `.obj` or `.ply` file.
-        styles: Pictures or a `Style` for all of it; or by the names of nodes, groups or materials,
-            of which each is painted for itself and what has none stays.
+        styles: Pictures or a `Style` for all of it; or by the names of nodes or materials (of an
+            `.obj`: materials), of which each is painted for itself and what has none stays.
         output: The `.glb` file to make; of an `.obj` or `.ply` also an `.obj`, with its `.mtl` and
             pictures beside it.
         features: The network whose features are matched.
@@ -94,7 +94,7 @@ def stylize_mesh(
         painted += layout.after(len(pictures))
         pictures += layout.pictures(texture)
     with locked_folder(output):
-        write_model(model, painted, pictures, output)
+        write_model(model, painted, pictures, output, overwrite=overwrite)
     return {
         "seconds": time.perf_counter() - start,
         "faces": sum(len(each.part.faces) for each in painted),
@@ -108,7 +108,7 @@ def _chosen(parts: Sequence[Part], names: Mapping[str, object]) -> dict[str, lis
     found, by_part = dict[str, list[Part]](), dict[int, str]()
     known = [*dict.fromkeys(name for part in parts for name in part.names)]
     for name in names:
-        check_choice(name, "node, group or material of the mesh", known)
+        check_choice(name, "node or material of the mesh", known)
         found[name] = [part for part in parts if name in part.names]
         for part in found[name]:
             other = by_part.setdefault(id(part), name)

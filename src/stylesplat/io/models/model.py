@@ -17,7 +17,7 @@ class Part:
     """Triangles of one material in one place."""
 
     names: tuple[str, ...]
-    """What it may be chosen by: its node or group, its mesh, its material."""
+    """What it may be chosen by: its node, its mesh, its material; of an OBJ the material."""
     vertices: Float[np.ndarray, "V 3"]
     """In the model's world, y up."""
     faces: Int[np.ndarray, "F 3"]

@@ -1,9 +1,12 @@
 """Meshes that others made: GLB, and what trimesh makes a GLB of (OBJ with its material, PLY)."""
 
-from collections.abc import Sequence, Set
+import itertools
+import re
+from collections.abc import Callable, Sequence, Set
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib.util import find_spec
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +16,23 @@ from jaxtyping import UInt8
 from stylesplat.errors import StyleSplatError, join_names
 from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.io.files import is_there, read_bytes, reading
-from stylesplat.io.images import picture_bytes
+from stylesplat.io.images import open_image, picture_bytes
 from stylesplat.io.models.glb import painted_glb, parse_glb
 from stylesplat.io.models.model import Model, PaintedPart
 from stylesplat.io.models.obj import (
     BASE_COLOR,
     MATERIALS,
+    MERGED,
     OBJ,
+    Obj,
+    beside,
     file_beside,
     file_of_map,
     is_map,
     painted_obj,
     physically_based,
     read_obj,
+    text_for_readers,
 )
 from stylesplat.progress import say
 
@@ -52,11 +59,9 @@ def refuse_model_file(source: Path, output: Path, *, overwrite: bool) -> None:
     if output.suffix.lower() not in kinds:
         fact = f"Cannot write the painted mesh of {source} to {output}"
         raise StyleSplatError(f"{fact}. Use a name in {' or '.join(kinds)}.")
-    files = [output]
+    refuse_file(output, overwrite=overwrite)
     if output.suffix.lower() == OBJ:
-        files += [output.with_suffix(MATERIALS), *output.parent.glob(f"{output.stem}-*.png")]
-    for file in files:
-        refuse_file(file, overwrite=overwrite)
+        refuse_file(output.with_suffix(MATERIALS), overwrite=overwrite)
 
 
 def read_model(path: Path) -> Model:
@@ -67,9 +72,11 @@ def read_model(path: Path) -> Model:
             content = read_bytes(path)
         else:
             obj = read_obj(path) if path.suffix.lower() == OBJ else None
-            content, left_out = _converted(path)
+            content, left_out = _converted(path, obj)
         model = parse_glb(path, content)
         parts = [part for part in model.parts if len(part.faces)]
+        if obj is not None:  # faces of one material are one mesh, whatever their groups
+            parts = [replace(part, names=part.names[-1:]) for part in parts]
         if not parts:
             raise ValueError("it has no faces")
         return Model(parts, model.content, obj, left_out)
@@ -80,58 +87,83 @@ def write_model(
     painted: Sequence[PaintedPart],
     pictures: Sequence[UInt8[np.ndarray, "S S 4"]],
     path: Path,
+    *,
+    overwrite: bool = False,
 ) -> None:
     """Write a mesh with the new base colours of its painted parts.
 
-    An OBJ gets its materials and pictures beside it, by names that begin as its own. If it was made
-    of an OBJ, and the painted parts keep their UVs, only the base colours of its text change.
+    An OBJ gets its materials and pictures beside it, by names that begin as its own and are not
+    those of files that its source uses. If it was made of an OBJ, and the painted parts keep their
+    UVs, only the base colours of its text change.
     """
     if path.suffix.lower() == GLB:
         _say_left_out(path, model.left_out)
         with atomic_path(path) as draft:
             draft.write_bytes(painted_glb(model, painted, pictures))
         return
+    obj, name_of = model.obj, _naming(model.obj, path, overwrite=overwrite)
+    library = path.with_suffix(MATERIALS).name
+    if obj is not None and obj.path.resolve() != path.resolve():
+        if path.with_name(library).resolve() in {each.resolve() for each in obj.libraries}:
+            library = name_of(f"materials{MATERIALS}")
     named = {each.part.names[-1]: each.picture for each in painted}
     keeps_uvs = all(each.unwrapped is None for each in painted)
-    if model.obj is not None and keeps_uvs and model.obj.can_keep({*named}):
-        own = [f"{path.stem}-paint-{number}.png" for number in range(len(pictures))]
-        text, materials, copies = painted_obj(
-            model.obj, {name: own[number] for name, number in named.items()}, path
-        )
+    if obj is not None and keeps_uvs and obj.can_keep({*named}):
+        own = [name_of(f"paint-{number}.png") for number in range(len(pictures))]
+        by_material = {name: own[number] for name, number in named.items()}
+        text, materials, copies = painted_obj(obj, by_material, path, library, name_of)
         files = {name: source.read_bytes() for name, source in copies.items()}
         files |= {
             name: picture_bytes(each, "png") for name, each in zip(own, pictures, strict=True)
         }
     else:
-        if model.obj is not None:
-            _say_left_out(path, {kind for _, kind, _ in model.obj.maps()} - {BASE_COLOR})
-        text, materials, files = _spelled_out(
-            painted_glb(model, painted, pictures, plain=True), path
-        )
+        if obj is not None:
+            _say_left_out(path, {kind for _, kind, _ in obj.maps()} - {BASE_COLOR})
+        content = painted_glb(model, painted, pictures, plain=True)
+        text, materials, files = _spelled_out(content, library, name_of)
     with ExitStack() as stack:
-        files |= {path.with_suffix(MATERIALS).name: materials, path.name: text}
+        files |= {library: materials, path.name: text}
         for name, content in files.items():
             stack.enter_context(atomic_path(path.with_name(name))).write_bytes(content)
 
 
-def _spelled_out(content: bytes, path: Path) -> tuple[bytes, bytes, dict[str, bytes]]:
+def _naming(obj: Obj | None, path: Path, *, overwrite: bool) -> Callable[[str], str]:
+    """Makes names beside an output, none of which is that of a file to keep."""
+    kept = {each.resolve() for each in (() if obj is None else obj.files())}
+    taken = set[str]()
+
+    def name_of(file: str) -> str:
+        flat = Path(re.sub(r"[/\\]", "-", file))
+        for number in itertools.count(1):
+            counted = f"-{number}" if number > 1 else ""
+            name = f"{path.stem}-{flat.stem}{counted}{flat.suffix}"
+            place = path.with_name(name)
+            is_other = place.resolve() in kept or (is_there(place) and not overwrite)
+            if not is_other and name.lower() not in taken:
+                taken.add(name.lower())
+                return name
+        raise AssertionError
+
+    return name_of
+
+
+def _spelled_out(
+    content: bytes, library: str, name_of: Callable[[str], str]
+) -> tuple[bytes, bytes, dict[str, bytes]]:
     """A GLB as the text of an OBJ, that of its materials, and its pictures by name."""
     import trimesh
     from trimesh.exchange.obj import export_obj
 
-    materials = path.with_suffix(MATERIALS).name
     text, files = export_obj(
         trimesh.load_scene(BytesIO(content), file_type="glb"),
         include_normals=True,
         return_texture=True,
-        mtl_name=materials,
+        mtl_name=library,
     )
-    named, pictures = files.pop(materials).decode(), dict[str, bytes]()
-    for name, picture in files.items():
-        own = f"{path.stem}-{name}"
-        named = named.replace(f"map_Kd {name}", f"map_Kd {own}")
-        pictures[own] = picture
-    return text.encode(), named.encode(), pictures
+    materials = files.pop(library).decode()
+    own = {name: name_of(name) for name in files}
+    materials = re.sub("(?m)^map_Kd (.*)$", lambda found: f"map_Kd {own[found[1]]}", materials)
+    return text.encode(), materials.encode(), {own[name]: each for name, each in files.items()}
 
 
 def _say_left_out(path: Path, kinds: Set[str]) -> None:
@@ -140,7 +172,7 @@ def _say_left_out(path: Path, kinds: Set[str]) -> None:
         say(f"{path} is without the maps {join_names(sorted(kinds))} of its materials.{remedy}")
 
 
-def _converted(path: Path) -> tuple[bytes, frozenset[str]]:
+def _converted(path: Path, obj: Obj | None) -> tuple[bytes, frozenset[str]]:
     """The bytes of a GLB of an OBJ or PLY, and the kinds of maps that are not in it."""
     if find_spec("trimesh") is None:
         raise StyleSplatError(
@@ -155,12 +187,20 @@ def _converted(path: Path) -> tuple[bytes, frozenset[str]]:
         """Materials and pictures of the file's own folder alone."""
 
         def get(self, name: str) -> bytes:
+            if obj is not None and name == MERGED:
+                return obj.materials.encode()
             found = file_beside(path, file_of_map(name))
             if found is None:
                 raise FileNotFoundError(name)
             return read_bytes(found)
 
-    scene = trimesh.load_scene(path, process=False, resolver=Beside(str(path)))
+    for _, kind, name in () if obj is None else obj.maps():
+        if kind == BASE_COLOR and (picture := beside(path, name)) is not None:
+            with open_image(picture):  # a damaged one trimesh would leave out without a word
+                pass
+    resolver, text = Beside(str(path)), None if obj is None else StringIO(text_for_readers(obj))
+    kind = path.suffix.lower().removeprefix(".")
+    scene = trimesh.load_scene(text or path, file_type=kind, process=False, resolver=resolver)
     meshes = {
         name: each
         for name, each in scene.geometry.items()

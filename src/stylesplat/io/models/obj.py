@@ -6,7 +6,7 @@ rendering (Pr, Pm, Ke, norm), which Blender and others write.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,10 @@ MAP_OPTION = re.compile(
     r"-(?:(?:bm|boost|texres|imfchan|type|blendu|blendv|cc|clamp)\s+\S+|mm\s+\S+\s+\S+"
     r"|[ost](?:\s+[-+.\deE]+){1,3})\s+"
 )
-LIBRARY = re.compile(r"^[ \t]*mtllib[ \t]+(.*?)[ \t\r]*$", re.MULTILINE)
+MERGED = "materials of all libraries"  # the only library of the text for other readers
+LIBRARY = re.compile(r"^[ \t]*mtllib[ \t]+([^\r\n]*)", re.MULTILINE)
+OTHER_LIBRARY = re.compile(rf"{LIBRARY.pattern}\r?\n?", re.MULTILINE)
+FROM_END = re.compile(r"^[ \t]*f[ \t].*-", re.MULTILINE)
 COLORED_VERTEX = re.compile(r"^[ \t]*v([ \t]+\S+){6}[ \t\r]*$", re.MULTILINE)
 
 
@@ -39,7 +42,19 @@ class Obj:
 
     path: Path
     text: str
+    libraries: tuple[Path, ...]
+    """Its files of materials."""
     materials: str
+    """Their text, whose maps are named from the folder of the OBJ."""
+    encoding: str
+    """Of all these files."""
+
+    def files(self) -> Iterator[Path]:
+        """The files that it uses."""
+        yield from self.libraries
+        for _, _, name in self.maps():
+            if (path := beside(self.path, name)) is not None:
+                yield path
 
     def maps(self) -> Iterator[tuple[str, str, str]]:
         """The material, the kind of map in small letters and the file of each map."""
@@ -54,16 +69,79 @@ class Obj:
         return painted <= known and not COLORED_VERTEX.search(self.text)
 
 
-def read_obj(path: Path) -> Obj | None:
-    """An OBJ as text; None if it has no materials in its own folder."""
-    text = _decoded(read_bytes(path))
-    library = LIBRARY.search(text)
-    materials = None if library is None else _beside(path, file_of_map(library[1]))
-    return None if materials is None else Obj(path, text, _decoded(read_bytes(materials)))
+def read_obj(path: Path) -> Obj:
+    """An OBJ as text, with those of its materials that lie in its own folder."""
+    content = read_bytes(path)
+    for encoding in ("utf-8", "latin-1"):  # which takes all bytes
+        try:
+            text = content.decode(encoding)
+            lines = [found.strip() for found in LIBRARY.findall(text)]
+            libraries = tuple(library for line in lines for library in _libraries(path, line))
+            materials = [_materials(path, each, encoding) for each in libraries]
+        except UnicodeDecodeError:
+            continue
+        return Obj(path, text, libraries, "".join(materials), encoding)
+    raise AssertionError
+
+
+def _libraries(obj: Path, line: str) -> list[Path]:
+    """The files of a line, which names several, or one that may have blanks in its name."""
+    line = file_of_map(line)
+    if (alone := beside(obj, line)) is not None:
+        return [alone]
+    words = line.split()
+    names = words if any(beside(obj, each) for each in words) else [line]
+    found = [file_beside(obj, each) for each in names]
+    return [each for each in found if each is not None]
+
+
+def _materials(obj: Path, library: Path, encoding: str) -> str:
+    """The text of a library; its maps lie beside it or beside the OBJ."""
+    text = read_bytes(library).decode(encoding)
+    folder = library.parent.relative_to(obj.parent).as_posix()
+    lines = list[str]()
+    for line in text.splitlines():
+        found = MAP_LINE.match(line)
+        name = file_of_map(found[2]) if found else ""
+        if name and folder != "." and beside(obj, f"{folder}/{name}") is not None:
+            line = f"{line.rstrip()[: -len(name)]}{folder}/{name}"
+        lines.append(line)
+    return "".join(line + _line_end(text) for line in lines)
+
+
+def text_for_readers(obj: Obj) -> str:
+    """An OBJ whose only library is `MERGED`, and whose corners count from its beginning."""
+    text = obj.text.replace("\r\n", "\n").replace("\\\n", "")
+    if FROM_END.search(text):
+        text = "\n".join(_from_beginning(text))
+    return f"mtllib {MERGED}\n{text}"
+
+
+def _from_beginning(text: str) -> Iterator[str]:
+    """The lines, in which corners below 0 count back from where their face stands."""
+    counts = {"v": 0, "vt": 0, "vn": 0}
+
+    def absolute(index: str, key: str) -> str:
+        if not index.startswith("-"):
+            return index
+        number = counts[key] + 1 + int(index)
+        if number < 1:
+            raise ValueError(f"a face counts back {index[1:]} {key}, of {counts[key]} before it")
+        return str(number)
+
+    for line in text.split("\n"):
+        key, *words = line.split() or [""]
+        if key in counts:
+            counts[key] += 1
+        if key == "f" and "-" in line:
+            corners = [zip(word.split("/"), counts, strict=False) for word in words]
+            yield " ".join(["f", *("/".join(absolute(*each) for each in c) for c in corners)])
+        else:
+            yield line
 
 
 def painted_obj(
-    obj: Obj, pictures: Mapping[str, str], output: Path
+    obj: Obj, pictures: Mapping[str, str], output: Path, library: str, name_of: Callable[[str], str]
 ) -> tuple[bytes, bytes, dict[str, Path]]:
     """The text of an OBJ, that of its materials, and the files to copy beside it by new names.
 
@@ -71,9 +149,15 @@ def painted_obj(
         obj: The OBJ before.
         pictures: The files of new base colours, beside the output, by materials.
         output: The OBJ to be made; in another folder than before it takes the other maps along.
+        library: The file of its materials.
+        name_of: Gives a file that is copied its name beside the output.
     """
     is_moved = output.parent.resolve() != obj.path.parent.resolve()
-    copies, lines = dict[str, Path](), list[str]()
+    copies, lines = dict[Path, str](), list[str]()
+
+    def own(name: str) -> str:
+        return name.encode().decode(obj.encoding)
+
     for material, line in _by_material(obj.materials):
         key = (line.split() or [""])[0].lower()
         if material in pictures and key in ("kd", BASE_COLOR):
@@ -81,17 +165,20 @@ def painted_obj(
         found = MAP_LINE.match(line)
         if is_moved and found is not None:
             name = file_of_map(found[2])
-            source = _beside(obj.path, name)
+            source = beside(obj.path, name)
             if source is not None:
-                own = f"{output.stem}-{name.replace('/', '-')}"
-                copies[own] = source
-                line = line.rstrip()[: -len(name)] + own
+                if source not in copies:
+                    copies[source] = name_of(name)
+                line = line.rstrip()[: -len(name)] + own(copies[source])
         lines.append(line)
         if material in pictures and key == NEW_MATERIAL:
-            lines += ["Kd 1 1 1", f"map_Kd {pictures[material]}"]
-    library = f"mtllib {output.with_suffix(MATERIALS).name}"
-    text = LIBRARY.sub(lambda _: library, obj.text, count=1)
-    return _encoded(text), _encoded("\n".join(lines) + "\n"), copies
+            lines += ["Kd 1 1 1", f"map_Kd {own(pictures[material])}"]
+    first = LIBRARY.search(obj.text)
+    assert first is not None  # its materials are from there
+    rest = OTHER_LIBRARY.sub("", obj.text[first.end() :])
+    text = f"{obj.text[: first.start()]}mtllib {own(library)}{rest}".encode(obj.encoding)
+    materials = "".join(line + _line_end(obj.materials) for line in lines).encode(obj.encoding)
+    return text, materials, {name: source for source, name in copies.items()}
 
 
 def physically_based(material: Any, obj: Path) -> tuple[Any, set[str]]:
@@ -160,13 +247,14 @@ def file_of_map(value: str) -> str:
 
 def file_beside(obj: Path, name: str) -> Path | None:
     """A file that an OBJ or its materials name; None, and a line, if it is not in their folder."""
-    found = _beside(obj, name)
+    found = beside(obj, name)
     if found is None:
         say(f"{obj} names {shorten(name)!r}, which is not in its folder: left out.")
     return found
 
 
-def _beside(obj: Path, name: str) -> Path | None:
+def beside(obj: Path, name: str) -> Path | None:
+    """A file that an OBJ names, if it is in its folder."""
     try:
         path = resolve_within(obj.parent, name)
     except StyleSplatError:
@@ -186,9 +274,5 @@ def _number(values: Mapping[str, Any], key: str, default: float) -> float:
     return float(values[key][-1]) if key in values else default
 
 
-def _decoded(content: bytes) -> str:
-    return content.decode("utf-8", errors="surrogateescape")
-
-
-def _encoded(text: str) -> bytes:
-    return text.encode("utf-8", errors="surrogateescape")
+def _line_end(text: str) -> str:
+    return "\r\n" if "\r\n" in text else "\n"

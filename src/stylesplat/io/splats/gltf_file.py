@@ -281,6 +281,8 @@ def parse_gltf(path: Path, text: bytes, binary: memoryview | None) -> Gltf:
 
 def split_glb(content: bytes) -> tuple[bytes, memoryview | None, memoryview]:
     """The JSON of a GLB, its binary chunk if it has one, and the bytes of other chunks."""
+    if len(content) < GLB_HEADER.size or not content.startswith(GLB_MAGIC):
+        raise ValueError("it does not begin as a GLB does")
     _, version, announced = GLB_HEADER.unpack_from(content)
     if version != GLB_VERSION:
         raise ValueError(f"it is a GLB of version {version}, not {GLB_VERSION}")
