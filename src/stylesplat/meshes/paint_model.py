@@ -35,7 +35,7 @@ DISCS_PACKED = (
 CANDIDATES = 5  # points by disc, from which discs are chosen
 SOLID_DISC = 0.99  # opacity
 SEVERAL = 2  # times the side of one texture has the square that holds several
-LOOKED_AT = 512  # pixels of the side of the texture in which overlaps are looked for
+UV_CHECK_LENGTH = 512  # pixels of the side of the texture in which overlaps of UVs are looked for
 UV_ROUNDING = 1e-4  # of UVs at the texture's border
 UV_OVERLAP = 1.1  # times the area that is covered: less is rounding
 
@@ -222,11 +222,13 @@ def _is_one_to_one(parts: Sequence[Part]) -> bool:
     faces = np.concatenate([p.faces + s for p, s in zip(parts, starts, strict=False)])
     if uvs[faces.ravel()].max() > 1 + UV_ROUNDING or not np.isfinite(uvs[faces.ravel()]).all():
         return False
-    a, b, c = (uvs[faces[:, corner]] * LOOKED_AT for corner in range(3))
+    a, b, c = (uvs[faces[:, corner]] * UV_CHECK_LENGTH for corner in range(3))
     across = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    used, size = np.abs(across).sum() / 2, (LOOKED_AT, LOOKED_AT)
+    used, size = np.abs(across).sum() / 2, (UV_CHECK_LENGTH, LOOKED_AT)
     depths = np.ones(len(uvs), np.float32)
-    drawn = draw_triangles(uvs.astype(np.float32) * LOOKED_AT, depths, faces.astype(np.int32), size)
+    drawn = draw_triangles(
+        uvs.astype(np.float32) * UV_CHECK_LENGTH, depths, faces.astype(np.int32), size
+    )
     return bool(0 < used < UV_OVERLAP * (drawn.faces != NOTHING).sum())
 
 

@@ -27,7 +27,7 @@ from stylesplat.stylization.style import Style, as_style
 from stylesplat.verbs.stylize import stylize
 
 WHOLE_MESH = "all"  # the name of a mesh that is painted as one
-LOOKED_AT = 960  # pixels of the views in which it is painted
+MESH_VIEW_LENGTH = 960  # pixels of the views in which it is painted
 
 
 @check_arguments
@@ -86,7 +86,7 @@ def stylize_mesh(
         layout = lay_out(parts, places, texture_size)
         discs = sample_discs(parts, places, texture_size=texture_size, seed=style.config.seed)
         everything = SceneObject(torch.ones(len(discs), dtype=torch.bool))
-        cameras = cameras_all_around(discs, length=LOOKED_AT)
+        cameras = cameras_all_around(discs, length=MESH_VIEW_LENGTH)
         scene = Scene(discs, cameras).with_object(name, everything)
         options = {"features": features, "weights": weights, "device": device, "measured": False}
         styled = stylize(scene, {name: style}, **options)
