@@ -224,7 +224,7 @@ def _is_one_to_one(parts: Sequence[Part]) -> bool:
         return False
     a, b, c = (uvs[faces[:, corner]] * UV_CHECK_LENGTH for corner in range(3))
     across = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    used, size = np.abs(across).sum() / 2, (UV_CHECK_LENGTH, LOOKED_AT)
+    used, size = np.abs(across).sum() / 2, (UV_CHECK_LENGTH, UV_CHECK_LENGTH)
     depths = np.ones(len(uvs), np.float32)
     drawn = draw_triangles(
         uvs.astype(np.float32) * UV_CHECK_LENGTH, depths, faces.astype(np.int32), size
