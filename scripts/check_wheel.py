@@ -27,6 +27,11 @@ NEEDED = (
     "stylesplat/stylization/compact.safetensors",
     "stylesplat/training/adam.cu",
 )
+VERSIONS = {  # which repeat that of pyproject.toml
+    "README.md": "version = {{{}}}",
+    "comfyui/pyproject.toml": '\nversion = "{}"',
+    "blender/blender_manifest.toml": '\nversion = "{}"',
+}
 TOOLS = ("hatchling", "twine", "check-wheel-contents")
 RESULTS = ("report.html", "styled.ply", "styled.html")
 
@@ -65,8 +70,9 @@ def build(folder: Path, output: Path) -> tuple[Path, Path]:
 
 def check_contents(sdist: Path, wheel: Path) -> None:
     """Raise an AssertionError unless they hold what they should, and no more."""
-    version = wheel.name.split("-")[1]  # that of pyproject.toml; nothing else has one but this
-    assert f"version = {{{version}}}" in (ROOT / "README.md").read_text(), "README's citation"
+    version = wheel.name.split("-")[1]  # that of pyproject.toml
+    for file, form in VERSIONS.items():
+        assert form.format(version) in (ROOT / file).read_text(), f"{file}: another version"
     for path in (sdist, wheel):
         size = path.stat().st_size
         print(f"{path.name}: {size / 1e6:.1f} MB")
