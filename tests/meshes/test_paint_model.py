@@ -1,6 +1,7 @@
 """Other people's meshes, painted in their textures: what changes, and what stays."""
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,12 @@ from PIL import Image
 
 import stylesplat as ss
 from glb_models import png, write_model_glb
-from scenes import glb_of, glb_parts
+from scenes import glb_of, glb_parts, random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.models.model import base_colors, displayed
 from stylesplat.io.models.model_files import read_model, write_model
 from stylesplat.io.splats.gltf_file import open_gltf
+from stylesplat.io.splats.splat_files import write_splats
 from stylesplat.meshes.paint_model import in_unit_ball, lay_out, sample_discs
 from stylesplat.meshes.surface import cameras_all_around
 from stylesplat.scene.splats import rgb_from_sh0
@@ -355,12 +357,12 @@ def no_faces(folder: Path) -> Path:
     return folder / "points.ply"
 
 
-def splats_in_glb(folder: Path) -> Path:
-    from scenes import random_splats
-    from stylesplat.io.splats.splat_files import write_splats
+def splats_in(name: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        write_splats(random_splats(5), folder / name)
+        return folder / name
 
-    write_splats(random_splats(5), folder / "splats.glb")
-    return folder / "splats.glb"
+    return make
 
 
 def text_for_glb(folder: Path) -> Path:
@@ -376,7 +378,9 @@ def changed(folder: Path, **values: Any) -> Path:
 
 BAD = {
     "a cloud of points": (no_faces, "no faces"),
-    "splats": (splats_in_glb, "stylesplat import"),
+    "splats": (splats_in("splats.glb"), "stylesplat import"),
+    "splats in a PLY": (splats_in("splats.ply"), "stylesplat import"),
+    "compressed splats": (splats_in("splats.compressed.ply"), "stylesplat import"),
     "no GLB": (text_for_glb, "does not begin as a GLB"),
     "no meshes": (lambda folder: changed(folder, nodes=[{"name": "a"}, {"name": "b"}]), "no faces"),
     "compression": (

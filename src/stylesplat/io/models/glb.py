@@ -35,6 +35,7 @@ TRANSFORM, WEBP = "KHR_texture_transform", "EXT_texture_webp"
 # How meshes or base colours may be stored, which is not read here
 GLB_UNREAD = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
 GLB_UNREAD |= {"KHR_materials_pbrSpecularGlossiness", "KHR_texture_basisu"}
+SPLATS_FOUND = "it holds splats, of which `stylesplat import` makes a scene to paint"
 JPEG_TYPE, PNG_TYPE = "image/jpeg", "image/png"
 POSITION, COLOR = "POSITION", "COLOR_0"
 
@@ -57,7 +58,7 @@ def parse_glb(path: Path, content: bytes) -> Model:
     gltf, document = parse_gltf(path, text, binary), json.loads(text)
     used = {*document.get("extensionsUsed", ())}
     if SPLATTING in used:
-        raise ValueError("it holds splats, of which `stylesplat import` makes a scene to paint")
+        raise ValueError(SPLATS_FOUND)
     if used & GLB_UNREAD:
         raise ValueError(f"it uses {min(used & GLB_UNREAD)}, which is not read here")
     if binary is None or "uri" in document["buffers"][0]:

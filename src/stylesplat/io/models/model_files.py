@@ -17,7 +17,8 @@ from stylesplat.errors import StyleSplatError, join_names
 from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.io.files import is_there, read_bytes, reading
 from stylesplat.io.images import open_image, picture_bytes
-from stylesplat.io.models.glb import painted_glb, parse_glb
+from stylesplat.io.kinds import kind_of
+from stylesplat.io.models.glb import SPLATS_FOUND, painted_glb, parse_glb
 from stylesplat.io.models.model import Model, PaintedPart
 from stylesplat.io.models.obj import (
     BASE_COLOR,
@@ -36,22 +37,26 @@ from stylesplat.io.models.obj import (
 )
 from stylesplat.progress import say
 
-GLB = ".glb"
+GLB, GLTF = ".glb", ".gltf"
+SPLAT_COLUMNS = re.compile(rb"^property \w+ (f_dc_0|packed_position)\s", re.MULTILINE)
+HEADER_BYTES = 1 << 16  # of a PLY, at most: its columns are among them
 CONVERTED = (OBJ, ".ply")
 MODEL_SUFFIXES = (GLB, *CONVERTED)
 MODEL_REMEDY = "Export it again as .glb."
 
 
 def is_model(path: Path) -> bool:
-    """Whether a path names a file of meshes, from its name alone."""
-    return path.suffix.lower() in MODEL_SUFFIXES and not path.is_dir()
+    """Whether a path names a file of meshes, or one that is nothing else, from its name alone."""
+    is_named_so = path.suffix.lower() in (*MODEL_SUFFIXES, GLTF) and not path.is_dir()
+    return is_named_so or kind_of(path) == "file"
 
 
 def refuse_model_file(source: Path, output: Path, *, overwrite: bool) -> None:
     """Refuse files that no mesh can be read from or written to, before any work."""
     if source.suffix.lower() not in MODEL_SUFFIXES:
         raise StyleSplatError(
-            f"Cannot read {source} as a mesh. Give a {', '.join(MODEL_SUFFIXES)}."
+            f"Cannot read {source} as a mesh. Give a {', '.join(MODEL_SUFFIXES)}; of splats "
+            "`stylesplat import` makes a scene to paint."
         )
     if not is_there(source):
         raise StyleSplatError(f"There is no mesh {source}. Check the name.")
@@ -72,6 +77,8 @@ def read_model(path: Path) -> Model:
             content = read_bytes(path)
         else:
             obj = read_obj(path) if path.suffix.lower() == OBJ else None
+            if obj is None and SPLAT_COLUMNS.search(read_bytes(path, first=HEADER_BYTES)):
+                raise ValueError(SPLATS_FOUND)
             content, left_out = _converted(path, obj)
         model = parse_glb(path, content)
         parts = [part for part in model.parts if len(part.faces)]
