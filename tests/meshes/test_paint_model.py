@@ -370,6 +370,13 @@ def text_for_glb(folder: Path) -> Path:
     return folder / "text.glb"
 
 
+def without(folder: Path, key: str) -> Path:
+    document, binary = glb_parts(write_model_glb(folder))
+    document.pop(key)
+    (folder / "bad.glb").write_bytes(glb_of(document, binary))
+    return folder / "bad.glb"
+
+
 def changed(folder: Path, **values: Any) -> Path:
     document, binary = glb_parts(write_model_glb(folder))
     (folder / "bad.glb").write_bytes(glb_of(document | values, binary))
@@ -381,6 +388,7 @@ BAD = {
     "splats": (splats_in("splats.glb"), "stylesplat import"),
     "splats in a PLY": (splats_in("splats.ply"), "stylesplat import"),
     "compressed splats": (splats_in("splats.compressed.ply"), "stylesplat import"),
+    "no buffers": (lambda folder: without(folder, "buffers"), "it has no 'buffers'"),
     "no GLB": (text_for_glb, "does not begin as a GLB"),
     "no meshes": (lambda folder: changed(folder, nodes=[{"name": "a"}, {"name": "b"}]), "no faces"),
     "compression": (

@@ -142,6 +142,8 @@ def real_place(path: Path) -> Path:
 
 def reason(error: Exception) -> str:
     """The first line of an exception's message that says something, or its class."""
+    if isinstance(error, KeyError):  # whose message is the key alone
+        return f"it has no {shorten(str(error))}"
     lines = (line.strip() for line in str(error).splitlines())
     return next(filter(None, lines), type(error).__name__)
 

@@ -129,8 +129,8 @@ def write_model(
         content = painted_glb(model, painted, pictures, plain=True)
         text, materials, files = _spelled_out(content, library, name_of)
     with ExitStack() as stack:
-        files |= {library: materials, path.name: text}
-        for name, content in files.items():
+        # Renamed from the last to the first: nothing names a file that is not there yet
+        for name, content in ({path.name: text, library: materials} | files).items():
             stack.enter_context(atomic_path(path.with_name(name))).write_bytes(content)
 
 
