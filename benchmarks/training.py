@@ -1,98 +1,168 @@
-"""Held-out quality at fixed training times: by default, and joint with identities.
+"""Held-out quality and the depths that pixels mix, after fixed steps or times of training.
 
-    .venv/bin/python benchmarks/training.py                     # fox, 270x480, 60 s and 150 s
-    .venv/bin/python benchmarks/training.py --scene desk --downscale 1
+    .venv/bin/python benchmarks/training.py                          # four scenes, 3,000 steps
+    .venv/bin/python benchmarks/training.py --seconds 60 150 --scenes fox --joint-factor 1.6
+    .venv/bin/python benchmarks/training.py --settings '{"color_correction": "on"}'
 
-The clock counts training steps; compiling, reading photos and evaluating do not count. Every 8th
-view is held out, and never trained on. By default colours are trained alone, and labels lifted onto
-what comes of it, which changes no colour: that time is told apart.
+Compiling, reading photos and evaluating do not count as time. Every 8th view is held out. Colours
+are trained alone; labels lifted onto them change none. Where photos differ in exposure, compare
+PSNRs with colours fitted, each half of a view by the other.
+
+Where one Gaussian hides all behind it, a pixel has one depth. The scatter is the deviation of the
+depths of what a pixel mixes from their mean, in units of a pixel's size there: its median over the
+pixels of objects, and over the others, in the views that have masks.
 """
 
+import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from time import perf_counter
+from pathlib import Path
+from time import perf_counter, process_time
 
+import torch
 import tyro
-from bench import calibration_ms, capture, machine, table
+from bench import DATA, OUT, calibration_ms, machine, table
+from jaxtyping import Float
+from torch import Tensor
 
-from stylesplat.evaluation.photos import evaluate_views
-from stylesplat.scene.capture import Capture
+import stylesplat as ss
+from stylesplat.evaluation.photos import Fits, evaluate_views
+from stylesplat.io.label_maps import read_label_map
+from stylesplat.rendering.weights import TINY_COVERAGE, composite
+from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.capture import BACKGROUND, Capture, Mask, resize_labels
+from stylesplat.scene.projection import depths_of
+from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.training.config import TrainConfig
-from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit
 from stylesplat.training.state import State
 from stylesplat.training.views import split_views
+
+JUDGED = 8  # views whose scatter is measured
+SCORES = ("psnr", ".2f"), ("ssim", ".4f")
+COLUMNS = ("scene", "run", "seed", "steps", "s", "CPU ms a step", "Gaussians", "PSNR", "SSIM")
+COLUMNS += ("PSNR, colours fitted", "scatter on objects, px", "elsewhere, px")
 
 
 @dataclass(frozen=True)
 class Options:
     """What to train."""
 
-    scene: str = "fox"
-    """Folder in `../shared/data`."""
-    downscale: float = 2
-    """How many times smaller the photos shall be."""
-    seconds: tuple[float, ...] = (60, 150)
-    """Training time of each run without identities."""
-    joint_factor: float = 1.6
-    """Training time of the run with identities over that without; 0 leaves it out."""
+    scenes: tuple[str, ...] = ("fox", "desk", "toy", "doll")
+    """Folders in `../shared/data`; photos without poses are posed once, and kept in `out`."""
+    side: int = 480
+    """Pixels of the photos' longer side."""
+    steps: int = 3000
+    """Of each run."""
+    seconds: tuple[float, ...] = ()
+    """Training times, in place of a number of steps."""
+    joint_factor: float = 0
+    """Time, over that without, of one more run that learns identities, too."""
     max_gaussians: int = 50_000
     """Gaussians at most."""
-    seed: int = 0
-    """Seed of everything random."""
+    seeds: tuple[int, ...] = (0,)
+    """Of everything random."""
+    settings: str = "{}"
+    """More of `TrainConfig`, as JSON."""
 
 
-def curve(options: Options, seconds: float, *, identities: bool) -> list[list[object]]:
-    """Train once; a row of the table at half and at the end of the time."""
-    photos = capture(options.scene, options.downscale, identities=identities)
-    config = TrainConfig(
-        max_seconds=seconds, max_gaussians=options.max_gaussians, seed=options.seed
-    )
-    rows: list[list[object]] = []
-    marks = [seconds / 2, seconds]
-    started = perf_counter()
+def posed(scene: str) -> Path:
+    """The capture of a scene; exits with a reason where the scene is absent."""
+    path, kept = DATA / scene, OUT / f"{scene}_capture"
+    if not path.is_dir():
+        raise SystemExit(f"This benchmark needs the scene {path}, which is not here.")
+    if not (path / "photos").is_dir():
+        return path
+    if not kept.exists():
+        ss.sfm(path / "photos", kept)
+    return kept
+
+
+def object_masks(scene: str, capture: Capture) -> Iterator[tuple[Cameras, Mask]]:
+    """Some views, and where they show objects: nowhere in a scene without masks."""
+    files = {path.stem: path for path in (DATA / scene / "masks").glob("*")}
+    rows = range(len(capture))
+    if files:
+        rows = [row for row in rows if Path(capture.cameras.names[row]).stem in files]
+    for row in evenly_spaced(rows, JUDGED):
+        camera = capture.cameras[row]
+        width, height = camera.size
+        labels = capture.labels(row)
+        if files:
+            labels = read_label_map(files[Path(camera.names[0]).stem])
+        if labels is None:
+            labels = torch.full((height, width), BACKGROUND)
+        yield camera, resize_labels(labels, (height, width)) != BACKGROUND
+
+
+@torch.no_grad()
+def depth_scatter(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
+    """The deviation of the depths that each pixel mixes, over the size of a pixel at their mean."""
+    depths = depths_of(splats.means, camera).clamp(min=0)
+    unit = depths[depths > 0].median()  # sums of squares of numbers near 1 lose least
+    powers = torch.stack([(depths / unit) ** power for power in range(3)], dim=1)
+    covered, first, second = composite(splats, camera, powers).double().unbind(dim=-1)
+    covered = covered.clamp(min=TINY_COVERAGE)
+    mean = (first / covered).clamp(min=TINY_COVERAGE)
+    deviation = (second / covered - mean.square()).clamp(min=0).sqrt()
+    return float(camera.Ks[0, 0, 0]) * deviation / mean
+
+
+def median_scatters(scene: str, capture: Capture, splats: Splats) -> list[str]:
+    """The median over the pixels of objects and over the others."""
+    inside, outside = list[Tensor](), list[Tensor]()
+    for camera, mask in object_masks(scene, capture):
+        found = depth_scatter(splats, camera)
+        inside.append(found[mask])
+        outside.append(found[~mask])
+    both = (torch.cat(some) for some in (inside, outside))
+    return [f"{float(some.median()):.1f}" if len(some) else "-" for some in both]
+
+
+def trained(scene: str, capture: Capture, config: TrainConfig) -> list[object]:
+    """A row of the table."""
+    name = f"{config.max_seconds:.0f} s" if config.max_seconds else "steps"
+    name += ", joint" if capture.label_maps is not None else ""
+    clocks = list[tuple[int, float, float]]()
 
     def report(state: State, loss: float, train_psnr: float) -> None:
-        if marks and state.seconds >= marks[0]:
-            marks.pop(0)
-            rows.append([name, f"{seconds:.0f} s", *_measure(state, photos, config.test_every)])
+        clocks.append((state.step, state.seconds, process_time()))
 
-    name = "joint" if identities else "default"
-    splats = fit(photos, config, on_progress=report).splats.detach()
-    print(f"{name} {seconds:.0f} s took {perf_counter() - started:.0f} s in all", flush=True)
-    if not identities:
-        _lift(options, splats, config.test_every)
-    return rows
-
-
-def _lift(options: Options, splats: Splats, test_every: int) -> None:
-    photos = capture(options.scene, options.downscale)
-    if photos.label_maps is not None:
-        started = perf_counter()
-        lift(splats, photos, rows=split_views(photos, test_every)[0])
-        print(f"its labels lifted in {perf_counter() - started:.1f} s", flush=True)
-
-
-def _measure(state: State, photos: Capture, test_every: int) -> list[object]:
-    _, held_out = split_views(photos, test_every)
-    views = replace(photos, label_maps=None)
-    quality = evaluate_views(state.splats.detach(), views, held_out)["psnr"]
-    count = len(state.params["means"])
-    return [f"{state.seconds:.0f} s", state.step, f"{count:,}", f"{quality:.2f} dB"]
+    started = perf_counter()
+    splats = fit(capture, config, on_progress=report).splats.detach()
+    print(f"{scene} took {perf_counter() - started:.0f} s in all", flush=True)
+    (first, _, begun), (steps, seconds, ended) = clocks[0], clocks[-1]
+    held_out = split_views(capture, config.test_every)[1]
+    quality = evaluate_views(splats, capture, held_out, fits=Fits(colors=True))
+    spent = f"{1e3 * (ended - begun) / max(steps - first, 1):.1f}"
+    head = [scene, name, config.seed, f"{steps:,}", f"{seconds:.0f}", spent, f"{len(splats):,}"]
+    figures = [f"{quality[f'{name}_unfitted']:{digits}}" for name, digits in SCORES]
+    figures += [f"{quality['psnr']:.2f}"]
+    return [*head, *figures, *median_scatters(scene, capture, splats)]
 
 
 def main(options: Options) -> None:
-    """Print the curve."""
-    width, height = capture(options.scene, options.downscale).cameras[0].size
-    print(f"{options.scene} {width}x{height}, {machine()}")
-    rows = []
-    for seconds in options.seconds:
-        before = calibration_ms()
-        rows += curve(options, seconds, identities=False)
-        if options.joint_factor > 0:
-            rows += curve(options, options.joint_factor * seconds, identities=True)
-        print(f"calibration loop: {before:.0f} ms before, {calibration_ms():.0f} ms after")
-    print(table(["run", "budget", "at", "steps", "Gaussians", "held-out PSNR"], rows))
+    """Print the table."""
+    print(f"{options.side} pixels, {machine()}, calibration loop {calibration_ms():.0f} ms")
+    rows = list[list[object]]()
+    for scene in options.scenes:
+        path = posed(scene)
+        capture = ss.load(path, downscale=ss.load(path).cameras.shrink_to(options.side))
+        unlabelled = replace(capture, label_maps=None)
+        for seed in options.seeds:
+            config = TrainConfig(
+                steps=options.steps, max_gaussians=options.max_gaussians, seed=seed
+            )
+            config = replace(config, **json.loads(options.settings))
+            configs = [replace(config, max_seconds=s) for s in options.seconds] or [config]
+            for each in configs:
+                rows.append(trained(scene, unlabelled, each))
+                if options.joint_factor > 0 and each.max_seconds is not None:
+                    longer = options.joint_factor * each.max_seconds
+                    rows.append(trained(scene, capture, replace(each, max_seconds=longer)))
+    print(f"calibration loop {calibration_ms():.0f} ms after")
+    print(table(COLUMNS, rows))
 
 
 if __name__ == "__main__":

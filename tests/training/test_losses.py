@@ -8,6 +8,8 @@ from stylesplat.scene.splats import Classifier
 from stylesplat.training.losses import (
     NEIGHBOR_WEIGHT,
     NO_CLASS,
+    depth_phases,
+    depth_scatter,
     identity_loss,
     nearest_neighbors,
     neighbor_loss,
@@ -39,6 +41,18 @@ def test_photometric_kernel_matches_torch(images, size: tuple[int, int]):
     assert abs(error.item() - expected_error.item()) < 1e-6
     # Float32 against float64: rounding only.
     assert (fast.grad - exact.grad).norm() < 1e-5 * exact.grad.norm()
+
+
+def test_depths_scatter_as_the_pairs_that_a_pixel_mixes():
+    depths, weights = 1 + 9 * rand(6), rand(4, 5, 6) / 6
+    apart = 1 - (depths.log()[:, None] - depths.log()).cos()
+    pairs = torch.einsum("yxi,yxj,ij->yx", weights, weights, apart).mean()
+
+    def scatter(weights: torch.Tensor) -> float:
+        return float(depth_scatter(weights @ depth_phases(depths), weights.sum(-1, keepdim=True)))
+
+    assert scatter(weights) == pytest.approx(float(pairs), rel=1e-4)
+    assert scatter(torch.eye(6)[None]) == pytest.approx(0, abs=1e-6), "of one Gaussian each"
 
 
 def test_identity_loss_rewards_the_right_class_and_a_guess_costs_one():

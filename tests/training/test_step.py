@@ -9,16 +9,20 @@ import torch
 
 from processes import begun
 from scenes import random_splats
+from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.view_pool import RenderPool
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
+from stylesplat.scene.projection import depths_of
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.densification import MCMCStrategy
+from stylesplat.training.losses import depth_phases, depth_scatter
 from stylesplat.training.state import State, TrainingRun, first_state
 from stylesplat.training.step import (
     STEP_NEIGHBORS,
     apply_gradients,
     photo_gradients,
+    pulls_depths,
     train_step,
 )
 from stylesplat.training.views import TrainingViews
@@ -79,6 +83,29 @@ def test_a_step_leaves_what_nobody_sees(capture: Capture, config: TrainConfig):
         assert not after.moments.first[name][:10].any()
         if name not in ("quats", "shN"):  # of round Gaussians, of bands not in use yet
             assert not torch.equal(after.params[name][10:], before.params[name][10:]), name
+
+
+def test_later_steps_draw_what_a_pixel_mixes_to_one_depth(capture: Capture):
+    capture = replace(capture, label_maps=None)
+    drawn = TrainConfig(steps=100, coarse_to_fine=False, scatter_weight=0.5)
+    plain = replace(drawn, scatter_weight=0.0)
+    run, state = begun(capture, drawn)
+    assert [step for step in range(44) if pulls_depths(run, replace(state, step=step))] == [41, 43]
+    with_loss, without = (gradients(capture, config, step=41) for config in (drawn, plain))
+    with torch.no_grad():
+        for name in GEOMETRY:
+            state.params[name] -= 0.1 * (with_loss[name] - without[name])
+    camera, before = capture.cameras[run.row(41)], begun(capture, drawn)[1]
+
+    def scatter(state: State) -> float:
+        splats = state.splats.detach()
+        phases = depth_phases(depths_of(splats.means, camera))
+        shown, alphas, _ = rasterize(splats, camera, features=phases)
+        return float(depth_scatter(shown[0, ..., 3:], alphas[0]))
+
+    assert scatter(state) < scatter(before)
+    strays = {name: (with_loss[name] - without[name]).abs().max() for name in ("sh0", "shN")}
+    assert max(strays.values()) < 1e-6, "colours follow the photos alone"
 
 
 def test_growth_comes_at_the_end_of_its_interval(capture: Capture, config: TrainConfig):

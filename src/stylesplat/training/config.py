@@ -88,6 +88,11 @@ class TrainConfig(Config):
     """Densification prefers an object's Gaussians to the background's by this factor."""
     refine_every: Annotated[int, COUNT] = 100
     """Steps between moving dead Gaussians and adding new ones."""
+    scatter_weight: Annotated[float, RATE] = 0.1
+    """Weight of the loss that draws what a pixel mixes to one depth: surfaces instead of haze.
+
+    It is in every second step from 0.4 of the run on, but for those that train identities.
+    """
     identity_every: Annotated[int, COUNT] = 2
     """Identities are trained every this many steps; such a step costs over twice as much."""
     identity_stride: Annotated[int, COUNT] = 3
@@ -143,6 +148,7 @@ TRAIN_PRESETS = {
         growth_end=0.5,
         refine_end=0.5,
         object_growth=1.0,
+        scatter_weight=0.0,
         identity_every=1,
         identity_stride=1,
         means_rate=1.6e-4,

@@ -31,7 +31,13 @@ from stylesplat.training.densification import MCMCStrategy, Strategy, supported_
 from stylesplat.training.initialize import first_splats
 from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import State, TrainingRun, first_state
-from stylesplat.training.step import exchange_gradients, train_step
+from stylesplat.training.step import (
+    exchange_gradients,
+    first_pulled,
+    photo_gradients,
+    pulls_depths,
+    train_step,
+)
 from stylesplat.training.views import TrainingViews, learned_ids, split_views
 
 MOST_AT_ONCE = 4  # photos of a round on the CPU, unless the settings say otherwise
@@ -291,6 +297,9 @@ def warm_up_training(run: TrainingRun, state: State) -> None:
     if run.progress(state) < 1:
         for number in range(min(run.config.identity_every, 2)):  # with and without identities
             train_step(run, replace(state.clone(), step=number * batch))
+        later = first_pulled(run, state.clone())
+        if pulls_depths(run, later):  # by kernels of more channels
+            photo_gradients(run, later, later.step)
 
 
 class ProgressMeter:

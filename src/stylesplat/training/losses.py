@@ -15,6 +15,7 @@ from torch.nn.functional import cross_entropy, kl_div, l1_loss, log_softmax
 
 from stylesplat.imaging.similarity import ssim
 from stylesplat.rendering.kernels.ssim import Photometric
+from stylesplat.rendering.reference import NEAR_PLANE
 from stylesplat.scene.splats import Classifier
 
 DSSIM_WEIGHT = 0.2
@@ -54,6 +55,25 @@ def photometric_reference(
     dissimilarity = 1 - ssim(image, target)
     error = (image.detach().clamp(0, 1) - target).square().mean()
     return (1 - DSSIM_WEIGHT) * l1_loss(image, target) + DSSIM_WEIGHT * dissimilarity, error
+
+
+def depth_phases(depths: Float[Tensor, " N"]) -> Float[Tensor, "N 2"]:
+    """What is composited for `depth_scatter`: cosine and sine of the depths' logarithms."""
+    logarithms = depths.clamp(min=NEAR_PLANE).log()
+    return torch.stack([logarithms.cos(), logarithms.sin()], dim=1)
+
+
+def depth_scatter(
+    phases: Float[Tensor, "H W 2"], coverage: Float[Tensor, "H W 1"]
+) -> Float[Tensor, ""]:
+    """How much the depths differ that pixels mix; 0 where each shows one depth.
+
+    It is the sum over pairs of a pixel's weights times 1 - cos(log(z1 / z2)), averaged over pixels:
+    the distortion of Mip-NeRF 360 (Barron et al. 2022) and 2DGS (Huang et al. 2024), in closed form
+    by two composited channels. Of a covered pixel it is the variance of the logarithms, where these
+    differ little.
+    """
+    return (coverage.square().squeeze(-1) - phases.square().sum(dim=-1)).mean()
 
 
 def identity_loss(

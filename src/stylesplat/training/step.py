@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from math import ceil
 from typing import Any
 
 import torch
@@ -12,12 +13,15 @@ from torch import Tensor
 
 from stylesplat.imaging.similarity import decibels
 from stylesplat.rendering.render import rasterize
+from stylesplat.scene.projection import depths_of
 from stylesplat.training import per_photo
 from stylesplat.training.adam import AdamUpdate, adam_steps
 from stylesplat.training.config import LEVELS, TrainConfig, means_decay
 from stylesplat.training.densification import supported_kwargs
 from stylesplat.training.losses import (
     NO_CLASS,
+    depth_phases,
+    depth_scatter,
     identity_loss,
     neighbor_loss,
     photometric_loss,
@@ -40,6 +44,8 @@ STEP_RATES = {"quats": 1e-3, "scales": 5e-3, "opacities": 5e-2, "sh0": 2.5e-3, "
 NEIGHBOR_EVERY = 5  # identity steps between uses of the 3D loss (Gaussian Grouping)
 NEIGHBOR_SAMPLES = 1000
 STEP_NEIGHBORS = 5
+SCATTER_EVERY = 2  # rounds between those that have the loss of depths
+SCATTER_START = 0.4  # share of the run from which on: the number of Gaussians has grown
 
 
 def train_step(run: TrainingRun, state: State) -> tuple[State, Float[Tensor, "2"]]:
@@ -84,26 +90,32 @@ def photo_gradients(run: TrainingRun, state: State, step: int) -> PhotoGradients
         background = torch.rand(3, generator=generator, device=run.device)
         background = background if level is None else torch.full_like(background, level)
         target = target + (1 - view.alpha) * background
+    phases = None
+    if classes is None and pulls_depths(run, state):
+        phases = depth_phases(depths_of(splats.means, camera))
     render, alphas, info = rasterize(
         splats,
         camera,
-        features=None if classes is None else splats.identities,
-        features_move_geometry=config.identity_geometry,
+        features=phases if classes is None else splats.identities,
+        features_move_geometry=phases is not None or config.identity_geometry,
         background=background if changes is None else None,
         sh_degree=config.active_sh_degree(progress, state.step),
         raise_clamped=True,
     )
-    image, identities = render.squeeze(0), None
+    image, identities, scatter = render.squeeze(0), None, 0.0
     (y, x), stride = run.offset(step), config.identity_stride
     if classes is not None:
         image, identities = split_render(image, (y, x), stride)
+    if phases is not None:
+        image, composed = image.split([3, 2], dim=-1)
+        scatter = SCATTER_EVERY * config.scatter_weight * depth_scatter(composed, alphas[0])
     if changes is not None:
         image = per_photo.apply_color_map(image, alphas[0], changes[place])
         if background is not None:
             image = image + (1 - alphas[0]) * background
         target = per_photo.blown_out_target(image, target)
     loss, error = photometric_loss(image, target, view.valid)
-    loss = loss + per_photo.per_photo_regularizer(params, place)
+    loss = loss + scatter + per_photo.per_photo_regularizer(params, place)
     if identities is not None and classes is not None:
         sampled = classes[y::stride, x::stride].long()
         if view.valid is not None:
@@ -118,6 +130,20 @@ def photo_gradients(run: TrainingRun, state: State, step: int) -> PhotoGradients
     visible = (info["radii"][0] > 0).all(dim=-1)
     scores = torch.stack([loss.detach(), decibels(error)])
     return PhotoGradients(state, visible, scores, info, run.processes, learns_identities)
+
+
+def pulls_depths(run: TrainingRun, state: State) -> bool:
+    """Whether a step draws what each pixel mixes to one depth, unless it learns identities."""
+    due = run.is_due(SCATTER_EVERY, state.step + run.batch)  # by turns with identities
+    return due and run.config.scatter_weight > 0 and run.progress(state) >= SCATTER_START
+
+
+def first_pulled(run: TrainingRun, state: State) -> State:
+    """The state as it is counted at the first step for which `pulls_depths` may be."""
+    config = run.config
+    rounds = ceil(SCATTER_START * config.steps / run.batch) // SCATTER_EVERY + 1
+    seconds = SCATTER_START * (config.max_seconds or 0.0)
+    return replace(state, step=(SCATTER_EVERY * rounds - 1) * run.batch, seconds=seconds)
 
 
 def _run_info(run: TrainingRun, state: State) -> dict[str, Any]:
