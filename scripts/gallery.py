@@ -29,9 +29,10 @@ Credits. The paintings are in the public domain: Vincent van Gogh, *The Starry N
 Wassily Kandinsky, *Composition VII* (1913); Childe Hassam, *The South Ledges, Appledore* (1913);
 Claude Monet, *Water Lilies*; Utagawa Kuniyoshi, a woodblock print of Raiko. The doll's photos are
 those of noname0310/snowmiku2023plush-splat (MIT). The still life of the vase and the teapot, which
-`make demo` trains, and the sign are ray-traced by this project. The fox and the desk of [other
-pages](paper.md) are not here: the fox's photos are for non-commercial use, the desk's state no
-licence.
+`make demo` trains, and the sign are ray-traced by this project. The rider is a splat of
+playcanvas/engine, the brooch one of davidmhart/FastSplatStyler (both MIT). The fox and the desk of
+[other pages](paper.md) are not here: the fox's photos are for non-commercial use, the desk's state
+no licence.
 """
 
 
@@ -43,6 +44,8 @@ class Painting:
     styles: dict[str, str]
     """The beginning of a painting's file name, by object."""
     title: str
+    made_by: tuple[str, ...] = ()
+    """The commands that make the scene, where it is not one of photos."""
     is_free: bool = True
     """Whether the scene's pictures may be published."""
 
@@ -52,11 +55,23 @@ class Painting:
         return "-".join([Path(self.scene).parts[0], *self.styles.values()])
 
 
+RIDER = (
+    "stylesplat import biker.compressed.ply -o rider",
+    "stylesplat select rider --name rider --point view_000.png:360,400",
+)
+BROOCH = (
+    "stylesplat import broche.splat -o brooch",
+    "stylesplat select brooch --name brooch --size group --point view_000.png:530,440",
+)
 PAINTINGS = (
     Painting("demo/scene", {"vase": "van_gogh"}, "A vase in van Gogh's strokes"),
     Painting("demo/scene", {"vase": "kandinsky", "teapot": "monet"}, "Two objects in two styles"),
     Painting("doll", {"doll": "ukiyo_e"}, "A plush doll, from 49 phone photos"),
     Painting("doll", {"doll": "van_gogh"}, "The same doll in another style"),
+    Painting("rider", {"rider": "hassam"}, "A rider, a splat of somebody else", RIDER),
+    Painting("rider", {"rider": "kandinsky"}, "The rider in another style", RIDER),
+    Painting("brooch", {"brooch": "ukiyo_e"}, "A brooch of open-work, from a .splat file", BROOCH),
+    Painting("brooch", {"brooch": "van_gogh"}, "The brooch in another style", BROOCH),
     Painting("sign", {"1": "kandinsky"}, "A sign on thin legs"),
     Painting("fox", {"1": "van_gogh"}, "A fox's head", is_free=False),
     Painting("desk", {"1": "kandinsky"}, "A bottle on a desk", is_free=False),
@@ -108,9 +123,10 @@ def write_list() -> None:
         if (DOCS / picture).is_file():
             styles = (f"--style {name}={style}.jpg" for name, style in each.styles.items())
             scene = Path(each.scene).parts[0]
-            command = " ".join(["stylesplat stylize", scene, *styles, "-o painted"])
+            paint = " ".join(["stylesplat stylize", scene, *styles, "-o painted"])
+            commands = "\n".join([*each.made_by, paint])
             title = f"## {each.title}\n\n![{each.title}, before and after]({picture})"
-            parts.append(f"{title}\n\n```sh\n{command}\n```\n")
+            parts.append(f"{title}\n\n```sh\n{commands}\n```\n")
     (DOCS / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
 
 
