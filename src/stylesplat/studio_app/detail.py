@@ -13,9 +13,7 @@ from stylesplat.scene.layers import appearance_only
 from stylesplat.scene.projection import share_in_images
 from stylesplat.scene.splats import Splats
 
-MOVING_GAUSSIANS = (
-    150_000  # in view of a moving camera: two cores render ten such pictures a second
-)
+MOVING_GAUSSIANS = 100_000  # in view of a moving camera: two cores turn ten pictures a second
 SMALLEST_DRAW = 1e-12  # a draw of 0 has no logarithm
 LEVELS_PER_HALVING = 4  # as finely as the number of Gaussians follows the view
 
