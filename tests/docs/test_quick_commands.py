@@ -29,6 +29,7 @@ EXCEPT = {
     "--mesh": "needs photos from all sides, and seconds; tests/meshes",
     ".html": "seconds; tests/figures/test_web_page.py",
     "view_007": "of a scene without photos; tests/verbs/test_mask_scene.py",
+    "view_000": "of splats of others, which are not here; tests/verbs/test_select.py",
     "--rows": "of a file of another program; tests/cli/test_objects.py",
     ".usd": "needs the extra usd; tests/io/splats",
     "NAME": "a placeholder",
