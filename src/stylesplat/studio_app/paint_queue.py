@@ -28,7 +28,7 @@ from stylesplat.studio_app.messages import Progress
 from stylesplat.studio_app.selecting import with_object_of_selection
 from stylesplat.studio_app.session import Display, Session, Stopped
 from stylesplat.stylization.config import StyleConfig, plain_settings
-from stylesplat.stylization.painter import Survey
+from stylesplat.stylization.painter import SurveyedObject
 from stylesplat.stylization.style import Style, all_colors
 from stylesplat.verbs.stylize import Live, stylize_live
 
@@ -70,7 +70,7 @@ class PaintQueue:
         self._times = list[tuple[float, float]]()  # when each share of it was done
         self._usual = dict[str, list[tuple[float, float]]]()  # the times of the last, by quality
         self._drawn_at, self._drawing = 0.0, 0.0
-        self._surveyed: tuple[Scene, Bool[Tensor, " B"], Survey] | None = None
+        self._surveyed: tuple[Scene, Bool[Tensor, " B"], SurveyedObject] | None = None
         """What was below the layer that was painted last, its object's mask, and its survey."""
         session.interrupt = self.stop
 
@@ -194,7 +194,7 @@ class PaintQueue:
         lives = stylize_live(state.scene, job.name, job.style, survey=survey, **self.options)
         self._begin(job, lives)
 
-    def _survey_of(self, below: Scene, own: Bool[Tensor, " B"]) -> Survey | None:
+    def _survey_of(self, below: Scene, own: Bool[Tensor, " B"]) -> SurveyedObject | None:
         """What was measured of the same object on the same layers, if that was the last."""
         if self._surveyed is None:
             return None

@@ -118,7 +118,7 @@ class Subject:
         return self.canvas.splats.with_rows(self.rows, {"sh0": colors[:, None]})
 
 
-class Survey(NamedTuple):
+class SurveyedObject(NamedTuple):
     """What of an object is the same whatever its style."""
 
     own: Bool[Tensor, " N"]
@@ -143,11 +143,11 @@ Finish = Callable[[Colors, Sequence[ObjectView]], Colors]
 """What completes the colours of a stage; it gets the views of the stage, too."""
 
 
-def survey_object(setup: PaintSetup, painting: Painting) -> Survey:
+def survey_object(setup: PaintSetup, painting: Painting) -> SurveyedObject:
     """Measure an object in its views. Raises a StyleSplatError if none shows it."""
     painting = own_part(setup, painting)
     boxes = require_boxes(setup, painting)
-    return Survey(painting.mask, boxes, survey_detail(setup.splats, painting.mask, boxes))
+    return SurveyedObject(painting.mask, boxes, survey_detail(setup.splats, painting.mask, boxes))
 
 
 def paint_steps(
@@ -155,7 +155,7 @@ def paint_steps(
     painting: Painting,
     *,
     preview: bool = False,
-    survey: Survey | None = None,
+    survey: SurveyedObject | None = None,
 ) -> Iterator[PaintState]:
     """Paint one object of a scene; yields the state after every step.
 

@@ -21,7 +21,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import PaintState, layer_of
 from stylesplat.stylization.config import Network, Precision
 from stylesplat.stylization.painter import (
-    Survey,
+    SurveyedObject,
     check_visible,
     paint_layer,
     paint_steps,
@@ -206,7 +206,7 @@ class Live:
     painting: Painting
     """The object among the Gaussians of `below`."""
     precision: Precision
-    survey: Survey | None = None
+    survey: SurveyedObject | None = None
     """Of the object, for other paintings of it on the same layers; None with the preset `paper`."""
     finished: Layer | None = None
     """The layer after the last step, if its form takes more than relief."""
@@ -241,7 +241,7 @@ def stylize_live(
     weights: Path | str | None = None,
     max_memory: float = MAX_MEMORY,
     device: str = "auto",
-    survey: Survey | None = None,
+    survey: SurveyedObject | None = None,
 ) -> Iterator[Live]:
     """As `stylize` with one object, step by step.
 
