@@ -88,9 +88,8 @@ def object_masks(scene: str, capture: Capture) -> Iterator[tuple[Cameras, Mask]]
     for row in evenly_spaced(rows, JUDGED):
         camera = capture.cameras[row]
         width, height = camera.size
-        labels = capture.labels(row)
-        if files:
-            labels = read_label_map(files[Path(camera.names[0]).stem])
+        name = Path(camera.names[0]).stem
+        labels = read_label_map(files[name]) if files else capture.labels(row)
         if labels is None:
             labels = torch.full((height, width), BACKGROUND)
         yield camera, resize_labels(labels, (height, width)) != BACKGROUND
@@ -120,23 +119,24 @@ def median_scatters(scene: str, capture: Capture, splats: Splats) -> list[str]:
     return [f"{float(some.median()):.1f}" if len(some) else "-" for some in both]
 
 
-def trained(scene: str, capture: Capture, config: TrainConfig) -> list[object]:
+def trained(scene: str, capture: Capture, config: TrainConfig, *, identities: bool) -> list[object]:
     """A row of the table."""
-    name = f"{config.max_seconds:.0f} s" if config.max_seconds else "steps"
-    name += ", joint" if capture.label_maps is not None else ""
+    photos = capture if identities else replace(capture, label_maps=None)
+    run = f"{config.max_seconds:.0f} s" if config.max_seconds else "steps"
+    run += ", joint" if identities else ""
     clocks = list[tuple[int, float, float]]()
 
     def report(state: State, loss: float, train_psnr: float) -> None:
         clocks.append((state.step, state.seconds, process_time()))
 
     started = perf_counter()
-    splats = fit(capture, config, on_progress=report).splats.detach()
+    splats = fit(photos, config, on_progress=report).splats.detach()
     print(f"{scene} took {perf_counter() - started:.0f} s in all", flush=True)
     (first, _, begun), (steps, seconds, ended) = clocks[0], clocks[-1]
-    held_out = split_views(capture, config.test_every)[1]
-    quality = evaluate_views(splats, capture, held_out, fits=Fits(colors=True))
+    held_out = split_views(photos, config.test_every)[1]
+    quality = evaluate_views(splats, photos, held_out, fits=Fits(colors=True))
     spent = f"{1e3 * (ended - begun) / max(steps - first, 1):.1f}"
-    head = [scene, name, config.seed, f"{steps:,}", f"{seconds:.0f}", spent, f"{len(splats):,}"]
+    head = [scene, run, config.seed, f"{steps:,}", f"{seconds:.0f}", spent, f"{len(splats):,}"]
     figures = [f"{quality[f'{name}_unfitted']:{digits}}" for name, digits in SCORES]
     figures += [f"{quality['psnr']:.2f}"]
     return [*head, *figures, *median_scatters(scene, capture, splats)]
@@ -149,7 +149,6 @@ def main(options: Options) -> None:
     for scene in options.scenes:
         path = posed(scene)
         capture = ss.load(path, downscale=ss.load(path).cameras.shrink_to(options.side))
-        unlabelled = replace(capture, label_maps=None)
         for seed in options.seeds:
             config = TrainConfig(
                 steps=options.steps, max_gaussians=options.max_gaussians, seed=seed
@@ -157,10 +156,11 @@ def main(options: Options) -> None:
             config = replace(config, **json.loads(options.settings))
             configs = [replace(config, max_seconds=s) for s in options.seconds] or [config]
             for each in configs:
-                rows.append(trained(scene, unlabelled, each))
+                rows.append(trained(scene, capture, each, identities=False))
                 if options.joint_factor > 0 and each.max_seconds is not None:
                     longer = options.joint_factor * each.max_seconds
-                    rows.append(trained(scene, capture, replace(each, max_seconds=longer)))
+                    joint = replace(each, max_seconds=longer)
+                    rows.append(trained(scene, capture, joint, identities=True))
     print(f"calibration loop {calibration_ms():.0f} ms after")
     print(table(COLUMNS, rows))
 

@@ -62,7 +62,7 @@ class Model:
     parts: Sequence[Part]
     content: Any
     obj: Obj | None = None
-    """What it was read from, if that was an OBJ with materials."""
+    """What it was read from, if that was an OBJ."""
     left_out: frozenset[str] = frozenset()
     """Kinds of its maps that are not in the content."""
 
