@@ -118,7 +118,8 @@ def test_scenes_and_pictures(made: Path):
 
 def test_the_report_holds_everything_and_names_no_file(made: Path):
     page = (made / "report.html").read_text()
-    assert "painted Gaussians</th>" in page and "of the way" in page
+    assert "painted Gaussians</th>" in page
+    assert "Vase: " in page and "Teapot: " in page, "how close each is to its painting"
     assert escape((made / "styled.html").read_text()) in page, "the splat to turn"
     assert page.count("data:video/mp4;base64,") == 1
     assert page.count("data:image/png;base64,") + page.count("data:image/jpeg;base64,") >= 10
