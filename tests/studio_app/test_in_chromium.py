@@ -1,6 +1,7 @@
 """The studio in a real browser: pick, paint, compare, undo, save, export."""
 
 import json
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -282,6 +283,61 @@ def test_a_reload_keeps_the_view_and_a_double_click_frames_what_it_hits(
     assert tab.page.evaluate(place) == before
     tab.key("w", True)  # without a click into the picture
     until(lambda: tab.page.evaluate(place) != before, "a step ahead")
+    tab.press_button("Pick what looks alike")
+    tab.page.evaluate("document.querySelector('.options input[type=range]').focus()")
+    tab.wait_until_idle()
+    before = tab.page.evaluate(place)
+    tab.key("ArrowRight", True)  # the slider's own
+    assert tab.page.evaluate(place) == before
+    tab.key("w", True)
+    assert tab.page.evaluate(place) != before
+
+
+def test_a_server_that_is_silent_is_told_and_gets_no_clicks_to_do_later(
+    opened: StudioServer, tab: Tab, monkeypatch: pytest.MonkeyPatch
+):
+    fast = "((real) => (f, ms, ...rest) => real(f, ms / 10, ...rest))"
+    quick = f"setTimeout = {fast}(setTimeout); setInterval = {fast}(setInterval)"  # ten times
+    tab.page.call("Page.addScriptToEvaluateOnNewDocument", source=quick)
+    tab.open(opened.url)
+    middle, wakes = tab.middle_of("7"), threading.Event()
+    blocks = lambda *_: wakes.wait(20)  # noqa: E731 - the thread that answers all pages
+    monkeypatch.setattr(opened.server.actions.pictures, "look", blocks)
+    tab.page.evaluate("studio.ask(false)")
+    until(lambda: "does not answer" in tab.text(), "a word about the server")
+    tab.click(*middle)
+    until(lambda: "nothing was done" in tab.text(), "a word about the click")
+    wakes.set()
+    until(lambda: "does not answer" not in tab.text(), "an answer")
+    assert opened.session.worker.wait_until_idle()
+    assert not opened.session.state.picked
+    tab.click(*middle)
+    until(lambda: opened.session.state.picked == ("7",), "a pick")
+
+
+def test_a_picture_is_pasted_into_any_field_and_a_drag_that_goes_leaves_no_hint(
+    opened: StudioServer, tab: Tab
+):
+    pictures = opened.server.actions.gallery.pictures
+    tab.page.evaluate("""new Promise((done) => {
+        const canvas = Object.assign(document.createElement("canvas"), { width: 40, height: 40 });
+        canvas.toBlob((blob) => {
+            const clipboardData = new DataTransfer();
+            clipboardData.items.add(new File([blob], "pasted.png", { type: "image/png" }));
+            const event = new ClipboardEvent("paste", { clipboardData, bubbles: true });
+            document.querySelector("input[type=search]").dispatchEvent(event);
+            done();
+        });
+    })""")
+    until(lambda: "pasted" in pictures, "the picture")
+    shows = "getComputedStyle(document.body, '::after').content.includes('Drop pictures')"
+    assert not tab.page.evaluate(shows)
+    data = {"items": [], "files": [str(opened.session.folder)], "dragOperationsMask": 1}
+    for what in ("dragEnter", "dragOver"):
+        tab.page.call("Input.dispatchDragEvent", type=what, x=600, y=400, data=data)
+    assert tab.page.evaluate(shows)
+    tab.page.call("Input.dispatchDragEvent", type="dragCancel", x=0, y=0, data=data)
+    until(lambda: not tab.page.evaluate(shows), "no hint")
 
 
 def test_a_page_goes_on_after_a_restart_once_the_new_address_was_opened(
@@ -291,7 +347,12 @@ def test_a_page_goes_on_after_a_restart_once_the_new_address_was_opened(
     tab.page.evaluate("studio.camera.zoom(0.5) || studio.moved()")
     tab.wait_until_idle()
     distance = tab.page.evaluate("(window.isOld = true) && studio.camera.distance")
+    middle = tab.middle_of("7")
     opened.close()
+    until(lambda: "does not answer" in tab.text(), "a word about the server")
+    tab.click(*middle)
+    until(lambda: "nothing was done" in tab.text(), "a word about the click")
+    assert not tab.page.evaluate("studio.overlay.glow.width && studio.overlay.picked.names.length")
     with restarted(opened) as again:
         assert again.server.port == opened.server.port
         until(lambda: "was started anew" in tab.text(), "a word about the restart")
@@ -465,6 +526,10 @@ def compares(tab: Tab, before: np.ndarray, painted: np.ndarray) -> None:
     for down in (True, True, False):  # a key that is held repeats
         tab.key("b", down)
         assert tab.page.evaluate(visible) == ("visible" if down else "hidden")
+    tab.key("b", True)
+    tab.page.evaluate("dispatchEvent(new Event('blur'))")  # another window is in front
+    assert tab.page.evaluate(visible) == "hidden"
+    tab.key("b", False)
 
 
 def recolors(opened: StudioServer, tab: Tab, painted: np.ndarray) -> None:

@@ -49,7 +49,9 @@ export function listen(canvas, camera, changed, taken = () => false) {
     changed();
   }, { passive: false });
   window.addEventListener("keydown", (event) => {
-    if (event.target.closest?.("input, textarea, select, dialog, [role=slider]")) return;
+    const field = event.target.closest?.("dialog, input, textarea, select, [role=slider]");
+    const slides = field?.matches("[type=range], [role=slider]") && !field.closest("dialog"); // it takes arrows, and no letters
+    if (field && !(slides && event.key.length === 1)) return;
     const does = {
       arrowleft: () => camera.turn(0.1, 0),
       arrowright: () => camera.turn(-0.1, 0),

@@ -16,15 +16,23 @@ const SILENT = 5000; // milliseconds without an answer, after which the server i
 const PATIENCE = 15000; // milliseconds between two tries to connect, at most
 const NAMED = 3; // files that one note names
 const handlers = {}; // of binary messages, by kind
-let socket = null, number = 0, heard = 0, tries = 0;
+let socket = null, number = 0, silence = null, tries = 0;
 
 export function on(kind, handler) {
   handlers[kind] = handler;
 }
 
+// Ask for an action; returns whether it was sent. What changes something is not sent to a server that is silent:
+// it would be done much later
 export function act(what, fields = {}) {
-  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ do: what, ...fields }));
-  else if (what !== "look" && what !== "ping") note("The studio cannot be reached, so nothing was done. Try again when it answers.", true);
+  const changes = what !== "look" && what !== "ping";
+  const isSent = socket?.readyState === WebSocket.OPEN && (online.value || !changes);
+  if (isSent) socket.send(JSON.stringify({ do: what, ...fields }));
+  else if (changes) {
+    note("The studio cannot be reached, so nothing was done. Try again when it answers.", true);
+    if (state.value) state.value = { ...state.value }; // controls show again what is so
+  }
+  return isSent;
 }
 
 export function note(text, failure = false) {
@@ -54,8 +62,8 @@ const texts = {
 };
 
 function receive({ data }) {
-  heard = performance.now();
   online.value = true;
+  expect();
   if (typeof data === "string") {
     const message = JSON.parse(data);
     batch(() => texts[message.kind]?.(message));
@@ -66,6 +74,12 @@ function receive({ data }) {
   handlers[header.kind]?.(header, new Uint8Array(data, 4 + length));
 }
 
+// Wait for the next message, which comes soon after a ping; timers of a tab that nobody sees say nothing
+function expect() {
+  clearTimeout(silence);
+  silence = setTimeout(() => document.hidden || (online.value = false), SILENT);
+}
+
 export function connect(opened) {
   socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/socket`);
   socket.binaryType = "arraybuffer";
@@ -74,7 +88,7 @@ export function connect(opened) {
     if (renewed.value) location.reload(); // it may be another scene
     online.value = true;
     tries = 0;
-    heard = performance.now();
+    expect();
     opened();
   };
   socket.onclose = async () => {
@@ -94,10 +108,11 @@ async function isRefused() {
   }
 }
 
-setInterval(() => {
+setInterval(() => act("ping"), SILENT / 4);
+document.addEventListener("visibilitychange", () => {
   act("ping");
-  if (socket?.readyState === WebSocket.OPEN && performance.now() - heard > SILENT) online.value = false;
-}, SILENT / 4);
+  expect();
+});
 
 // Add style pictures, one after the other, and tell at the end what became of them
 export async function upload(files) {

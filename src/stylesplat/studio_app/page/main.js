@@ -13,6 +13,7 @@ import { isTyping, Viewport } from "./viewport.js";
 import { Button, html } from "./widgets.js";
 import { dialog } from "./choices.js";
 
+const DRAGGED = 500; // milliseconds without an event, after which files are no longer dragged: browsers send one each 350 at least
 let viewport = null;
 
 function Picture() {
@@ -133,11 +134,14 @@ window.addEventListener("keydown", (event) => {
   event.preventDefault();
   does();
 });
+// A drag that is over, or that has left the window, is told in some browsers by the end of its events alone
+let dragging = null;
 window.addEventListener("dragover", (event) => {
   event.preventDefault();
-  document.body.classList.toggle("dropping", event.dataTransfer.types.includes("Files"));
+  clearTimeout(dragging);
+  document.body.classList.toggle("dropping", !hello.value?.readonly && event.dataTransfer.types.includes("Files"));
+  dragging = setTimeout(() => document.body.classList.remove("dropping"), DRAGGED);
 });
-window.addEventListener("dragleave", (event) => event.relatedTarget || document.body.classList.remove("dropping"));
 window.addEventListener("drop", async (event) => {
   event.preventDefault();
   document.body.classList.remove("dropping");

@@ -10,7 +10,7 @@ import { Leveling, ViewStrip, ViewTools } from "./views.js";
 import { Button, html, Icon } from "./widgets.js";
 
 const RESTING = 300; // milliseconds without motion of the handle, after which a draft begins
-const IS_PATH = /^(file:|~?\/|[a-z]:[\\/])/i;
+const IS_PATH = /^\s*["']?(file:|~?\/|[a-z]:[\\/])/i; // in quotes as some file managers copy it
 
 let resting = null;
 
@@ -61,12 +61,10 @@ function Styles() {
   const shown = now.styles.filter((each) => each.title.toLowerCase().includes(words.value.trim().toLowerCase()));
   const row = shown.findIndex((each) => each.title === newest.value);
   useEffect(() => list.current.children[row]?.scrollIntoView({ block: "nearest", inline: "nearest" }), [row]);
+  const isPath = IS_PATH.test(words.value);
   const enter = (event) => {
-    if (event.key !== "Enter" || !IS_PATH.test(words.value.trim())) return;
-    act("add_style", { path: words.value.trim() });
-    event.target.value = words.value = "";
+    if (event.key === "Enter" && isPath && act("add_style", { path: words.value })) event.target.value = words.value = "";
   };
-  const isPath = IS_PATH.test(words.value.trim());
   return html`<section class="panel styles" aria-label="Styles">
     <div class="head"><${Strips} />
       <p class="hint">${chosen.length || now.selection ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ") || "the selection"}${above.value ? " on a new layer" : ""}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
@@ -111,8 +109,9 @@ function add(event) {
 
 // Pictures of the clipboard, or the path of one
 window.addEventListener("paste", (event) => {
-  if (!state.value || hello.value.readonly || event.target.matches?.("input, textarea, select")) return;
-  const files = [...event.clipboardData.files], text = event.clipboardData.getData("text/plain").trim();
+  const files = [...event.clipboardData.files], text = event.clipboardData.getData("text/plain");
+  const isText = text && event.target.matches?.("input, textarea, select"); // a field takes words, and no picture
+  if (!state.value || hello.value.readonly || isText) return;
   if (files.length) upload(files);
   else if (IS_PATH.test(text)) act("add_style", { path: text });
   else note("There is no picture in the clipboard.", true);

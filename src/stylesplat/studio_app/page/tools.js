@@ -196,8 +196,7 @@ export class Tools {
     const before = objects.filter((each) => each.picked).map((each) => each.name);
     const after = { new: names, add: [...before, ...names], away: before.filter((each) => !names.includes(each)) }[how];
     if (how === "new" && !selection && String(before) === String(names)) return;
-    if (after && (how === "new" || !selection)) this.overlay.guessPicked(after);
-    act("pick_names", { names, how });
+    if (act("pick_names", { names, how }) && after && (how === "new" || !selection)) this.overlay.guessPicked(after);
   }
 
   focus(event) {

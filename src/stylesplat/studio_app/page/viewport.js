@@ -68,6 +68,7 @@ export class Viewport {
     effect(() => [showPhotos.value] && this.overlay.draw());
     window.addEventListener("keydown", (event) => event.key.toLowerCase() === "b" && !isTyping(event) && this.hold(true));
     window.addEventListener("keyup", (event) => event.key.toLowerCase() === "b" && this.hold(false));
+    window.addEventListener("blur", () => this.hold(false)); // the key is released where nobody tells
   }
 
   // The first view, with what is up by now
