@@ -242,7 +242,7 @@ def test_what_cannot_be_repainted(tmp_path: Path):
 def test_repainting_brings_the_style(
     mesh: TexturedMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("stylesplat.meshes.repaint.REPAINT_STEPS", 8)
+    monkeypatch.setattr("stylesplat.meshes.repaint.REPAINT_STEPS", 60)
     stripes = np.zeros((96, 96, 3), np.uint8)
     stripes[:, ::6], stripes[:, 1::6], stripes[:, 2::6] = 250, 250, 250
     Image.fromarray(stripes).save(tmp_path / "stripes.png")

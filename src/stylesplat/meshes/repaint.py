@@ -1,7 +1,9 @@
 """Paint on a texture: the objective of `stylize`, with texels in the place of Gaussians.
 
 A pixel is linear in the texels, as it is in the colours of Gaussians, so that the optimiser is the
-same. Strokes are as sharp as texels, which are finer than Gaussians.
+same. Strokes are as sharp as texels, which are finer than Gaussians. What is painted on a texel
+also tints its neighbours: what a view shows between texels is then nearly what it shows on them,
+and the objective does not undo the view's own blur with grain in the texture.
 """
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
@@ -9,6 +11,7 @@ same. Strokes are as sharp as texels, which are finer than Gaussians.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import torch
@@ -32,7 +35,7 @@ from stylesplat.stylization.config import STYLE_PRESETS, WINDOW, Stage, without_
 from stylesplat.stylization.features import Cells
 from stylesplat.stylization.form import survey_detail
 from stylesplat.stylization.guides import Guides
-from stylesplat.stylization.optimize import CANVAS_RATE, optimize_colors, stage_objective
+from stylesplat.stylization.optimize import optimize_colors, stage_objective
 from stylesplat.stylization.painting import PaintSetup, load_network, paint_setup
 from stylesplat.stylization.style import KEPT_HUES, Style, all_colors, style_pictures
 from stylesplat.stylization.views import (
@@ -48,8 +51,11 @@ from stylesplat.stylization.views import (
     windows,
 )
 
-REPAINT_STEPS = 120
-REPAINT_LONGEST = 1600.0  # pixels of the object's longer side: finer strokes nobody sees
+REPAINT_STEPS = 120  # at least
+TEXEL_RATE = 0.2  # factor of the rate: Adam moves every texel as far, and more looks grainy
+# Of the surface's pixels that windows have together: it is curved, and lies in parts behind itself
+REPAINT_COVER = 1.5
+REPAINT_LONGEST = 960.0  # pixels of the object's longer side: steps grow with their square
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +69,7 @@ class TexelView(PaintView):
     count: int
     """How many texels there are in all."""
     background: Float[Tensor, "H W 3"]
+    """What the pixels show besides."""
 
     def render(self, colors: Float[Tensor, "P 3"]) -> Float[Tensor, "H W 3"]:
         own = rgb_from_sh0(colors.index_select(0, self.texels))
@@ -106,23 +113,28 @@ def repaint(
     side, area = np.ptp(mesh.vertices, axis=0).max(), face_areas(mesh.vertices, mesh.faces).sum()
     length = min(REPAINT_LONGEST, float(side) * math.sqrt(len(texels.points) / area))
     (*_, last) = config.stages(float(setup.cameras.sizes.max()))
-    stage = Stage(length, REPAINT_STEPS, WINDOW, last.rate, fine=True)
+    pixels = area * (length / side) ** 2
+    steps = max(REPAINT_STEPS, VISITS_OF_WINDOWS * math.ceil(REPAINT_COVER * pixels / WINDOW**2))
+    stage = Stage(length, steps, WINDOW, last.rate, fine=True)
     before = torch.from_numpy(mesh.texture[texels.inside])
     images = style_pictures(style.read(), config, before if config.color in KEPT_HUES else None)
     palette = None if config.color == "free" else build_palette(all_colors(images))
     detail = survey_detail(unpainted, every, boxes)
     guides = Guides.of(config, setup.splats, every)
     objective = stage_objective(
-        setup, config, images, stage, detail, palette, rate=CANVAS_RATE, guides=guides
+        setup, config, images, stage, detail, palette, rate=TEXEL_RATE, guides=guides
     )
-    found = _texel_views(mesh, texels, setup.network.cells(config.block), boxes, stage, config.seed)
+    mixing = _mixing(texels, len(mesh.texture))
+    cells = setup.network.cells(config.block)
+    found = _texel_views(mesh, texels, mixing, cells, boxes, stage, config.seed)
     colors = painted = sh0_from_rgb(before)
     targets = objective.targets(found, unpainted, colors)
-    with task(f"{name}'s texture", REPAINT_STEPS) as bar:
-        steps = optimize_colors(colors, targets, objective, REPAINT_STEPS, seed=config.seed)
-        for painted, nnfm in steps:  # noqa: B007  (the last is used)
+    with task(f"{name}'s texture", steps) as bar:
+        results = optimize_colors(colors, targets, objective, steps, seed=config.seed)
+        for painted, nnfm in results:  # noqa: B007  (the last is used)
             bar.advance()
             bar.note(f"NNFM {nnfm:.3f}")
+    painted = colors + torch.from_numpy(mixing @ (painted - colors).numpy())
     painted = rgb_from_sh0(colors.lerp(painted, min(layer.strength, 1.0)))
     texture = mesh.texture.copy()
     texture[texels.inside] = painted.clamp(0, 1).numpy()
@@ -144,6 +156,7 @@ def _setup(
 def _texel_views(
     mesh: TexturedMesh,
     texels: Texels,
+    mixing: csr_array,
     cells: Cells,
     boxes: Sequence[ObjectBox],
     stage: Stage,
@@ -155,8 +168,11 @@ def _texel_views(
     rows[texels.inside] = np.arange(len(texels.points))
     rows = rows[texels.nearest]
     count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
-    places = windows(boxes, WINDOW / zoom, count, torch.Generator().manual_seed(seed))
-    grey = torch.from_numpy(mesh.texture[texels.inside].mean(axis=0))
+    generator = torch.Generator().manual_seed(seed)
+    surface = torch.from_numpy(texels.points), torch.from_numpy(texels.normals)
+    places = windows(boxes, WINDOW / zoom, count, generator, surface)
+    before = mesh.texture[texels.inside]
+    grey, unmixed = torch.from_numpy(before.mean(axis=0)), before - mixing @ before
 
     def look(box: ObjectBox) -> TexelView:
         camera, inside = crop_to_box(box, zoom, (BOX_MARGIN, BOX_MARGIN))
@@ -166,15 +182,33 @@ def _texel_views(
         corners = fragments.of_corners(mesh.uvs, mesh.faces) * size
         matrix, used = _texel_weights(corners, rows, covered)
         background = grey * ~covered[..., None]
-        return TexelView(camera, own, covered, matrix, used, len(texels.points), background)
+        background += torch.from_numpy(matrix @ unmixed[used]).view_as(background)
+        matrix, used = _without_unused(matrix @ mixing[used])
+        return TexelView(
+            camera, own, covered, matrix, torch.from_numpy(used), len(texels.points), background
+        )
 
     found = per_view(look, places, "preparing the texture's views")
     return [view for view in found if view.cells.sum() >= MIN_CELLS]
 
 
+def _mixing(texels: Texels, size: int) -> csr_array:
+    """What each texel takes from itself and its neighbours: 1 to 2 to 1 across and down."""
+    count = len(texels.points)
+    rows = np.full((size + 2, size + 2), -1)
+    rows[1:-1, 1:-1][texels.inside] = np.arange(count)
+    weights = csr_array((count, count), dtype=np.float32)
+    for i, j in product(range(3), repeat=2):
+        near = rows[i : i + size, j : j + size][texels.inside]
+        (own,) = (near >= 0).nonzero()
+        share = np.full(len(own), (1, 2, 1)[i] * (1, 2, 1)[j], np.float32)
+        weights += csr_array((share, (own, near[own])), shape=weights.shape)
+    return csr_array(weights.multiply(1 / weights.sum(axis=1)[:, None]))
+
+
 def _texel_weights(
     places: Float[np.ndarray, "P 2"], rows: Int[np.ndarray, "S S"], covered: Tensor
-) -> tuple[csr_array, Int[Tensor, " L"]]:
+) -> tuple[csr_array, Int[np.ndarray, " L"]]:
     """The weights of texels in pixels that lie at some places of the texture, and their rows."""
     low = np.clip(places - 0.5, 0, len(rows) - 1.001)
     corner = low.astype(int)
@@ -184,8 +218,14 @@ def _texel_weights(
         for j, share in ((0, 1 - right), (1, right)):
             found.append(rows[corner[:, 1] + i, corner[:, 0] + j])
             weights.append(part * share)
-    used, columns = np.unique(np.concatenate(found), return_inverse=True)
     pixels = np.tile(covered.flatten().nonzero()[:, 0].numpy(), 4)
     values = np.concatenate(weights).astype(np.float32)
-    matrix = csr_array((values, (pixels, columns)), shape=(covered.numel(), len(used)))
-    return matrix, torch.from_numpy(used.astype(np.int64))
+    shape = (covered.numel(), int(rows.max()) + 1)
+    return _without_unused(csr_array((values, (pixels, np.concatenate(found))), shape=shape))
+
+
+def _without_unused(matrix: csr_array) -> tuple[csr_array, Int[np.ndarray, " L"]]:
+    """A matrix without its empty columns, and the numbers of the others."""
+    used, columns = np.unique(matrix.indices, return_inverse=True)
+    shape = (len(matrix.indptr) - 1, len(used))
+    return csr_array((matrix.data, columns, matrix.indptr), shape=shape), used
