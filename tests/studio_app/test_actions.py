@@ -3,6 +3,7 @@
 import io
 import json
 import shlex
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.selection.resolve import find_object
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.actions import Actions
+from stylesplat.studio_app.edits import recolor_objects
 from stylesplat.studio_app.gallery import Files
 from stylesplat.studio_app.pictures import camera_of
 from stylesplat.studio_app.selecting import pick_names
@@ -688,18 +690,47 @@ def test_a_browser_does_not_draw_gaussians_that_are_no_longer_so(page: Page):
     assert page.pictures["after"][0]["drawn"], "it has them by now"
 
 
-def test_a_large_window_gets_all_its_pixels_after_the_first_picture(page: Page):
-    sizes = list[tuple[int, int]]()
+def test_a_large_window_gets_all_its_pixels_in_bands(page: Page):
+    pictures = list[tuple[dict[str, Any], tuple[int, int]]]()
 
-    def keep_size(client: int, kind: object, message: bytes | m.Download) -> None:
-        if kind == "after" and isinstance(message, bytes):
+    def keep(client: int, kind: object, message: bytes | m.Download) -> None:
+        if isinstance(message, bytes):
             length = int.from_bytes(message[:4], "little")
-            sizes.append(Image.open(io.BytesIO(message[4 + length :])).size)
+            about, content = json.loads(message[4 : 4 + length]), message[4 + length :]
+            if about["kind"] == "picture":
+                pictures.append((about, Image.open(io.BytesIO(content)).size))
 
-    page.session.on_send.append(keep_size)
-    viewmat = CAMERA.viewmats[0].flatten().tolist()
-    page.act("look", number=5, viewmat=viewmat, focal=1500.0, size=[2560, 1440])
-    assert sizes == [(960, 540), (2560, 1440)]
+    page.session.on_send.append(keep)
+    page.actions.pictures.leave(1)
+
+    def look(number: int) -> list[tuple[dict[str, Any], tuple[int, int]]]:
+        pictures.clear()
+        viewmat = CAMERA.viewmats[0].flatten().tolist()
+        page.act("look", number=number, viewmat=viewmat, focal=1500.0, size=[1281, 700])
+        return [*pictures]
+
+    assert "top" not in look(5)[0][0], "the first one at once, with fewer pixels"
+    bands = look(6)  # the camera alone has moved
+    rows = [row for about, (_, high) in bands for row in range(about["top"], about["top"] + high)]
+    assert len(bands) > 1 and sorted(rows) == [*range(700)]
+    assert {(*about["size"], width) for about, (width, _) in bands} == {(1281, 700, 1281)}
+    assert [about["last"] for about, _ in bands] == [*[False] * (len(bands) - 1), True]
+    assert not look(6), "it has them"
+
+    def turn(client: int, kind: object, message: object) -> None:
+        if not turned.is_set():  # the page moves on while the first band is on its way
+            turned.set()
+            page.session.ask(lambda: page.actions.pictures.look(1, other))
+
+    turned = threading.Event()
+    other = msgspec.structs.replace(page.actions.pictures.looks[1], number=8)
+    page.session.on_send.append(turn)
+    numbers = [about["look"] for about, _ in look(7)]
+    assert numbers == [7, *[8] * len(bands)], "bands that nobody sees any more are left out"
+    pictures.clear()
+    page.session.do(lambda state: recolor_objects(state, ["3"], "hue", 90.0))
+    assert page.session.worker.wait_until_idle()
+    assert "top" not in pictures[0][0], "other colours are there at once, with fewer pixels"
 
 
 @pytest.mark.parametrize(

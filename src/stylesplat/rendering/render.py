@@ -6,6 +6,7 @@ the memory of what is in view.
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
 
+from collections.abc import Iterator
 from functools import cache
 
 import torch
@@ -25,7 +26,7 @@ from stylesplat.rendering.reference import (
     stacked,
     with_matrices_of,
 )
-from stylesplat.rendering.visibility import PART, VISIBLE_MANY, in_view, visible
+from stylesplat.rendering.visibility import PART, VISIBLE_MANY, bounds, in_view, visible
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 
@@ -195,6 +196,40 @@ def render(
     raster = cpu.rasterize_to_pixels(near.projected, cpu.padded(colors), camera.size)
     image, alphas = raster.image[..., : colors.shape[1]], raster.alphas
     return over_background(image, alphas, background), alphas
+
+
+@torch.no_grad()
+def render_bands(
+    splats: Splats, camera: Cameras, *, background: Float[Tensor, " 3"], height: int
+) -> Iterator[tuple[int, Float[Tensor, "h W 3"]]]:
+    """Render splats from one camera in bands of rows, the middle ones first.
+
+    Args:
+        splats: The Gaussians.
+        camera: One camera.
+        background: RGB behind everything.
+        height: Rows of a band, but for the lowest; a GPU renders all at once.
+
+    Yields:
+        The first row of a band, and its image.
+    """
+    if splats.device.type != "cpu":
+        yield 0, render(splats, camera, background=background)[0]
+        return
+    from stylesplat.rendering import cpu
+
+    near = in_view(splats, camera)
+    colors = colors_of(splats, near.rows, with_matrices_of(splats, camera).positions)
+    (low, high), (width, total) = bounds(near.projected), camera.size
+    tops = range(0, total, height)
+    for top in sorted(tops, key=lambda top: abs(2 * top + height - total)):
+        end = min(top + height, total)
+        places = ((low[:, 1] < end) & (high[:, 1] > top)).nonzero()[:, 0]
+        projected = near.some(places).projected
+        shifted = projected.means2d - projected.means2d.new_tensor([0, top])
+        part = projected._replace(means2d=shifted)
+        raster = cpu.rasterize_to_pixels(part, colors[places], (width, end - top))
+        yield top, over_background(raster.image, raster.alphas, background)
 
 
 def colors_of(

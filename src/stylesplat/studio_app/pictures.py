@@ -3,7 +3,8 @@
 A binary message is the length of its header (4 bytes, little-endian), the header as JSON, and the
 content. Its field `kind` is
 
-- `picture`: a JPEG; `which` is `after` or `before`;
+- `picture`: a JPEG; `which` is `after` or `before`. Of a band of a picture, whose `size` is that of
+  the whole, `top` is its first row, and `last` says that the picture is complete;
 - `map`: deflated, one byte a pixel, which object a click takes (1 is the first of `names`, 0 none),
   then two bytes a pixel, the depth as float16;
 - `picked`: deflated, one byte a pixel, how much of it is picked;
@@ -26,7 +27,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.figures.web_page import pack
 from stylesplat.io.images import jpeg
-from stylesplat.rendering.render import render
+from stylesplat.rendering.render import render, render_bands
 from stylesplat.rendering.weights import composite, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of
@@ -41,6 +42,8 @@ from stylesplat.studio_app.session import Callbacks, Display, Session
 
 STUDIO_PICTURE_PIXELS = 960 * 540  # of the first picture at rest, which is there at once
 SHARP_PIXELS = 2560 * 1440  # of the second, at most
+BAND_PIXELS = 400_000  # of its bands: after each, what pages ask for meanwhile has its turn
+BAND_STEP = 16  # rows: bands begin where blocks of JPEGs do
 MOVING = STUDIO_PICTURE_PIXELS // 4  # of a picture while the camera moves
 MAP = STUDIO_PICTURE_PIXELS // 4  # of a map
 STUDIO_PICTURE_MOST = 500_000  # Gaussians that a browser draws; a laptop turns 300,000 smoothly
@@ -118,9 +121,13 @@ class Pictures:
         look = self.looks.get(client)
         if look is None:
             return
-        self._render(client, look, MOVING if look.moving else STUDIO_PICTURE_PIXELS)
         if look.moving:
+            self._render(client, look, MOVING)
             return
+        if self._is_sharp_next(client, look):
+            self._sharp(client, look)
+        else:
+            self._render(client, look, STUDIO_PICTURE_PIXELS)
         scene, masks = self.session.state.scene, self.session.masks
         for name in object_names(scene):
             if not masks.has(scene, name):
@@ -130,17 +137,34 @@ class Pictures:
                 kind = f"{job.__name__} {client}"
                 self.session.ask(partial(self._at_rest, job, client), kind=kind, patient=True)
 
+    def _displays(self, look: ViewRequest) -> dict[str, Display]:
+        before = {"before": self._before()} if look.before else {}
+        return {"after": self.session.display, **before}
+
+    def _has_sharp(self, look: ViewRequest) -> bool:
+        """Whether the window is large; a painting goes on in place of its sharp picture."""
+        return math.prod(look.size) > STUDIO_PICTURE_PIXELS and not self.session.painting
+
+    def _is_sharp_next(self, client: int, look: ViewRequest) -> bool:
+        """Whether the camera alone has moved: what moved with it stays until the sharp picture."""
+        seen = all(
+            self._sent.get((client, f"{which} seen")) == (display, self.background)
+            for which, display in self._displays(look).items()
+        )
+        return seen and self._has_sharp(look)
+
     def _render(self, client: int, look: ViewRequest, pixels: int) -> None:
         """Send the pictures, of so many pixels at most, that the browser does not have yet."""
         camera = camera_of(look, pixels)
-        displays = {"after": self.session.display}
-        if look.before:
-            displays["before"] = self._before()
-        for which, display in displays.items():
+        for which, display in self._displays(look).items():
             value = look.number, look.moving, display, self.background
+            if not look.moving:
+                self._sent[client, f"{which} seen"] = value[2:]
             if self._is_new(client, f"{which} {pixels}", value):
                 splats = self._moving(which, display, camera) if look.moving else display.visible
                 content = render_pixels(splats, camera, self.background)
+                if not look.moving:
+                    self._sent.pop((client, f"{which} sharp"), None)  # it takes the place of that
                 if which == "after" and not look.moving:
                     self.on_rest.call(display, content)
                 content = jpeg(content, MOVING_QUALITY if look.moving else QUALITY)
@@ -157,10 +181,32 @@ class Pictures:
         return known[1].seen_from(camera)
 
     def _sharp(self, client: int, look: ViewRequest) -> None:
-        """In a large window, the picture with all its pixels; a painting goes on meanwhile."""
-        width, height = look.size
-        if width * height > STUDIO_PICTURE_PIXELS and not self.session.painting:
-            self._render(client, look, SHARP_PIXELS)
+        """In a large window, send the picture with all its pixels in bands, the middle first.
+
+        What pages ask for meanwhile is done between them, and ends it where it changes the picture.
+        """
+        if not self._has_sharp(look):
+            return
+        camera, background = camera_of(look, SHARP_PIXELS), self.background
+        size = width, total = camera.size
+        height = BAND_STEP * math.ceil(BAND_PIXELS / width / BAND_STEP)
+        for which, display in self._displays(look).items():
+            key, value = (client, f"{which} sharp"), (look.number, display, background)
+            if self._sent.get(key) == value:
+                continue
+            behind, rows = torch.tensor(background).to(display.visible.means), 0
+            bands = render_bands(display.visible, camera, background=behind, height=height)
+            for top, image in bands:
+                rows += len(image)
+                header = {"moving": False, "drawn": self._has_splats(client), "last": rows == total}
+                header |= {"which": which, "top": top, "size": size}
+                content = jpeg(to_uint8(image).cpu().numpy(), QUALITY)
+                self._send(client, f"{which} {top}", "picture", content, look, **header)
+                self.session.worker.run_urgent_jobs()
+                now = self.looks.get(client), self._displays(look)[which], self.background
+                if now != (look, display, background) or not self._has_sharp(look):
+                    return
+            self._sent[key] = value
 
     def _find(self, name: str) -> None:
         with suppress(StyleSplatError):  # an id without Gaussians

@@ -11,7 +11,7 @@ import { Overlay } from "./overlay.js";
 import { Tools } from "./tools.js";
 
 const LEVELED = 400; // milliseconds after which the horizon is kept
-const REST = 120; // milliseconds without motion
+const REST = 60; // milliseconds without motion, or none at all after a drag
 const FLIGHT = 450; // milliseconds
 const SHOWN_FOR = 400; // milliseconds that a pattern shows at least, until a draft takes its place
 const SLOW = 400; // milliseconds after which the next picture is asked for without an answer
@@ -33,6 +33,7 @@ export class Viewport {
     Object.assign(this.camera, this.place.value ?? {});
     this.number = 0; // of the camera's place
     this.decoding = 0; // pictures
+    this.bands = {}; // of a sharp picture that is not complete
     this.shown = { after: -1, before: -1 };
     this.moving = this.waiting = this.holding = false;
     this.draws = hasGraphicsCard();
@@ -47,6 +48,7 @@ export class Viewport {
       cut.value = share;
       this.arrange();
     });
+    for (const name of ["pointerup", "pointercancel"]) this.canvas.addEventListener(name, () => this.moving && this.rest());
     new ResizeObserver(() => this.moved()).observe(root);
     effect(() => this.compare(mode.value, Boolean(state.value?.layers.length)));
     effect(() => {
@@ -150,6 +152,7 @@ export class Viewport {
   }
 
   rest() {
+    clearTimeout(this.timer);
     this.moving = false;
     const { target, distance, turned, raised } = this.camera;
     this.place.value = { target, distance, turned, raised };
@@ -177,20 +180,36 @@ export class Viewport {
     if (this.moving && !this.drawsItself) this.ask(true);
   }
 
-  async picture({ which, look, moving, drawn }, bytes) {
+  picture(header, bytes) {
+    const { which, moving, drawn } = header;
     this.current = drawn;
     if (!drawn) this.root.classList.remove("moving");
     const next = moving && which === "after", early = next && !this.decoding;
     if (early) this.went();
     this.decoding += 1;
-    const image = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
-    this.decoding -= 1;
-    if (next && !early) this.went();
-    if (look < this.shown[which] || (moving && !this.moving)) return;
-    const canvas = this[which];
-    if (canvas.width !== image.width || canvas.height !== image.height) [canvas.width, canvas.height] = [image.width, image.height];
-    canvas.getContext("2d").drawImage(image, 0, 0);
-    image.close();
+    const decoded = createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
+    // In the order in which they came
+    this.turn = Promise.allSettled([decoded, this.turn]).then(([{ value }]) => {
+      this.decoding -= 1;
+      if (next && !early) this.went();
+      if (value) this.show(header, value);
+    });
+  }
+
+  // Show a picture. Bands, of a picture of a `size` each from a row `top` on, are shown together: a browser that composes
+  // the page after each of them takes the processor from the server
+  show({ which, look, moving, top, size, last = true }, image) {
+    if (look < this.shown[which] || (moving && !this.moving) || (size && look !== this.number)) return;
+    if (top === undefined || this.bands[which]?.look !== look) this.bands[which] = { look, images: [] };
+    const canvas = this[which], { images } = this.bands[which], [width, height] = size ?? [image.width, image.height];
+    images.push([image, 0, top ?? 0]);
+    if (!last) return;
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    for (const [part, ...place] of images) {
+      canvas.getContext("2d").drawImage(part, ...place);
+      part.close();
+    }
+    delete this.bands[which];
     this.shown[which] = look;
     if (performance.now() - this.overlay.patterned > SHOWN_FOR) this.overlay.setPattern(null);
     if (!moving && look === this.number) this.root.classList.remove("moving");
