@@ -168,9 +168,9 @@ def _carve(
             if not is_last:  # a cell counts if any of it may be inside
                 mask = _dilated(mask, _pixels(size, camera, middle))
             places, shown = _places(cells, camera)
-            x, y = places[shown].T
-            seen[shown] += 1
-            inside[shown] += mask[y, x].float()
+            x, y = (places * shown[:, None]).unbind(1)  # those that are not shown count nowhere
+            seen += shown
+            inside += mask.flatten().take(y * camera.size[0] + x) & shown
             kept = seen - inside <= most_outside  # most cells are ruled out by the first masks
             cells, seen, inside = cells[kept], seen[kept], inside[kept]
         cells = cells[(seen >= HULL_SEEN * len(masks)) & (inside >= HULL_SHARE * seen)]
