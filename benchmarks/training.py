@@ -72,9 +72,13 @@ class Options:
     """More of `TrainConfig`, as JSON."""
 
 
+def folder_of(scene: str) -> Path:
+    return Path(scene) if Path(scene).is_dir() else DATA / scene
+
+
 def posed(scene: str) -> Path:
     """The capture of a scene; exits with a reason where the scene is absent."""
-    path = Path(scene) if Path(scene).is_dir() else DATA / scene
+    path = folder_of(scene)
     kept = OUT / f"{path.name}_capture"
     if not path.is_dir():
         raise SystemExit(f"This benchmark needs the scene {path}, which is not here.")
@@ -87,7 +91,7 @@ def posed(scene: str) -> Path:
 
 def object_masks(scene: str, capture: Capture) -> Iterator[tuple[Cameras, Mask]]:
     """Some views, and where they show objects: nowhere in a scene without masks."""
-    files = {path.stem: path for path in (DATA / scene / "masks").glob("*")}
+    files = {path.stem: path for path in (folder_of(scene) / "masks").glob("*")}
     rows = range(len(capture))
     if files:
         rows = [row for row in rows if Path(capture.cameras.names[row]).stem in files]

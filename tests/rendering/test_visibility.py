@@ -9,7 +9,7 @@ from scenes import joined, random_splats, two_cameras
 from stylesplat.rendering import render as rendering
 from stylesplat.rendering import visibility
 from stylesplat.rendering.reference import activated
-from stylesplat.rendering.render import rasterize, render, render_bands
+from stylesplat.rendering.render import rasterize, render, render_row_bands
 from stylesplat.rendering.visibility import in_view, visible
 from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
@@ -48,7 +48,7 @@ def test_renders_are_those_with_gradients(degree: int | None):
 def test_bands_are_the_picture_from_the_middle_on(height: int):
     background = torch.tensor([0.2, 0.4, 0.6])
     image, _ = render(SPLATS, CAMERA, background=background)
-    bands = dict(render_bands(SPLATS, CAMERA, background=background, height=height))
+    bands = dict(render_row_bands(SPLATS, CAMERA, background=background, height=height))
     joined_bands = torch.cat([band for _, band in sorted(bands.items())])
     torch.testing.assert_close(joined_bands, image, atol=1e-5, rtol=0)  # places are rounded anew
     middle = len(image) / 2

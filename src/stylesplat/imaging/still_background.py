@@ -95,7 +95,10 @@ def _most_frequent(
 
 
 def _largest(difference: Tensor) -> Tensor:
-    """The largest absolute value of three channels; `amax` is slow on so short an axis."""
+    """The largest absolute value of three channels, which become absolute themselves.
+
+    `amax` is slow on so short an axis.
+    """
     red, green, blue = difference.abs_().unbind(-1)
     return red.maximum(green).maximum(blue)
 

@@ -53,8 +53,7 @@ from stylesplat.stylization.views import (
 
 REPAINT_STEPS = 120  # at least
 TEXEL_RATE = 0.2  # factor of the rate: Adam moves every texel as far, and more looks grainy
-# Of the surface's pixels that windows have together: it is curved, and lies in parts behind itself
-REPAINT_COVER = 1.5
+REPAINT_COVER = 1.5  # pixels of all windows, for each of the surface's: windows overlap
 REPAINT_LONGEST = 960.0  # pixels of the object's longer side: steps grow with their square
 
 
@@ -124,7 +123,7 @@ def repaint(
     objective = stage_objective(
         setup, config, images, stage, detail, palette, rate=TEXEL_RATE, guides=guides
     )
-    mixing = _mixing(texels, len(mesh.texture))
+    mixing = _mixing(texels)
     cells = setup.network.cells(config.block)
     found = _texel_views(mesh, texels, mixing, cells, boxes, stage, config.seed)
     colors = painted = sh0_from_rgb(before)
@@ -164,9 +163,7 @@ def _texel_views(
 ) -> list[TexelView]:
     """Windows of the mesh; those that hardly show it are skipped."""
     zoom, size = stage.length / typical_length(boxes), len(mesh.texture)
-    rows = np.full((size, size), -1, np.int32)
-    rows[texels.inside] = np.arange(len(texels.points))
-    rows = rows[texels.nearest]
+    rows = texels.rows[texels.nearest]
     count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
     generator = torch.Generator().manual_seed(seed)
     surface = torch.from_numpy(texels.points), torch.from_numpy(texels.normals)
@@ -192,15 +189,14 @@ def _texel_views(
     return [view for view in found if view.cells.sum() >= MIN_CELLS]
 
 
-def _mixing(texels: Texels, size: int) -> csr_array:
+def _mixing(texels: Texels) -> csr_array:
     """What each texel takes from itself and its neighbours: 1 to 2 to 1 across and down."""
-    count = len(texels.points)
-    rows = np.full((size + 2, size + 2), -1)
-    rows[1:-1, 1:-1][texels.inside] = np.arange(count)
+    count, size = len(texels.points), len(texels.rows)
+    rows = np.pad(texels.rows, 1, constant_values=NOTHING)
     weights = csr_array((count, count), dtype=np.float32)
     for i, j in product(range(3), repeat=2):
         near = rows[i : i + size, j : j + size][texels.inside]
-        (own,) = (near >= 0).nonzero()
+        (own,) = (near != NOTHING).nonzero()
         share = np.full(len(own), (1, 2, 1)[i] * (1, 2, 1)[j], np.float32)
         weights += csr_array((share, (own, near[own])), shape=weights.shape)
     return csr_array(weights.multiply(1 / weights.sum(axis=1)[:, None]))

@@ -69,6 +69,13 @@ class Texels:
     normals: Float[np.ndarray, "T 3"]
 
     @cached_property
+    def rows(self) -> Int[np.ndarray, "S S"]:
+        """The row of each texel in the points, or `NOTHING`."""
+        rows = np.full(self.inside.shape, NOTHING, np.int32)
+        rows[self.inside] = np.arange(len(self.points))
+        return rows
+
+    @cached_property
     def nearest(self) -> tuple[np.ndarray, ...]:
         """The row and column of the nearest texel on a face, by texel."""
         places = np.empty((2, *self.inside.shape), np.int32)

@@ -199,7 +199,7 @@ def render(
 
 
 @torch.no_grad()
-def render_bands(
+def render_row_bands(
     splats: Splats, camera: Cameras, *, background: Float[Tensor, " 3"], height: int
 ) -> Iterator[tuple[int, Float[Tensor, "h W 3"]]]:
     """Render splats from one camera in bands of rows, the middle ones first.

@@ -27,7 +27,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.figures.web_page import pack
 from stylesplat.io.images import jpeg
-from stylesplat.rendering.render import render, render_bands
+from stylesplat.rendering.render import render, render_row_bands
 from stylesplat.rendering.weights import composite, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of
@@ -195,7 +195,7 @@ class Pictures:
             if self._sent.get(key) == value:
                 continue
             behind, rows = torch.tensor(background).to(display.visible.means), 0
-            bands = render_bands(display.visible, camera, background=behind, height=height)
+            bands = render_row_bands(display.visible, camera, background=behind, height=height)
             for top, image in bands:
                 rows += len(image)
                 header = {"moving": False, "drawn": self._has_splats(client), "last": rows == total}
