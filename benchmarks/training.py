@@ -10,7 +10,8 @@
 Compiling, reading photos and evaluating do not count as time. Every 8th view is held out, or those
 that the scene's files hold out. Cut-outs are compared on the background of the settings. Colours
 are trained alone; labels lifted onto them change none. Where photos differ in exposure, compare
-PSNRs with colours fitted, each half of a view by the other.
+PSNRs with colours fitted, each half of a view by the other. `larger` is the PSNR at the size that
+`train` has scenes painted and evaluated at, without and with its widening of Gaussians for that.
 
 Where one Gaussian hides all behind it, a pixel has one depth. The scatter is the deviation of the
 depths of what a pixel mixes from their mean, in units of a pixel's size there: its median over the
@@ -40,13 +41,14 @@ from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
+from stylesplat.training.photo_size import PAINTED, widened
 from stylesplat.training.state import State
 from stylesplat.training.views import split_views
 
 JUDGED = 8  # views whose scatter is measured
 SCORES = ("psnr", ".2f"), ("ssim", ".4f")
 COLUMNS = ("scene", "run", "seed", "steps", "s", "CPU ms a step", "Gaussians", "PSNR", "SSIM")
-COLUMNS += ("PSNR, colours fitted", "scatter on objects, px", "elsewhere, px")
+COLUMNS += ("PSNR, colours fitted", "larger", "scatter on objects, px", "elsewhere, px")
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,22 @@ def median_scatters(scene: str, capture: Capture, splats: Splats) -> list[str]:
     return [f"{float(some.median()):.1f}" if len(some) else "-" for some in both]
 
 
+def larger_psnrs(splats: Splats, capture: Capture, config: TrainConfig) -> str:
+    """Of the same views, where photos have more pixels than were trained on."""
+    full = capture.full_cameras
+    factor = max(1.0, full.shrink_to(PAINTED))
+    if factor >= capture.downscale or capture.path is None:
+        return "-"
+    larger = replace(ss.load(capture.path, downscale=factor), label_maps=None)
+    rows, held_out = split_views(larger, config.test_every)
+    wide = widened(splats, larger.cameras[[*rows]], capture.downscale / factor)
+    both = (
+        evaluate_views(each, larger, held_out, background=config.background)["psnr"]
+        for each in (splats, wide)
+    )
+    return ", ".join(f"{psnr:.2f}" for psnr in both)
+
+
 def trained(scene: str, capture: Capture, config: TrainConfig, *, identities: bool) -> list[object]:
     """A row of the table."""
     photos = capture if identities else replace(capture, label_maps=None)
@@ -150,7 +168,7 @@ def trained(scene: str, capture: Capture, config: TrainConfig, *, identities: bo
     spent = f"{1e3 * (ended - begun) / max(steps - first, 1):.1f}"
     head = [scene, run, config.seed, f"{steps:,}", f"{seconds:.0f}", spent, f"{len(splats):,}"]
     figures = [f"{quality[f'{name}_unfitted']:{digits}}" for name, digits in SCORES]
-    figures += [f"{quality['psnr']:.2f}"]
+    figures += [f"{quality['psnr']:.2f}", larger_psnrs(splats, capture, config)]
     return [*head, *figures, *median_scatters(scene, capture, splats)]
 
 

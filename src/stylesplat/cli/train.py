@@ -100,7 +100,7 @@ class Train(MakingCommand):
 
         from stylesplat.training.checkpoint import require_checkpoint
         from stylesplat.training.loop import torchrun
-        from stylesplat.training.photo_size import painting_downscale
+        from stylesplat.training.photo_size import for_larger_views
 
         refuse_two_lengths(self.settings)
         config = replace(TRAIN_PRESETS[self.preset], **self.settings)
@@ -116,21 +116,20 @@ class Train(MakingCommand):
             if rank:  # the first process prints and saves
                 with observed(Observer()):
                     dist.barrier()  # the first process has found the poses
-                    train(self._capture(processes))
+                    train(self._capture(config, processes))
                 sys.exit()
             if self.finish:
                 self.refuse_given(("restart",), "--finish")
                 require_checkpoint(self._checkpoint)
             with new_scene(self.output, overwrite=self.overwrite) as save:
-                capture = self._capture(processes)
+                capture = self._capture(config, processes)
                 if self.restart:
                     self._delete_checkpoints()
                 if processes > 1:
                     dist.barrier()
                 scene = train(capture)
                 if self.downscale is None:
-                    paints = painting_downscale(scene.cameras, scene.downscale)
-                    scene = replace(scene, downscale=paints)
+                    scene = for_larger_views(scene)
                 if "max_seconds" in self.settings:
                     _mention_load()
                 save(scene)
@@ -152,7 +151,7 @@ class Train(MakingCommand):
             worth, advice = judge(metrics, config, photos, check=check)
             yield f"That is {worth}: {advice}" if advice else f"That is {worth}."
 
-    def _capture(self, processes: int) -> "ss.Capture":
+    def _capture(self, config: TrainConfig, processes: int) -> "ss.Capture":
         """The capture with photos of the size to train on, that of an interrupted run first."""
         from stylesplat.io.captures.capture_folder import open_capture
         from stylesplat.rendering.render import pick_device
@@ -167,8 +166,7 @@ class Train(MakingCommand):
         if factor is None and processes > 1:  # the others would measure other times
             factor = usual_downscale(files.whole.cameras)
         elif factor is None:
-            limit, device = self.settings.get("max_seconds"), pick_device(self.device)
-            factor = affordable_downscale(files.at, device=device, max_seconds=limit)
+            factor = affordable_downscale(files.at, config, device=pick_device(self.device))
         capture = files.at(factor)
         if factor > 1 and self.downscale is None:
             width, height = max((camera.size for camera in capture.cameras), key=max)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
+from statistics import fmean
 
 import torch
 import torch.distributed as dist
@@ -340,31 +341,36 @@ class ProgressMeter:
             self._on_progress(state, *means.tolist())
 
 
-def estimate_seconds(run: TrainingRun, state: State) -> float:
-    """Seconds that a run by steps and `MCMCStrategy` will take, measured on a copy of its state.
+def round_seconds(run: TrainingRun, state: State) -> list[float]:
+    """Seconds of a round at evenly spaced points of a run by steps and `MCMCStrategy`.
 
-    Schedules are shares of the run. So a run of ten rounds has photos as small and as large, and as
-    few and as many Gaussians, as the whole run. Each round is taken twice: first to read its photos
-    and to add Gaussians, which the whole run does more seldom, then to measure the rest.
-    For the fox, in processor time, this was up to 36 % too short, most at 540x960 in 500 steps.
+    Measured on a copy of its state. Schedules are shares of the run. So a run of ten rounds has
+    photos as small and as large, and as few and as many Gaussians, as the whole run. Each round is
+    taken twice: first to read its photos and to add Gaussians, which the whole run does more
+    seldom, then to measure the rest. Of the fox, in processor time, the sum was up to 36 % too
+    short, most at 540x960 in 500 steps.
     """
     config = replace(
-        run.config, steps=ESTIMATE_ROUNDS * run.batch, refine_every=1, sh_degree_every=None
+        run.config,
+        steps=ESTIMATE_ROUNDS * run.batch,
+        max_seconds=None,
+        refine_every=1,
+        sh_degree_every=None,
     )
     constant = replace(config, refine_every=config.steps + 1)
     growing, timed = (
         replace(run, config=each, strategy=MCMCStrategy(each, run.extent))
         for each in (config, constant)
     )
-    seconds = 0.0
+    seconds = list[float]()
     while growing.progress(state) < 1:
         grown, _ = train_step(growing, state.clone())
         again, start = state.clone(), time.perf_counter()
         train_step(timed, again)
         again.params["means"][0, 0].item()  # waits for the GPU
-        seconds += time.perf_counter() - start
+        seconds.append(time.perf_counter() - start)
         state = grown
-    return seconds * run.config.steps / config.steps
+    return seconds
 
 
 def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
@@ -373,7 +379,7 @@ def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
     short = config.steps < ESTIMATE_LEAST * ESTIMATE_ROUNDS * run.batch
     if short or config.max_seconds is not None or run.processes > 1 or not ours:
         return
-    seconds = estimate_seconds(run, state)
+    seconds = fmean(round_seconds(run, state)) * config.steps / run.batch
     width, height = max((run.cameras[row].size for row in run.rows), key=max)
     quality = advice = ""
     if config.steps < TrainConfig.steps:
