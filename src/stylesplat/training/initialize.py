@@ -1,6 +1,6 @@
 """The Gaussians that training starts from."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from math import log
 
@@ -16,6 +16,7 @@ from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.projection import is_in_image, project
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb, sh_bases
+from stylesplat.training.plane_sweep import SWEEP_SIDE, sweep_planes
 from stylesplat.training.views import TrainingView
 
 FIRST_OPACITY = 0.1  # of every first Gaussian (official)
@@ -27,7 +28,46 @@ MEDIAN_OF = 16  # views at most, which bounds the memory
 FIRST_OPAQUE = 0.99  # opacity from which on a transparent photo's colours are its own
 UNKNOWN = 0.5  # grey
 RANDOM_POINTS = 20_000  # where a capture has no points
+SWEPT_POINTS = 20_000  # at most
 MIN_VIEWS = 0.3  # share of the cameras that see a random point
+
+
+def with_swept_points(
+    capture: Capture,
+    rows: Sequence[int],
+    view_of: Callable[[int, int], TrainingView],
+    *,
+    most: int,
+    generator: torch.Generator,
+) -> Capture:
+    """The capture with points of the surfaces that some of its photos show, beside its sparse ones.
+
+    `view_of` gives the picture of a row, so many times smaller. There are `most` points at most.
+    """
+    cameras = capture.cameras[[*rows]]
+    sparse, colors = capture.points, capture.point_colors
+    count = min(SWEPT_POINTS, most - (0 if sparse is None else len(sparse)))
+    if count <= 0:
+        return capture
+    if sparse is None or len(sparse) <= FIRST_NEIGHBORS:
+        probe = commonly_visible_points(cameras, RANDOM_POINTS, generator)
+    else:
+        probe = sparse.float()
+
+    def small_view(index: int) -> TrainingView:
+        longer = int(cameras.sizes[index].max())
+        return view_of(rows[index], max(1, longer // SWEEP_SIDE))
+
+    found, shown = (each.cpu() for each in sweep_planes(cameras, small_view, probe))
+    few = torch.randperm(len(found), generator=generator)[:count]
+    if len(few) <= FIRST_NEIGHBORS:
+        return capture
+    found, shown = found[few], (255 * shown[few]).round().to(torch.uint8)
+    if sparse is not None:
+        unknown = shown.new_zeros(len(sparse), 3)
+        found = torch.cat([sparse.float(), found])
+        shown = torch.cat([unknown if colors is None else colors, shown])
+    return replace(capture, points=found, point_colors=shown)
 
 
 def first_splats(

@@ -29,7 +29,7 @@ from stylesplat.training.checkpoint import (
 )
 from stylesplat.training.config import LEVELS, TrainConfig
 from stylesplat.training.densification import MCMCStrategy, Strategy, supported_kwargs
-from stylesplat.training.initialize import first_splats
+from stylesplat.training.initialize import first_splats, with_swept_points
 from stylesplat.training.per_photo import initial_photo_params
 from stylesplat.training.state import State, TrainingRun, first_state
 from stylesplat.training.step import (
@@ -49,6 +49,7 @@ TRAINING_PATIENCE = timedelta(days=7)  # for other processes: torchrun ends all 
 ESTIMATE_ROUNDS = 10  # of the copy
 # A run shorter than so many copies gets no estimate, which would cost over 10 %
 ESTIMATE_LEAST = 20
+SWEPT_SHARE = 0.5  # of the Gaussians allowed, at most; the others come where they are missing
 LONG_SECONDS = 120  # a run that takes longer is offered a first look
 # A first look of the fox, on photos of 480 pixels, has 31 dB (README, "How fast")
 FIRST_LOOK = "--max-seconds 60 --max-gaussians 50000"
@@ -260,9 +261,18 @@ def begin_run(
         processes=processes,
         exchange=exchange_gradients if processes > 1 else tuple,
     )
+    begun = capture
+    if continued is None and config.dense_start:
+        begun = with_swept_points(
+            capture,
+            rows,
+            run.views,
+            most=int(SWEPT_SHARE * config.max_gaussians),
+            generator=torch.Generator().manual_seed(config.seed),
+        )
     state = continued or first_state(
         first_splats(
-            capture,
+            begun,
             sh_degree=config.sh_degree,
             max_gaussians=config.max_gaussians,
             generator=torch.Generator().manual_seed(config.seed),

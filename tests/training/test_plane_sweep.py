@@ -1,0 +1,125 @@
+"""Points on surfaces that photos show together."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from stylesplat.rendering.render import rasterize
+from stylesplat.scene.cameras import Cameras, look_at
+from stylesplat.scene.capture import Capture
+from stylesplat.scene.projection import project
+from stylesplat.scene.splats import Splats, sh0_from_rgb
+from stylesplat.training.initialize import with_swept_points
+from stylesplat.training.plane_sweep import sweep_planes
+from stylesplat.training.views import TrainingView
+
+WALL, DISTANCE = 0.05, 4.0  # deviation of the spots on a wall, and how far it is from the cameras
+PROBE = torch.tensor([-1.0, -1.0, 3.0]) + 2 * torch.rand(
+    600, 3, generator=torch.Generator().manual_seed(1)
+)
+
+
+@pytest.fixture(scope="module")
+def cameras() -> Cameras:
+    """Five in a row, which look at a wall's middle."""
+    places = torch.zeros(5, 3)
+    places[:, 0] = torch.linspace(-0.8, 0.8, 5)
+    middle, up = torch.tensor([0.0, 0.0, DISTANCE]), torch.tensor([0.0, -1.0, 0.0])
+    viewmats = look_at(places, middle, up)
+    K = torch.tensor([[160.0, 0.0, 80.0], [0.0, 160.0, 60.0], [0.0, 0.0, 1.0]])
+    names = tuple(f"{row}.png" for row in range(5))
+    return Cameras(viewmats, K.repeat(5, 1, 1), torch.tensor([[160, 120]]).repeat(5, 1), names)
+
+
+@pytest.fixture(scope="module")
+def pictures(cameras: Cameras) -> Tensor:
+    """Photos of a wall with spots of all colours."""
+    generator = torch.Generator().manual_seed(0)
+    count = 3000
+    places = 8 * torch.rand(count, 3, generator=generator) - 4
+    places[:, 2] = DISTANCE
+    wall = Splats(
+        means=places,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        scales=torch.full((count, 3), WALL).log(),
+        opacities=torch.full((count,), 3.0),
+        sh0=sh0_from_rgb(torch.rand(count, 3, generator=generator))[:, None],
+        shN=torch.zeros(count, 0, 3),
+    )
+    return torch.stack([rasterize(wall, camera)[0][0].clamp(0, 1) for camera in cameras])
+
+
+@pytest.fixture
+def view_of(cameras: Cameras, pictures: Tensor) -> Callable[[int], TrainingView]:
+    return lambda row: TrainingView(cameras[row], pictures[row], None, None, None)
+
+
+def test_points_lie_on_the_wall_in_its_colours(
+    cameras: Cameras, pictures: Tensor, view_of: Callable[[int], TrainingView]
+):
+    points, colors = sweep_planes(cameras, view_of, PROBE)
+    assert len(points) > 20_000
+    off = (points[:, 2] - DISTANCE).abs()
+    assert off.median() < 0.03 and off.quantile(0.95) < 0.2
+    middle = (points[:, :2] @ torch.tensor([[40.0, 0.0], [0.0, 40.0]])).round().long()
+    inside = (middle.abs() < 60).all(dim=1)
+    x, y = (middle[inside] + torch.tensor([80, 60])).unbind(dim=1)
+    error = (pictures[2][y.clamp(max=119), x.clamp(max=159)] - colors[inside]).abs().mean()
+    assert error < 0.1, "a pixel beside has .2 and more"
+
+
+@pytest.mark.parametrize("how", ["masked", "transparent"])
+def test_what_is_not_to_be_learned_from_gives_no_points(
+    cameras: Cameras, pictures: Tensor, how: str
+):
+    left = torch.zeros(120, 160, dtype=torch.bool)
+    left[:, :80] = True
+
+    def view_of(row: int) -> TrainingView:
+        view = TrainingView(cameras[row], pictures[row], None, None, None)
+        alpha = left[..., None].float()
+        return view._replace(valid=left) if how == "masked" else view._replace(alpha=alpha)
+
+    points, _ = sweep_planes(cameras, view_of, PROBE)
+    assert len(points) > 1000
+    shown = [project(points, camera)[0][:, 0] < 80 for camera in cameras]
+    assert torch.stack(shown).any(dim=0).all()
+
+
+def test_photos_that_share_nothing_give_none(
+    cameras: Cameras, view_of: Callable[[int], TrainingView]
+):
+    one = cameras[0]
+    points, colors = sweep_planes(one, view_of, PROBE)
+    assert points.shape == colors.shape == (0, 3)
+    same = one + one + one  # which tell no depths
+    assert len(sweep_planes(same, view_of, PROBE)[0]) == 0
+    away = replace(cameras, viewmats=torch.diag(torch.tensor([1.0, -1, -1, 1])) @ cameras.viewmats)
+    assert len(sweep_planes(away, view_of, PROBE)[0]) == 0
+
+
+def test_training_starts_from_sparse_points_and_others_beside_them(
+    cameras: Cameras, pictures: Tensor, view_of: Callable[[int], TrainingView]
+):
+    sparse = PROBE[:30]
+    photos = [*(255 * pictures).round().to(torch.uint8)]
+    capture = Capture(cameras, photos, None, sparse, torch.zeros(30, 3, dtype=torch.uint8))
+    rows = range(len(cameras))
+
+    def begun(most: int, of: Capture = capture) -> Capture:
+        generator = torch.Generator().manual_seed(0)
+        return with_swept_points(
+            of, rows, lambda row, _: view_of(row), most=most, generator=generator
+        )
+
+    found = begun(1000)
+    assert found.points is not None and found.point_colors is not None
+    assert len(found.points) == len(found.point_colors) == 1000
+    assert torch.equal(found.points[:30], sparse)
+    assert (found.points[30:, 2] - DISTANCE).abs().median() < 0.03
+    assert begun(30).points is sparse, "no room beside them"
+    alone = begun(1000, replace(capture, points=None, point_colors=None))
+    assert alone.points is not None and len(alone.points) == 1000
