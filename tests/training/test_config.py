@@ -92,7 +92,6 @@ PAPER = {
     "sh_degree_every": (1000, "3D Gaussian splatting, train.py: oneupSHdegree"),
     "seed": (0, "3D Gaussian splatting, utils/general_utils.py: safe_state"),
     "coarse_to_fine": (False, OURS),
-    "dense_start": (False, OURS),
     "growth_end": (0.5, f"{GAUSSIANS}: densify_until_iter 15,000 of 30,000"),
     "refine_end": (0.5, f"{GAUSSIANS}: densify_until_iter, which ends pruning too"),
     "object_growth": (1.0, OURS),

@@ -101,25 +101,32 @@ def test_photos_that_share_nothing_give_none(
     assert len(sweep_planes(away, view_of, PROBE)[0]) == 0
 
 
-def test_training_starts_from_sparse_points_and_others_beside_them(
-    cameras: Cameras, pictures: Tensor, view_of: Callable[[int], TrainingView]
+def test_training_without_sparse_points_starts_from_the_wall(
+    cameras: Cameras, pictures: Tensor, view_of: Callable[[int], TrainingView], said: list[str]
 ):
-    sparse = PROBE[:30]
     photos = [*(255 * pictures).round().to(torch.uint8)]
-    capture = Capture(cameras, photos, None, sparse, torch.zeros(30, 3, dtype=torch.uint8))
+    capture = Capture(cameras, photos)
     rows = range(len(cameras))
 
-    def begun(most: int, of: Capture = capture) -> Capture:
+    def begun(of: Capture) -> Capture:
         generator = torch.Generator().manual_seed(0)
-        return with_swept_points(
-            of, rows, lambda row, _: view_of(row), most=most, generator=generator
-        )
+        return with_swept_points(of, rows, lambda row, _: view_of(row), generator)
 
-    found = begun(1000)
+    found = begun(capture)
     assert found.points is not None and found.point_colors is not None
-    assert len(found.points) == len(found.point_colors) == 1000
-    assert torch.equal(found.points[:30], sparse)
-    assert (found.points[30:, 2] - DISTANCE).abs().median() < 0.03
-    assert begun(30).points is sparse, "no room beside them"
-    alone = begun(1000, replace(capture, points=None, point_colors=None))
-    assert alone.points is not None and len(alone.points) == 1000
+    assert len(found.points) == len(found.point_colors) > 10_000
+    assert (found.points[:, 2] - DISTANCE).abs().median() < 0.03
+    assert said == [
+        f"The capture has no sparse points: training starts from {len(found.points):,} on the "
+        "surfaces that its photos show together."
+    ]
+    sparse = replace(capture, points=PROBE, point_colors=None)
+    assert begun(sparse) is sparse
+    plain = [torch.full_like(photos[0], 128)] * len(photos)
+    flat = TrainingView(cameras[0], torch.full((120, 160, 3), 0.5), None, None, None)
+    empty = replace(capture, photos=plain)
+    generator = torch.Generator().manual_seed(0)
+    nothing = with_swept_points(
+        empty, rows, lambda row, _: flat._replace(camera=cameras[row]), generator
+    )
+    assert nothing is empty, "random points are taken"

@@ -80,11 +80,6 @@ class TrainConfig(Config):
     """Steps after which the degree in use grows by 1, from 0; None: a tenth of the run."""
     coarse_to_fine: Annotated[bool, RESEARCH] = True
     """Start on photos of a quarter, then half the size."""
-    dense_start: Annotated[bool, RESEARCH] = True
-    """Start from points of surfaces that photos show together, too, not from sparse points alone.
-
-    They are found by a plane sweep before the first step.
-    """
     growth_end: Annotated[float, Option(0.001, 1, research=True)] = 0.4
     """Share of the run after which no Gaussians are added."""
     refine_end: Annotated[float, Option(0, 1, research=True)] = 0.9
@@ -150,7 +145,6 @@ TRAIN_PRESETS = {
         max_gaussians=1_000_000,
         sh_degree_every=1000,
         coarse_to_fine=False,
-        dense_start=False,
         growth_end=0.5,
         refine_end=0.5,
         object_growth=1.0,

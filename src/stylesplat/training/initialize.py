@@ -28,7 +28,7 @@ MEDIAN_OF = 16  # views at most, which bounds the memory
 FIRST_OPAQUE = 0.99  # opacity from which on a transparent photo's colours are its own
 UNKNOWN = 0.5  # grey
 RANDOM_POINTS = 20_000  # where a capture has no points
-SWEPT_POINTS = 20_000  # at most
+SWEPT_LEAST = 1000  # points of surfaces: with fewer, random ones are taken
 MIN_VIEWS = 0.3  # share of the cameras that see a random point
 
 
@@ -36,38 +36,33 @@ def with_swept_points(
     capture: Capture,
     rows: Sequence[int],
     view_of: Callable[[int, int], TrainingView],
-    *,
-    most: int,
     generator: torch.Generator,
 ) -> Capture:
-    """The capture with points of the surfaces that some of its photos show, beside its sparse ones.
+    """A capture without sparse points, with those of the surfaces that some of its photos show.
 
-    `view_of` gives the picture of a row, so many times smaller. There are `most` points at most.
+    `view_of` gives the picture of a row, so many times smaller. Where a capture has sparse points
+    they are left alone: more beside them made a fox and a desk .1 to .3 dB better after a minute,
+    and a toy .6 worse.
     """
-    cameras = capture.cameras[[*rows]]
-    sparse, colors = capture.points, capture.point_colors
-    count = min(SWEPT_POINTS, most - (0 if sparse is None else len(sparse)))
-    if count <= 0:
+    if capture.points is not None and len(capture.points) > FIRST_NEIGHBORS:
         return capture
-    if sparse is None or len(sparse) <= FIRST_NEIGHBORS:
-        probe = commonly_visible_points(cameras, RANDOM_POINTS, generator)
-    else:
-        probe = sparse.float()
+    cameras = capture.cameras[[*rows]]
 
     def small_view(index: int) -> TrainingView:
         longer = int(cameras.sizes[index].max())
         return view_of(rows[index], max(1, longer // SWEEP_SIDE))
 
+    probe = commonly_visible_points(cameras, RANDOM_POINTS, generator)
     found, shown = (each.cpu() for each in sweep_planes(cameras, small_view, probe))
-    few = torch.randperm(len(found), generator=generator)[:count]
-    if len(few) <= FIRST_NEIGHBORS:
+    if len(found) < SWEPT_LEAST:
         return capture
-    found, shown = found[few], (255 * shown[few]).round().to(torch.uint8)
-    if sparse is not None:
-        unknown = shown.new_zeros(len(sparse), 3)
-        found = torch.cat([sparse.float(), found])
-        shown = torch.cat([unknown if colors is None else colors, shown])
-    return replace(capture, points=found, point_colors=shown)
+    some = torch.randperm(len(found), generator=generator)[:RANDOM_POINTS]
+    say(
+        f"The capture has no sparse points: training starts from {len(some):,} on the surfaces "
+        "that its photos show together."
+    )
+    colors = (255 * shown[some]).round().to(torch.uint8)
+    return replace(capture, points=found[some], point_colors=colors)
 
 
 def first_splats(

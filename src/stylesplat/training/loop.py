@@ -49,7 +49,6 @@ TRAINING_PATIENCE = timedelta(days=7)  # for other processes: torchrun ends all 
 ESTIMATE_ROUNDS = 10  # of the copy
 # A run shorter than so many copies gets no estimate, which would cost over 10 %
 ESTIMATE_LEAST = 20
-SWEPT_SHARE = 0.5  # of the Gaussians allowed, at most; the others come where they are missing
 LONG_SECONDS = 120  # a run that takes longer is offered a first look
 # A first look of the fox, on photos of 480 pixels, has 31 dB (README, "How fast")
 FIRST_LOOK = "--max-seconds 60 --max-gaussians 50000"
@@ -262,14 +261,9 @@ def begin_run(
         exchange=exchange_gradients if processes > 1 else tuple,
     )
     begun = capture
-    if continued is None and config.dense_start:
-        begun = with_swept_points(
-            capture,
-            rows,
-            run.views,
-            most=int(SWEPT_SHARE * config.max_gaussians),
-            generator=torch.Generator().manual_seed(config.seed),
-        )
+    if continued is None:
+        drawn = torch.Generator().manual_seed(config.seed)
+        begun = with_swept_points(capture, rows, run.views, drawn)
     state = continued or first_state(
         first_splats(
             begun,
