@@ -28,7 +28,7 @@ MEDIAN_OF = 16  # views at most, which bounds the memory
 FIRST_OPAQUE = 0.99  # opacity from which on a transparent photo's colours are its own
 UNKNOWN = 0.5  # grey
 RANDOM_POINTS = 20_000  # where a capture has no points
-SWEPT_LEAST = 1000  # points of surfaces: with fewer, random ones are taken
+SWEPT_ENOUGH = 1000  # points of surfaces: with fewer, random ones are taken
 MIN_VIEWS = 0.3  # share of the cameras that see a random point
 
 
@@ -54,7 +54,7 @@ def with_swept_points(
 
     probe = commonly_visible_points(cameras, RANDOM_POINTS, generator)
     found, shown = (each.cpu() for each in sweep_planes(cameras, small_view, probe))
-    if len(found) < SWEPT_LEAST:
+    if len(found) < SWEPT_ENOUGH:
         return capture
     some = torch.randperm(len(found), generator=generator)[:RANDOM_POINTS]
     say(
