@@ -41,7 +41,7 @@ from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
-from stylesplat.training.photo_size import PAINTED, widened
+from stylesplat.training.photo_size import painting_downscale, widened
 from stylesplat.training.state import State
 from stylesplat.training.views import split_views
 
@@ -133,8 +133,7 @@ def median_scatters(scene: str, capture: Capture, splats: Splats) -> list[str]:
 
 def larger_psnrs(splats: Splats, capture: Capture, config: TrainConfig) -> str:
     """Of the same views, where photos have more pixels than were trained on."""
-    full = capture.full_cameras
-    factor = max(1.0, full.shrink_to(PAINTED))
+    factor = painting_downscale(capture.full_cameras)
     if factor >= capture.downscale or capture.path is None:
         return "-"
     larger = replace(ss.load(capture.path, downscale=factor), label_maps=None)

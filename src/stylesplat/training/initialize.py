@@ -44,7 +44,7 @@ def with_swept_points(
     they are left alone: more beside them made a fox and a desk .1 to .3 dB better after a minute,
     and a toy .6 worse.
     """
-    if capture.points is not None and len(capture.points) > FIRST_NEIGHBORS:
+    if _has_points(capture):
         return capture
     cameras = capture.cameras[[*rows]]
 
@@ -118,12 +118,17 @@ def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
     return torch.from_numpy(distances.mean(axis=1).clip(1e-3 * typical)).float()
 
 
+def _has_points(capture: Capture) -> bool:
+    return capture.points is not None and len(capture.points) > FIRST_NEIGHBORS
+
+
 def _points(
     capture: Capture, generator: torch.Generator
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
     """Points and their colours, which are NaN where they are not known."""
     colors = None
-    if capture.points is not None and len(capture.points) > FIRST_NEIGHBORS:
+    if _has_points(capture):
+        assert capture.points is not None
         points, colors = capture.points.float(), capture.point_colors
     else:
         points = commonly_visible_points(capture.cameras, RANDOM_POINTS, generator)

@@ -262,8 +262,8 @@ def begin_run(
     )
     begun = capture
     if continued is None:
-        drawn = torch.Generator().manual_seed(config.seed)
-        begun = with_swept_points(capture, rows, run.views, drawn)
+        generator = torch.Generator().manual_seed(config.seed)
+        begun = with_swept_points(capture, rows, run.views, generator)
     state = continued or first_state(
         first_splats(
             begun,

@@ -79,13 +79,17 @@ def usual_downscale(photos: Cameras) -> float:
     return _quarters(photos.shrink_to(LARGEST))
 
 
-def for_larger_views(scene: Scene) -> Scene:
-    """A scene trained on smaller photos than its views are looked at and painted in.
+def painting_downscale(photos: Cameras) -> float:
+    """How many times smaller photos are for `PAINTED` pixels or a few more, in quarters."""
+    return math.floor(FACTOR_STEP * photos.shrink_to(PAINTED)) / FACTOR_STEP
 
-    Strokes of the size of large pixels would be soft, so the views are larger where the photos are.
+
+def for_larger_views(scene: Scene) -> Scene:
+    """The scene for views of `PAINTED` pixels, if it was trained on smaller photos.
+
+    Strokes of the size of large pixels would be soft.
     """
-    views = scene.cameras
-    paints = math.floor(FACTOR_STEP * views.shrink_to(PAINTED)) / FACTOR_STEP
+    paints = painting_downscale(scene.cameras)
     if paints >= scene.downscale:
         return scene
     base = widened(scene.base, scene.views("train").downscale(paints), scene.downscale / paints)
@@ -130,7 +134,7 @@ def _step_seconds(
 
 
 def _fits(seconds: Float[Tensor, " P"], config: TrainConfig) -> bool:
-    """Whether the default number of steps, which take so long by and by, fits in the time."""
+    """Whether the default number of steps, which take so long in its course, fits in the time."""
     if config.max_seconds is None:
         return float(seconds.mean()) * TrainConfig.steps <= ACCEPTED_SECONDS
     return float((1 / seconds).mean()) * config.max_seconds >= TrainConfig.steps

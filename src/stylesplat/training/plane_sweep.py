@@ -2,8 +2,8 @@
 
 Plane sweep (Collins: A space-sweep approach to true multi-image matching, CVPR 1996): at many
 depths before a photo, others are projected onto a plane. Where they look as the photo does, by the
-zero-mean normalised cross-correlation of small windows, there is a surface. What a second photo's
-depths bear out is kept.
+zero-mean normalised cross-correlation of small windows, there is a surface. A point is kept if the
+depths of a second photo confirm it.
 """
 
 from collections.abc import Callable, Sequence
@@ -78,7 +78,7 @@ def sweep_planes(
     device = views[rows[0]].photo.device
     found = track(map_views(look, pairs, device), "finding surfaces", total=len(pairs))
     swept = [each for each in found if each is not None]
-    parts = [_borne_out(each, swept) for each in swept]
+    parts = [_confirmed(each, swept) for each in swept]
     empty = probe.new_zeros(0, 3)
     points, colors = zip(*parts, strict=True) if parts else ([empty], [empty])
     return torch.cat([*points]), torch.cat([*colors])
@@ -86,8 +86,7 @@ def sweep_planes(
 
 def _beside(cameras: Cameras, row: int, probe: Float[Tensor, "P 3"]) -> list[int]:
     """The rows of the photos that a photo is compared with."""
-    depths = depths_of(probe, cameras[row])
-    depths = depths[is_in_image(probe, cameras[row])]
+    depths = _depths_in_image(probe, cameras[row])
     if len(depths) < SWEEP_PROBES:
         return []
     apart = (cameras.positions - cameras.positions[row]).norm(dim=1) / depths.median()
@@ -104,8 +103,7 @@ def _sweep_photo(
 ) -> SweptPhoto | None:
     """The depths at which other photos show the same; None where too few do."""
     camera, picture = view.camera, _luminance(view)
-    probe = probe.to(picture)
-    depths = depths_of(probe, camera)[is_in_image(probe, camera)]
+    depths = _depths_in_image(probe.to(picture), camera)
     if len(others) < 2 or len(depths) < SWEEP_PROBES:
         return None
     near, far = (
@@ -139,6 +137,10 @@ def _sweep_photo(
     if view.alpha is not None:
         is_found &= view.alpha[..., 0] > 1 - SAME_DEPTH
     return SweptPhoto(camera, depths, is_found, view.photo)
+
+
+def _depths_in_image(points: Float[Tensor, "P 3"], camera: Cameras) -> Float[Tensor, " M"]:
+    return depths_of(points, camera)[is_in_image(points, camera)]
 
 
 def _luminance(view: TrainingView) -> Float[Tensor, "H W"]:
@@ -177,10 +179,10 @@ def _shown_on_planes(
     return shown, inside.view(shown.shape)
 
 
-def _borne_out(
+def _confirmed(
     photo: SweptPhoto, swept: Sequence[SweptPhoto]
 ) -> tuple[Float[Tensor, "M 3"], Float[Tensor, "M 3"]]:
-    """The points of a photo that another one's depths agree with, and their colours."""
+    """The points of a photo that the depths of another one confirm, and their colours."""
     width, height = photo.camera.size
     rows = photo.is_found.reshape(-1).nonzero()[:, 0]
     pixels = pixel_centres(width, height).to(photo.depths)[rows]
