@@ -9,9 +9,9 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.studio_app.gallery import KEPT_STYLES, Gallery
 
 
-def picture(width: int = 64, height: int = 48) -> bytes:
+def picture(width: int = 64, height: int = 48, red: int = 200) -> bytes:
     file = io.BytesIO()
-    Image.new("RGB", (width, height), (200, 30, 90)).save(file, "PNG")
+    Image.new("RGB", (width, height), (red, 30, 90)).save(file, "PNG")
     return file.getvalue()
 
 
@@ -31,7 +31,7 @@ def test_uploads_are_checked_and_their_names_are_no_paths(monkeypatch: pytest.Mo
     gallery = Gallery()
     evil = gallery.upload("../../etc/passwd\x00.png", picture())
     assert evil.path.exists() and "etc" not in str(evil.path) and ".." not in str(evil.path)
-    assert gallery.upload("passwd.png", picture()).title != evil.title, "titles differ"
+    assert gallery.upload("passwd.png", picture(red=9)).title != evil.title, "titles differ"
     with pytest.raises(StyleSplatError, match="the image a: it is no picture"):  # no path of ours
         gallery.upload("a.png", b"text")
     with pytest.raises(StyleSplatError, match="too little"):
@@ -47,8 +47,10 @@ def test_what_pages_send_stays_with_the_scene(tmp_path: Path):
     gallery = Gallery(kept=tmp_path / "scene" / KEPT_STYLES)
     assert gallery.upload("early.png", picture()).path.exists(), "there is no folder of a scene"
     (tmp_path / "scene").mkdir()
-    first, second = (gallery.upload(name, picture()) for name in ("wave.png", "wave.png"))
+    first, second = (gallery.upload("wave.png", picture(red=red)) for red in (10, 100))
     assert first.own and first.path != second.path
+    assert gallery.upload("again.png", picture(red=10)) == first
+    assert not first.path.with_name("again.png").exists(), "it stands on the shelf once"
     gallery.close()
     again = Gallery(kept=tmp_path / "scene" / KEPT_STYLES)
     assert {*again.pictures} == {"wave", "wave 2"} and all(e.own for e in again.pictures.values())

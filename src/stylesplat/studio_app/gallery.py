@@ -84,16 +84,19 @@ class Gallery:
                         say(str(error))
 
     def add(self, path: Path) -> StylePicture:
-        """Add the picture of a file, which stays where it is."""
+        """Add the picture of a file, which stays where it is, unless it is on the shelf."""
         picture, name = read_style(path), style_title(path)
+        height, width = picture.shape[:2]
+        small = shrunk(to_uint8(picture).numpy(), GALLERY_SIDE)
+        url, size = self.files.add(jpeg(small)), (width, height)
+        for known in self.pictures.values():
+            if (known.url, known.size) == (url, size):
+                return known
         title, number = name, 2
         while title in self.pictures:
             title, number = f"{name} {number}", number + 1
-        height, width = picture.shape[:2]
-        small = shrunk(to_uint8(picture).numpy(), GALLERY_SIDE)
-        url, colors = self.files.add(jpeg(small)), frequent_colors(small)
         own = path.parent in (self.kept, self._uploads and Path(self._uploads.name))
-        found = StylePicture(title, path, (width, height), url, colors, own)
+        found = StylePicture(title, path, size, url, frequent_colors(small), own)
         self.pictures[title] = found
         return found
 
@@ -105,10 +108,13 @@ class Gallery:
         path = self._place_for(name)
         path.write_bytes(content)
         try:
-            return self.add(path)
+            found = self.add(path)
         except StyleSplatError as error:  # the sender knows no path of ours
             path.unlink()
             raise StyleSplatError(str(error).replace(str(path), path.stem)) from error
+        if found.path != path:
+            path.unlink()
+        return found
 
     def add_file(self, text: str) -> StylePicture:
         """Add a picture of this machine, by its path or its `file:` address."""
