@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import pytest
 import torch
@@ -38,18 +39,21 @@ def lines_at_start(capture: Capture, config: TrainConfig, **options) -> str:
 
 
 def test_the_line_says_what_is_trained_and_how_long_it_takes(
-    capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch
+    capture: Capture, config: TrainConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
-    clock = count()
+    clock, kept = count(), {"checkpoint": tmp_path / "checkpoint.pt"}
     monkeypatch.setattr("time.perf_counter", lambda: float(next(clock)))  # each round takes 1 s
-    line = lines_at_start(capture, replace(config, steps=STEPS, photos_at_once=1))
+    line = lines_at_start(capture, replace(config, steps=STEPS, photos_at_once=1), **kept)
     for fact in ("7 photos of 72x64", "400 Gaussians", "400 steps", "about 7 min", "softer"):
         assert fact in line
     assert "`--max-seconds 60 --max-gaussians 50000` gives a first look" in line
-    line = lines_at_start(capture, replace(config, steps=5200, photos_at_once=2))
+    line = lines_at_start(capture, replace(config, steps=5200, photos_at_once=2), **kept)
     assert "5,200 steps take about 43 min" in line and "softer" not in line
-    line = lines_at_start(replace(capture, downscale=2.0), replace(config, steps=40_000))
+    long, small = replace(config, steps=40_000), replace(capture, downscale=2.0)
+    line = lines_at_start(small, long, **kept)
     assert "about 5.6 h" in line and "All pixels of the photos would take up to 22.2 h" in line
+    line = lines_at_start(small, long)
+    assert "about 5.6 h" in line and "All pixels" not in line, "others have no options of `train`"
 
 
 def test_the_line_is_left_out_where_the_time_is_known_or_short(

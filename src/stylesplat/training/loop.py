@@ -138,7 +138,7 @@ def fit(
         with uncounted("getting ready to train"):
             warm_up_training(run, state)
         if continued is None:
-            say_estimate(run, state, capture)
+            say_estimate(run, state, capture, advise=checkpoint is not None)
         checkpointer = Checkpointer(saved if run.rank == 0 else None)
         bar = (
             task("training", config.steps, unit="step", done=state.step)
@@ -377,24 +377,24 @@ def round_seconds(run: TrainingRun, state: State) -> list[float]:
     return seconds
 
 
-def say_estimate(run: TrainingRun, state: State, capture: Capture) -> None:
-    """Say how long a long run will take, and how to get a first look."""
+def say_estimate(run: TrainingRun, state: State, capture: Capture, *, advise: bool) -> None:
+    """Say how long a long run will take, and if asked, what other options of `train` would do."""
     config, ours = run.config, isinstance(run.strategy, MCMCStrategy)
     short = config.steps < ESTIMATE_LEAST * ESTIMATE_ROUNDS * run.batch
     if short or config.max_seconds is not None or run.processes > 1 or not ours:
         return
     seconds = fmean(round_seconds(run, state)) * config.steps / run.batch
     width, height = max((run.cameras[row].size for row in run.rows), key=max)
-    quality = advice = ""
-    if config.steps < TrainConfig.steps:
-        quality = f" Fewer than {TrainConfig.steps:,} steps leave pictures softer."
-    if capture.downscale > 1:
+    advice = ""
+    if advise and config.steps < TrainConfig.steps:
+        advice = f" Fewer than {TrainConfig.steps:,} steps leave pictures softer."
+    if advise and capture.downscale > 1:
         most = format_duration(seconds * capture.downscale**2)
-        advice = f" All pixels of the photos would take up to {most}."
-    if seconds > LONG_SECONDS:
+        advice += f" All pixels of the photos would take up to {most}."
+    if advise and seconds > LONG_SECONDS:
         advice += f" PSNR rises most near the end. `{FIRST_LOOK}` gives a first look."
     photos = f"{count_noun(len(run.rows), 'photo')} of {width}x{height}"
     say(
         f"{photos}, at most {config.max_gaussians:,} Gaussians: {config.steps:,} steps take "
-        f"about {format_duration(seconds)} on this machine.{quality}{advice}"
+        f"about {format_duration(seconds)} on this machine.{advice}"
     )
