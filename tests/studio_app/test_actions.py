@@ -56,7 +56,7 @@ class Page:
         self.said, self.files = list[str](), dict[str, bytes]()
         self.flights = list[m.Flight]()
         self.pictures = dict[str, tuple[dict[str, Any], bytes]]()
-        self.session.on_message.append(lambda line, failure: self.said.append(line))
+        self.session.on_message.append(lambda line, *_: self.said.append(line))
         self.session.on_send.append(lambda client, kind, message: self._receive(message))
 
     def _receive(self, content: bytes | m.Download | m.Flight) -> None:

@@ -185,7 +185,7 @@ def test_a_step_whose_file_is_lost_is_left_out_and_one_that_is_damaged_is_told(
         session.go_to(2)
         assert session.worker.wait_until_idle() and session.state.note == "Recoloured 7: hue 40"
         failures = list[str]()
-        session.on_message.append(lambda line, failure: failures.append(line))
+        session.on_message.append(lambda line, *_: failures.append(line))
         session.go_to(3)
         assert session.worker.wait_until_idle()
         assert "Cannot read" in failures[-1] and session.state.note == "Recoloured 7: hue 40"

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("quick_painting")
 @pytest.fixture
 def said(session: Session) -> list[str]:
     lines = list[str]()
-    session.on_message.append(lambda line, failure: lines.append(line))
+    session.on_message.append(lambda line, *_: lines.append(line))
     return lines
 
 

@@ -41,6 +41,7 @@ from stylesplat.studio_app.history import (
     StudioState,
     find_step,
     object_names,
+    require_objects,
     require_picked,
 )
 from stylesplat.studio_app.history_files import HistoryFolder
@@ -185,7 +186,8 @@ class Actions:
             names = values.get("names") == [] and self._recolored(state)
             return (key[0], None, str(names), *key[3:]) if key and names else key
 
-        self.session.do(change, merge=merge, kind=str(key or ""))
+        with self.session.telling(client):
+            self.session.do(change, merge=merge, kind=str(key or ""))
         return m.Busy(SLOW.get(name, "Working"), cancel=name not in WHOLE)
 
     def warm_up(self) -> None:
@@ -309,7 +311,8 @@ class Actions:
             return layers.replace_layer(found, shown, note)
         own = {"intensity": other.strength, "form": other.form}
         style = layers.painted_style(replace(layer, settings=settings), **own)
-        self.queue.paint([name], style, layer_title(layer), instead=True, blend=other.blend)
+        how = f", with the settings of {source}"
+        self.queue.paint([name], style, layer_title(layer), True, blend=other.blend, how=how)
         return None
 
     def paint(
@@ -335,6 +338,7 @@ class Actions:
             known = state.scene.layer(name)
             if known is not None and known.kind != "paint":
                 raise StyleSplatError(f"{name} is no paint. Pick an object, and click the style.")
+        require_objects(state.scene, [split_name(name)[0] for name in found])
         if above:
             found = [layers.free_layer_name(state.scene, split_name(name)[0]) for name in found]
         for name in found:

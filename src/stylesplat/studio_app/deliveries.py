@@ -17,6 +17,7 @@ from stylesplat.scene.virtual_cameras import turned_view
 from stylesplat.studio_app import messages as m
 from stylesplat.studio_app.files import FORMATS, Exporter
 from stylesplat.studio_app.gallery import Files
+from stylesplat.studio_app.history import require_objects
 from stylesplat.studio_app.pictures import Pictures, render_pixels
 from stylesplat.studio_app.reports import vector
 from stylesplat.studio_app.views import KeptViews
@@ -66,6 +67,7 @@ class Deliveries:
         """Make a video around an object or the scene: where the photos were taken, or of the view
         of the page in a circle, or to and fro; or along the kept views."""
         scene, frames = self.session.state.scene, max(2, round(seconds * fps))
+        require_objects(scene, [around] if around else [])
         if path == "photos":
             cameras = orbit(scene, around=around or None, frames=frames)
         elif path == "views":

@@ -12,7 +12,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.options import with_settings
 from stylesplat.scene.layers import RECOLOR, Blend, Layer, edited, shown_like, split_name
 from stylesplat.scene.scene import Scene
-from stylesplat.studio_app.history import StudioState
+from stylesplat.studio_app.history import StudioState, require_objects
 from stylesplat.stylization.config import (
     DEFAULT_NETWORK,
     RecolorConfig,
@@ -22,7 +22,7 @@ from stylesplat.stylization.config import (
 )
 from stylesplat.stylization.mending import mended_bands
 from stylesplat.stylization.style import Style
-from stylesplat.verbs.adjust import adjust, recolor
+from stylesplat.verbs.adjust import RECOLOR_BACKGROUND, adjust, recolor
 
 OF_OBJECT = ("region", "guides", "guide_reach")  # settings that are no other layer's
 MENDED = "mending/mended"  # the layer of all mending
@@ -144,6 +144,7 @@ def recolor_objects(
 ) -> StudioState:
     """Change one setting of a recolouring; with all at their defaults it is removed."""
     scene = state.scene
+    require_objects(scene, {*names} - {RECOLOR_BACKGROUND})
     for name in names:
         own = f"{name}{RECOLOR}"
         refuse_locked(state, own)

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from contextvars import copy_context
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -97,6 +98,7 @@ class Exporter:
         if renders:
             self._session.ask(job, patient=True)
             return
+        job = partial(copy_context().run, job)  # which tells the page that asked for it
         threading.Thread(target=job, daemon=True, name="export").start()
 
     def cancel(self) -> None:

@@ -102,6 +102,19 @@ def object_names(scene: Scene) -> list[str]:
     return [*(str(id) for id in ids if not names_of(scene, id)), *scene.objects]
 
 
+def known_objects(scene: Scene) -> set[str]:
+    """All that can be picked, painted and hidden by its name."""
+    return {*object_names(scene), *scene.painted_objects}
+
+
+def require_objects(scene: Scene, names: Iterable[str]) -> None:
+    """Refuse names that are not there: a page may have them from before a change by another."""
+    known = known_objects(scene)
+    missing = next((name for name in names if name not in known), None)
+    if missing is not None:
+        raise StyleSplatError(f"There is no object {missing} any more. Choose another one.")
+
+
 def hidden_rows(state: StudioState, masks: ObjectMasks) -> Bool[Tensor, " N"] | None:
     """The Gaussians that are not displayed; None if all are."""
     hidden = masks.together(state.scene, state.hidden)
@@ -115,7 +128,7 @@ def require_picked(state: StudioState) -> None:
 
 def replace_scene(state: StudioState, scene: Scene, note: str) -> StudioState:
     """A state with another scene, and with those picked and hidden objects that it still has."""
-    known = {*object_names(scene), *scene.painted_objects}
+    known = known_objects(scene)
     return replace(
         state,
         scene=scene,

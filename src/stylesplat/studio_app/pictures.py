@@ -114,7 +114,8 @@ class Pictures:
             self._ask(client)
 
     def _ask(self, client: int) -> None:
-        self.session.ask(partial(self._picture, client), kind=f"picture {client}")
+        with self.session.telling(client):
+            self.session.ask(partial(self._picture, client), kind=f"picture {client}")
 
     def _picture(self, client: int) -> None:
         """Send the picture, and ask for all else, for which a large scene takes long."""

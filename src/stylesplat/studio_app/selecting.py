@@ -40,7 +40,13 @@ from stylesplat.selection.shapes import (
 from stylesplat.selection.surface_cut import pick_clicked
 from stylesplat.selection.surface_graph import NothingToPick
 from stylesplat.selection.text import CHECKPOINT, NoMatch
-from stylesplat.studio_app.history import Selected, StudioState, replace_scene, require_picked
+from stylesplat.studio_app.history import (
+    Selected,
+    StudioState,
+    replace_scene,
+    require_objects,
+    require_picked,
+)
 from stylesplat.studio_app.messages import Extreme, How, PicturePoint, Shape, ViewVector
 from stylesplat.training.initialize import neighbor_distances
 from stylesplat.verbs.objects import delete, rename
@@ -86,6 +92,7 @@ def pick_extreme(state: StudioState, by: Extreme, share: float, how: How = "new"
 
 def pick_names(state: StudioState, names: Sequence[str], how: How = "new") -> StudioState:
     """Pick objects; with a selection, add them to it, remove them, or keep what they share."""
+    require_objects(state.scene, names)
     if how == "within" or (how != "new" and state.selection is not None):
         masks = [find_object(state.scene, name) for name in names]
         found = torch.stack(masks).any(dim=0) if masks else _nothing(state)
@@ -360,6 +367,7 @@ def forget_picked(state: StudioState) -> StudioState:
 
 
 def hide_objects(state: StudioState, names: Sequence[str], hide: bool) -> StudioState:
+    require_objects(state.scene, names)
     hidden = state.hidden | {*names} if hide else state.hidden - {*names}
     picked = tuple(name for name in state.picked if name not in hidden)
     note = f"{'Hid' if hide else 'Showed'} {', '.join(names)}"

@@ -152,8 +152,9 @@ class PageServer:
     def send_progress(self) -> None:
         self.broadcast("progress", self.session.progress or self.session.export or m.Progress())
 
-    def send_note(self, line: str, failure: bool) -> None:
-        self.broadcast(object(), m.Note(line, failure))  # each is of a kind of its own
+    def send_note(self, line: str, failure: bool, page: int | None) -> None:
+        for client in [*self._clients] if page is None else [page]:
+            self.send(client, object(), m.Note(line, failure))  # each is of a kind of its own
 
     def _app(self) -> "ASGIApp":
         from starlette.applications import Starlette

@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
@@ -27,6 +28,7 @@ from stylesplat.studio_app.history import History, ObjectMasks, StudioState, hid
 from stylesplat.studio_app.messages import Progress
 
 WorkItem = Callable[[], object]
+_page = ContextVar[int | None]("page", default=None)  # that alone gets what is told
 
 
 class Stopped(Exception):
@@ -205,7 +207,7 @@ class Session:
         self.on_painted = Callbacks()
         """Called with an object and the title of its picture when it is painted, or stopped."""
         self.on_message = Callbacks()
-        """Called with a line for the user, and whether it reports a failure."""
+        """Called with a line, whether it reports a failure, and the page for it; None for all."""
         self.on_send = Callbacks()
         """Called with a page's number, the kind of a message, and the message for it alone."""
         self.stopping = threading.Event()
@@ -285,15 +287,28 @@ class Session:
 
     def ask(self, job: Callable[[], object], *, kind: str = "", patient: bool = False) -> None:
         """Ask the worker for a job, whose messages go to the user; see `Worker.ask`."""
+        page = _page.get()
 
         def job_with_messages() -> None:
-            with self.listening():
-                job()
+            with self.telling(page), self.listening():
+                try:
+                    job()
+                except Exception as error:
+                    self.report(error)
 
         self.worker.ask(job_with_messages, kind=kind, patient=patient)
 
     def tell(self, line: str, *, failure: bool = False) -> None:
-        self.on_message.call(line, failure)
+        self.on_message.call(line, failure, _page.get())
+
+    @contextmanager
+    def telling(self, page: int | None) -> Iterator[None]:
+        """Within the block, and in jobs that are asked for there, messages go to a page alone."""
+        token = _page.set(page)
+        try:
+            yield
+        finally:
+            _page.reset(token)
 
     def listening(
         self,
