@@ -296,6 +296,8 @@ def test_what_is_removed_or_mended_is_a_layer_that_a_recipe_repeats(page: Page, 
     assert state.selection.count == 22
     state = page.act("step", rows=-1)
     assert state.undo == "Selected" and state.selection is not None, "the one before"
+    page.act("pick_extreme", by="size", share=0.1)
+    assert page.act("pick_extreme", by="size", share=0.0).selection is None
     page.act("pick_names", names=["3"])
     state = page.act("remove_picked")
     assert [each.name for each in state.layers] == ["3/removed"] and not state.selection

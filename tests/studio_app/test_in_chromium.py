@@ -147,10 +147,17 @@ def test_layers_are_dragged_and_brushed_out(opened: StudioServer, tab: Tab):
     session.do(lambda state: recolor_objects(state, ["7"], "hue", 90.0))
     below, above = (until(lambda n=n: tab.place_of(f"Move the colours of {n}"), n) for n in "37")
     assert above[1] < below[1], "the highest first"
-    tab.drag(above, (below[0], below[1] + 40))
+    tab.click(*tab.middle_of("7"))  # which opens the controls of its layer
+    unfolded = "document.querySelector('.layers [aria-expanded=true]')"
+    until(lambda: tab.page.evaluate(f"Boolean({unfolded})"), "controls")
+    tab.page.mouse("move", *above)
+    tab.page.mouse("press", *above)
+    tab.page.mouse("move", above[0], above[1] + 9, button="left", buttons=1)
+    until(lambda: tab.page.evaluate(f"!{unfolded}"), "no controls between the layers")
+    tab.page.mouse("move", below[0], below[1] + 40, button="left", buttons=1)
+    tab.page.mouse("release", below[0], below[1] + 40)
     until(lambda: session.state.note == "Moved the recolouring of 7 down", "another order")
     assert [each.name for each in session.state.scene.layers] == ["7/recolor", "3/recolor"]
-    tab.click(*tab.middle_of("7"))
     until(lambda: session.state.picked == ("7",), "a pick")
     before = settled(tab)
     tab.press_button("Brush the layer out, and in again")
@@ -605,11 +612,13 @@ def test_on_a_narrow_screen_everything_can_be_reached(
         tab.click(*tab.middle_of("7"))
         until(lambda: opened.session.state.picked == ("7",), "a pick")
 
-        size = {"width": 844, "height": NARROW, "deviceScaleFactor": 1, "mobile": False}
-        tab.page.call("Emulation.setDeviceMetricsOverride", **size)  # on its side
         session.tell("Something failed. Do something else.", failure=True)
         until(lambda: "Something failed" in tab.text(), "a note")
-        sides = tab.page.evaluate("""[".notes", ".stage"]
-            .map((each) => document.querySelector(each).getBoundingClientRect())
-            .flatMap((box) => [box.left, box.right])""")
-        assert sides[2] <= sides[0] and sides[1] <= sides[3], "no panel is covered"
+        for width, height in ((844, NARROW), (NARROW, 844), (1280, 800)):
+            size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+            tab.page.call("Emulation.setDeviceMetricsOverride", **size)
+            note, stage, tools = tab.page.evaluate("""[".notes", ".stage", ".toolbar .tools"]
+                .map((each) => document.querySelector(each).getBoundingClientRect().toJSON())""")
+            assert stage["left"] <= note["left"] and note["right"] <= stage["right"], width
+            beside, below = note["left"] >= tools["right"], note["top"] >= tools["bottom"]
+            assert beside or below, "no tool is covered"

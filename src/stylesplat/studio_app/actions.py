@@ -112,7 +112,6 @@ class Actions:
         self.previews = StylePreviews(session, gallery, **options)
         self._spot: tuple[object, StudioState, StudioState] | None = None
         """Where was picked last, what became of it, and what was before."""
-        self._is_place = False
         scene, variants = session.state.scene, self.variants
         self._content = content_of(scene.splats).extent
         self._start = start_of(scene.splats, None if has_rendered_views(scene) else scene.cameras)
@@ -127,10 +126,10 @@ class Actions:
         changes += [picking.invert_picked, picking.name_selection, layers.adjust_layer]
         changes += [layers.set_visible, layers.set_locked, layers.move_layer, layers.remove_paint]
         changes += [layers.solo_layer, layers.set_blend, layers.mask_by_selection]
-        changes += [layers.remove_mask]
+        changes += [layers.remove_mask, picking.pick_extreme]
         methods = [self.pick_at, self.pick_drawn, self.recolor, self.paint, self.stop]
         methods += [self.repaint_layer, self.copy_settings, self.remove_picked]
-        methods += [self.brushes.mask_drawn, self.brushes.mend_drawn, self.pick_extreme]
+        methods += [self.brushes.mask_drawn, self.brushes.mend_drawn]
         methods += [self.brushes.guide_drawn]
         methods += [self.queue.resume, self.queue.remove, self.previews.try_all]
         methods += [variants.use_variant, variants.compare_with, variants.star_variant]
@@ -175,7 +174,7 @@ class Actions:
 
         key = None
         if name == "pick_extreme":
-            key = name, values["by"], values["how"]
+            key = name, values["by"]
         if name == "pick_at":
             key = name, values["place"], values["how"], self._look_number(client)
         if name in DRAGGED:
@@ -223,7 +222,7 @@ class Actions:
             found = picking.pick_alike(state, camera, place, reach, how)
         else:
             found = picking.pick_surface(state, camera, place, size, how)
-        self._spot, self._is_place = (spot, found, state), True
+        self._spot = spot, found, state
         return found
 
     def _look_number(self, client: int) -> int | None:
@@ -276,19 +275,6 @@ class Actions:
         name = what if len(state.picked) == 1 else picking.free_part_name(state, "removed")
         found = layers.remove_rows(state, name, weights, f"Removed {what}")
         return replace(found, picked=(), selection=None)
-
-    def pick_extreme(self, by: m.Extreme, share: m.Share, how: m.How = "new") -> StudioState:
-        """Select the largest Gaussians, the faintest, or the loneliest.
-
-        Another share of the same takes the place of the last selection.
-        """
-        state, spot = self.session.state, (by, how)
-        known, picked, before = self._spot or (None, None, state)
-        if known == spot and picked is state:
-            state = before
-        found = picking.pick_extreme(state, by, share, how)
-        self._spot, self._is_place = (spot, found, state), False
-        return found
 
     def repaint_layer(self, name: m.ShortText, settings: dict[str, Any]) -> None:
         """Paint a layer again in its own style, with other settings."""
@@ -451,7 +437,7 @@ class Actions:
         return m.StateMessage(
             objects=[object_info(session, self.thumbnails, each) for each in object_names(scene)],
             selection=selection,
-            again=self._spot is not None and self._spot[1] is state and self._is_place,
+            again=self._spot is not None and self._spot[1] is state,
             layers=[layer_info(state, each) for each in scene.layers],
             views=self.views.cards(),
             up=self.views.levelled,

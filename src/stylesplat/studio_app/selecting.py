@@ -47,7 +47,7 @@ from stylesplat.studio_app.history import (
     require_objects,
     require_picked,
 )
-from stylesplat.studio_app.messages import Extreme, How, PicturePoint, Shape, ViewVector
+from stylesplat.studio_app.messages import Extreme, How, PicturePoint, Shape, Share, ViewVector
 from stylesplat.training.initialize import neighbor_distances
 from stylesplat.verbs.objects import delete, rename
 
@@ -76,8 +76,10 @@ def pick_color(
     return _combined(state, how, state.scene.most_of(alike).cpu())
 
 
-def pick_extreme(state: StudioState, by: Extreme, share: float, how: How = "new") -> StudioState:
-    """Select the largest Gaussians, the faintest, or those farthest from others."""
+def pick_extreme(state: StudioState, by: Extreme, share: Share) -> StudioState:
+    """Select a share of all Gaussians: the largest, the faintest, or those farthest from others."""
+    if not share:
+        return pick_names(state, [])
     base = state.scene.base
     if by == "size":
         values = base.scales.amax(dim=1)
@@ -87,7 +89,7 @@ def pick_extreme(state: StudioState, by: Extreme, share: float, how: How = "new"
         values = neighbor_distances(base.means.detach().cpu())
     count = max(1, round(share * len(values)))
     found = torch.zeros(len(values), dtype=torch.bool)
-    return _combined(state, how, found.index_fill(0, values.cpu().topk(count).indices, True))
+    return _combined(state, "new", found.index_fill(0, values.cpu().topk(count).indices, True))
 
 
 def pick_names(state: StudioState, names: Sequence[str], how: How = "new") -> StudioState:

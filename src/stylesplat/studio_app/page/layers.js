@@ -24,7 +24,8 @@ export function Layers() {
   const variants = now.variants.map((each) => ({ ...each, current: now.current.includes(each.id) }))
     .filter((each) => !chosen.length || chosen.includes(each.object)).sort((a, b) => b.starred - a.starred);
   const move = (name, row) => act("move_layer", { name, to: layers.length - 1 - row });
-  // A drag by the handle: the place is that of the row whose middle the pointer has passed
+  // A drag by the handle, while which no controls are between the layers: the place is that of the row whose middle
+  // the pointer has passed
   const grip = (name, row) => ({
     onPointerDown: (event) => {
       event.preventDefault();
@@ -35,7 +36,7 @@ export function Layers() {
       if (moving.value?.name !== name) return;
       const middles = [...list.current.children].map((each) => each.getBoundingClientRect()).map((box) => box.y + box.height / 2);
       const to = middles.filter((y, at) => at !== row && y < event.clientY).length;
-      if (to !== moving.value.to) moving.value = { ...moving.value, to };
+      if (to !== moving.value.to || !moving.value.folded) moving.value = { ...moving.value, to, folded: true };
     },
     onPointerUp: () => {
       if (moving.value && moving.value.to !== row) move(name, moving.value.to);
@@ -56,7 +57,7 @@ export function Layers() {
       <${Button} icon="plus" text="New layer" label="The next style goes on a new layer, above what is there" active=${above.value} onClick=${() => (above.value = !above.value)} /></div>
     ${!layers.length && html`<p class="hint">Nothing is painted. Pick an object, then click a style.</p>`}
     <ul ref=${list}>${layers.map((layer, row) => html`<${Layer} key=${layer.name} layer=${layer} lowest=${row === layers.length - 1} grip=${grip(layer.name, row)}
-      dragged=${row === from} place=${place(row)} />`)}</ul>
+      folded=${moving.value?.folded} dragged=${row === from} place=${place(row)} />`)}</ul>
     ${variants.length > 0 && html`<section aria-label="Variants"><h3>Variants${chosen.length ? ` of ${chosen.join(", ")}` : ""}</h3>
       <ul class="cards wide">${variants.map((each) => html`<li key=${each.id}>
         <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { id: each.id })}>
@@ -75,7 +76,7 @@ function compare(id) {
   mode.value = other === null ? "after" : "split";
 }
 
-function Layer({ layer, lowest, grip, dragged, place }) {
+function Layer({ layer, lowest, grip, folded, dragged, place }) {
   const { name, object, recolor } = layer, now = state.value, label = name.split("/")[1];
   const found = now.objects.find((each) => each.name === object), chosen = activeLayer()?.name === name;
   const fixed = layer.locked || now.painting;
@@ -86,12 +87,12 @@ function Layer({ layer, lowest, grip, dragged, place }) {
   };
   return html`<li class=${`layer ${layer.visible ? "" : "off"} ${dragged ? "dragged" : ""} ${place}`}>
     <div class="line"><button type="button" class="square small grip" aria-label=${`Move ${what}: drag, or the arrow keys`} title="Drag to reorder" ...${grip}><${Icon} name="grip" /></button>
-      <button type="button" class="card flat" aria-pressed=${chosen} aria-expanded=${chosen} title=${layer.settings} onClick=${choose}>
+      <button type="button" class="card flat" aria-pressed=${chosen} aria-expanded=${chosen && !folded} title=${layer.settings} onClick=${choose}>
         ${found?.thumbnail ? html`<img src=${found.thumbnail} alt="" />` : html`<span class="blank"></span>`}
         <span><b>${object}${layer.kind === "paint" && label ? ` ${label}` : ""}</b>${layer.title !== object && html`<br />${layer.title}`}${layer.masked ? ", masked" : ""}</span></button>
       <${Button} small icon=${layer.visible ? "eye" : "hidden"} label=${`${layer.visible ? "Hide" : "Show"} ${what}`} onClick=${() => act("set_visible", { name, visible: !layer.visible })} /></div>
     <${Slider} label="Strength" value=${layer.strength} high=${1.5} show=${percent} disabled=${fixed} onInput=${(strength) => act("adjust_layer", { name, strength })} />
-    ${chosen && html`<${Controls} layer=${layer} what=${what} fixed=${fixed} lowest=${lowest} />`}</li>`;
+    ${chosen && !folded && html`<${Controls} layer=${layer} what=${what} fixed=${fixed} lowest=${lowest} />`}</li>`;
 }
 
 // What else can be changed of the layer that is chosen

@@ -114,7 +114,7 @@ function CleanUp() {
     act("pick_extreme", { by: what, share: value / 100 });
   };
   return html`<details><summary>Clean up</summary>
-    ${EXTREMES.map(([what, label]) => html`<${Slider} label=${label} value=${shares.value[what] ?? 0} high=${10} step=${0.1} show=${(value) => `${value} %`} onInput=${(value) => choose(what, value)} />`)}
+    ${EXTREMES.map(([what, label]) => html`<${Slider} label=${label} value=${(state.value.selection && shares.value[what]) || 0} high=${10} step=${0.1} show=${(value) => `${value} %`} onInput=${(value) => choose(what, value)} />`)}
     <p class="hint">This selects; Remove hides what is selected.</p></details>`;
 }
 
