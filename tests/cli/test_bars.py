@@ -71,6 +71,18 @@ def test_work_that_does_not_advance_is_drawn(terminal: bool, capsys: pytest.Capt
             wait_for("waiting: 00:0", capsys)
 
 
+def test_the_rate_is_that_of_the_work_however_often_it_is_drawn(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("stylesplat.cli.bars.TICK", 0.03)
+    with shown(terminal=False, delay=0.04), task("training", 40) as bar:
+        for _ in range(24):
+            time.sleep(0.05)
+            bar.advance()
+    rates = re.findall(r"([\d.]+)step/s", capsys.readouterr().err)
+    assert len(rates) > 5 and all(0 < float(rate) <= 20 for rate in rates), "20 a second at most"
+
+
 def test_a_terminal_shows_that_a_command_works_where_no_task_does(
     capsys: pytest.CaptureFixture[str],
 ):

@@ -4,6 +4,7 @@ A thread draws the bar of work that does not advance, so that its clock goes on.
 """
 
 import sys
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from threading import Event, Thread
@@ -17,6 +18,7 @@ from stylesplat.progress import Observer, write_lines
 MOMENT, LOG_MOMENT = 0.5, 2.0  # seconds of work that is not worth a bar, or a line in a log
 EVERY, LOG_EVERY = 1.0, 10.0  # seconds between two drawings of work that does not advance
 TICK = 0.25  # seconds between two looks at it
+RECENT = 30.0  # seconds whose speed is that of the rest
 BAR_FORMAT = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
 OF_SECONDS = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}{postfix}]"
 UNCOUNTED = "{desc}: {elapsed}{postfix}"
@@ -24,7 +26,21 @@ UNBOUNDED = "{desc}: {n_fmt} {unit}s [{elapsed}{postfix}]"
 
 
 class _Bar(tqdm):
-    """A task. Without `display` a bar that is drawn before its delay would not end its line."""
+    """A task. Without `display` a bar that is drawn before its delay would not end its line.
+
+    tqdm knows no speed of what the thread draws: the rate is that since an earlier drawing.
+    """
+
+    def __init__(self, *, initial: int | float, **options: Any) -> None:
+        self._before = deque([(time(), initial)])
+        super().__init__(initial=initial, **options)
+
+    @property
+    def format_dict(self) -> dict[str, Any]:
+        began, done = self._before[0]
+        seconds = time() - began
+        rate = (self.n - done) / seconds if self.n > done and seconds > 0 else None
+        return {**super().format_dict, "rate": rate}
 
     def advance(self, amount: int | float = 1) -> None:
         self.update(amount)
@@ -35,7 +51,12 @@ class _Bar(tqdm):
     def display(self, *arguments: Any, **options: Any) -> Any:
         if self.delay > 0:
             self.last_print_t = max(self.last_print_t, self.start_t + self.delay)
-        return super().display(*arguments, **options)
+        now = time()
+        while len(self._before) > 1 and now - self._before[1][0] > RECENT:
+            self._before.popleft()
+        drawn = super().display(*arguments, **options)
+        self._before.append((now, self.n))
+        return drawn
 
     def tick(self, every: float) -> None:
         """Draw it if it was not drawn for so many seconds, or never and its delay is over."""
