@@ -195,7 +195,7 @@ def test_a_folder_that_is_dropped_adds_its_pictures_and_tells_of_the_others(
     until(lambda: "image notes" in tab.text(), "a refusal")
     (folder / "empty").mkdir()
     drop(tab, folder / "empty")
-    until(lambda: "no picture in this folder" in tab.text(), "what is missing")
+    until(lambda: "no picture in what was dropped" in tab.text(), "what is missing")
 
 
 def drop(tab: Tab, path: Path) -> None:
@@ -322,21 +322,24 @@ def test_a_server_that_is_silent_is_told_and_gets_no_clicks_to_do_later(
     until(lambda: opened.session.state.picked == ("7",), "a pick")
 
 
-def test_a_picture_is_pasted_into_any_field_and_a_drag_that_goes_leaves_no_hint(
+def test_pictures_are_pasted_and_dropped_without_files_and_a_drag_that_goes_leaves_no_hint(
     opened: StudioServer, tab: Tab
 ):
     pictures = opened.server.actions.gallery.pictures
-    tab.page.evaluate("""new Promise((done) => {
-        const canvas = Object.assign(document.createElement("canvas"), { width: 40, height: 40 });
-        canvas.toBlob((blob) => {
-            const clipboardData = new DataTransfer();
-            clipboardData.items.add(new File([blob], "pasted.png", { type: "image/png" }));
-            const event = new ClipboardEvent("paste", { clipboardData, bubbles: true });
-            document.querySelector("input[type=search]").dispatchEvent(event);
-            done();
-        });
-    })""")
-    until(lambda: "pasted" in pictures, "the picture")
+    tab.page.evaluate("""(async () => {
+        const data = async (name, side) => {
+            const canvas = new OffscreenCanvas(side, side), found = new DataTransfer();
+            canvas.getContext("2d");
+            const content = [await canvas.convertToBlob()];
+            found.items.add(new File(content, `${name}.png`, { type: "image/png" }));
+            return found;
+        };
+        const search = document.querySelector("input[type=search]"), bubbles = true;
+        const clipboardData = await data("pasted", 40), dataTransfer = await data("dropped", 50);
+        search.dispatchEvent(new ClipboardEvent("paste", { clipboardData, bubbles }));
+        search.dispatchEvent(new DragEvent("drop", { dataTransfer, bubbles }));
+    })()""")
+    until(lambda: {"pasted", "dropped"} <= {*pictures}, "the pictures")
     shows = "getComputedStyle(document.body, '::after').content.includes('Drop pictures')"
     assert not tab.page.evaluate(shows)
     data = {"items": [], "files": [str(opened.session.folder)], "dragOperationsMask": 1}

@@ -25,6 +25,7 @@ from stylesplat.studio_app.gallery import MOST_BYTES
 from stylesplat.studio_app.server import BUSY_AFTER
 from stylesplat.studio_app.studio import StudioServer, studio, view
 
+LOOK = {"do": "look", "number": 1, "viewmat": [1.0] * 16, "focal": 50.0, "size": [48, 36]}
 WEBSOCKET = {
     "Upgrade": "websocket",
     "Connection": "Upgrade",
@@ -175,6 +176,8 @@ def test_a_page_does_not_wait_for_what_a_newer_action_has_replaced(edited: Studi
         ({"do": "turntable", "seconds": -1}, "The seconds must be more than 0"),
         ({"do": "resize_picked", "share": "much"}, "Reload the page."),
         ({"do": "pick_box", "low": [1e300, 0, 0], "high": [1, 1, 1]}, "at most 1000000000"),
+        ({**LOOK, "focal": 1e-300}, "The focal must be at least 0.001."),
+        ({**LOOK, "viewmat": [1e300] * 16}, "at most 1000000000"),
         ({"do": "fly"}, "Reload the page."),
         ({"do": "subtract_picked"}, "Pick two objects or more"),
         ({"do": "pick_names", "names": ["vase"]}, "no object vase any more"),

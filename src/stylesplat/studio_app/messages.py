@@ -33,7 +33,7 @@ class ViewRequest(
 ):
     number: int
     viewmat: Annotated[list[Bounded], msgspec.Meta(min_length=16, max_length=16)]
-    focal: Positive
+    focal: Annotated[float, msgspec.Meta(ge=1e-3, le=1e9)]  # pixels
     size: tuple[PictureSide, PictureSide]
     moving: bool = False
     before: bool = False  # whether the picture before painting is wanted, too

@@ -145,9 +145,11 @@ window.addEventListener("dragover", (event) => {
 window.addEventListener("drop", async (event) => {
   event.preventDefault();
   document.body.classList.remove("dropping");
-  const entries = [...event.dataTransfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
-  const files = (await Promise.all(entries.map(filesIn))).flat();
-  if (entries.length && !files.length) note("There is no picture in this folder.", true);
+  const { items, files: plain, types } = event.dataTransfer;
+  if (hello.value?.readonly || types.includes("style")) return;
+  const entries = [...items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean); // what comes from a page has none
+  const files = entries.length ? (await Promise.all(entries.map(filesIn))).flat() : [...plain];
+  if (!files.length) note("There is no picture in what was dropped.", true);
   upload(files);
 });
 
