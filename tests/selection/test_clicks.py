@@ -18,6 +18,7 @@ from stylesplat.progress import Observer, Task, observed
 from stylesplat.rendering.weights import coverage
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import Splats
 from stylesplat.selection.surface_cut import pick_masked
 from stylesplat.verbs.select import select
 
@@ -29,6 +30,14 @@ MEANS = torch.cat([F.pad(TABLE, (0, 1)), *(centre + SHELL for centre in CENTRES)
 OF = torch.cat([torch.full((len(TABLE),), -1), torch.arange(3).repeat_interleave(len(SHELL))])
 VIEWS = enlarged(CAMERAS, 4)
 BARE = Scene(cloud(MEANS, 0.03, opacity=3.0), VIEWS)
+
+
+def under_a_dome() -> Splats:
+    """All of it, and what fills the views behind it."""
+    dome = 5 * F.normalize(randn(6000, 3), dim=1)
+    splats = cloud(torch.cat([MEANS, dome]), 0.03, opacity=3.0)
+    splats.scales[len(MEANS) :] += 2.3  # ten times as large
+    return splats
 
 
 def at(place: tuple[float, ...] | torch.Tensor) -> tuple[str, float, float]:
@@ -93,10 +102,7 @@ def test_clicks_on_the_table_and_on_nothing_are_refused():
 
 
 def test_a_click_on_a_curved_backdrop_is_refused():
-    dome = 5 * F.normalize(randn(6000, 3), dim=1)
-    splats = cloud(torch.cat([MEANS, dome]), 0.03, opacity=3.0)
-    splats.scales[len(MEANS) :] += 2.3  # ten times as large
-    scene = Scene(splats, VIEWS)
+    scene = Scene(under_a_dome(), VIEWS)
     backdrop = (VIEWS.names[0], VIEWS[0].size[0] / 2, 4.0)
     with pytest.raises(StyleSplatError, match="nothing behind it"):
         select(scene, "backdrop", point=backdrop)
@@ -128,6 +134,17 @@ def test_a_box_decides_where_its_cut_misses_half_of_the_object():
     drawn[top : bottom + 1, left : right + 1] = True
     found, _ = pick_in_boxes(BARE.splats, VIEWS, {0: drawn}, {0: half})
     assert agreement(found, 0, 1) > 0.7
+
+
+def test_a_box_of_most_of_a_photo_does_not_hold_all_that_is_beside_it():
+    splats = under_a_dome()
+    own = torch.zeros(len(splats), dtype=torch.bool)
+    own[: len(MEANS)] = (OF == 0) | (OF == 1)
+    cut = coverage(splats, VIEWS[0], own) > 0.5
+    drawn = torch.zeros_like(cut)
+    drawn[4:-4, 4:-4] = True
+    found, _ = pick_in_boxes(splats, VIEWS, {0: drawn}, {0: cut})
+    assert found[len(MEANS) :].float().mean() < 0.1
 
 
 def test_what_fails_in_one_pick_is_no_worse_pick():

@@ -82,8 +82,15 @@ def agreement(
 def _candidates(
     splats: Splats, cameras: Cameras, boxes: BoxMasks, cuts: Mapping[int, Mask]
 ) -> Iterator[Bool[Tensor, " N"]]:
-    """All there is, what cuts show, completed on the surface, and what clicks into them pick."""
-    yield torch.ones(len(splats), dtype=torch.bool)  # photos may be cut out to the object
+    """All or nothing, what cuts show, completed on the surface, and what clicks into them pick.
+
+    All there is may be the object where photos are cut out: most of what is beside it is empty.
+    """
+    everything = torch.ones(len(splats), dtype=torch.bool)
+    beside = [
+        coverage(splats, cameras[row], everything)[~box] > COVERED for row, box in boxes.items()
+    ]
+    yield everything & (torch.cat(beside).float().mean() < MOSTLY)
     with suppress(NothingToPick):  # hardly any Gaussian shows
         yield pick_masked(splats, cameras, [(row, cuts[row], ~box) for row, box in boxes.items()])
     with suppress(NothingToPick):
