@@ -139,6 +139,13 @@ def test_a_line_that_is_drawn_steers_the_strokes(opened: StudioServer, tab: Tab,
     assert len(guides) == 1
     tab.press_button("Let the strokes run as they like")
     until(lambda: not session.state.scene.layers[0].settings["guides"], "no line")
+    session.ask(lambda: actions.queue.paint(["7/2"], style, "stripes"))
+    until(lambda: session.state.note == "Painted 7/2 like stripes", "a layer above")
+    below = session.state.scene.layers[0]
+    tab.press_button("Size and direction of the strokes")
+    tab.slide("Stroke size", 3)
+    until(lambda: session.state.note == "Painted 7/2 like stripes, scale 3", "larger strokes")
+    assert session.state.scene.layers[0] is below
 
 
 def test_layers_are_dragged_and_brushed_out(opened: StudioServer, tab: Tab):
@@ -163,11 +170,11 @@ def test_layers_are_dragged_and_brushed_out(opened: StudioServer, tab: Tab):
     tab.press_button("Brush the layer out, and in again")
     x, y = tab.middle_of("7")
     tab.drag((x - 12, y), (x + 12, y))
-    until(lambda: session.state.note == "Painted the recolouring of 7 out", "a mask")
+    until(lambda: session.state.note == "Brushed the recolouring of 7 out", "a mask")
     after = changed(tab, before)
     assert session.state.scene.layers[0].mask is not None
     tab.assert_accessible()
-    tab.press_button("Undo: Painted the recolouring of 7 out")
+    tab.press_button("Undo: Brushed the recolouring of 7 out")
     assert_shows(tab, before)
     tab.press_button("Redo: ")
     assert_shows(tab, after)

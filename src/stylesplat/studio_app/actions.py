@@ -306,12 +306,10 @@ class Actions:
         style: m.ShortText,
         names: list[m.ShortText] | None = None,
         settings: dict[str, Any] | None = None,
-        instead: bool = False,
         above: bool = False,
     ) -> None:
         """Paint objects or layers, by default what is picked, like the picture of a title.
 
-        `instead`: in place of their painting that is under way, whose picture stays meanwhile.
         `above`: on new layers of these objects.
         """
         picture, state = self._style(style), self.session.state
@@ -334,7 +332,7 @@ class Actions:
         for name in found:
             guides = self.brushes.guides_of(name)
             guided = Style(picture.path, **{**guides, **(settings or {})}) if guides else own
-            self.queue.paint([name], guided, picture.title, instead)
+            self.queue.paint([name], guided, picture.title)
 
     def stop(self) -> None:
         self.previews.stop()

@@ -109,7 +109,7 @@ def show_within(
     mask = known + (1 - known) * weights if shows else known * (1 - weights)
     if torch.equal(mask[layer.rows], known[layer.rows]):
         raise StyleSplatError(f"The brush did not touch {_what(name)}. Brush over it.")
-    note = f"Painted {_what(name)} {'in' if shows else 'out'}"
+    note = f"Brushed {_what(name)} {'in' if shows else 'out'}"
     return mask_layer(replace(state, note=note), name, mask)
 
 

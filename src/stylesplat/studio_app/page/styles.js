@@ -18,13 +18,14 @@ let resting = null;
 export function setStrokes(values) {
   settings.value = { ...settings.value, ...values };
   const { layers, styles } = state.value, [one, ...others] = picked();
-  const layer = layers.find((each) => each.name === one?.name && !each.locked);
+  const own = layers.filter((each) => each.object === one?.name && each.kind === "paint" && !each.locked);
+  const layer = own.find((each) => each.name === activeLayer()?.name) ?? own.at(-1);
   const style = styles.find((each) => each.title === layer?.title);
-  if (!style || others.length) return;
-  window.studio.overlay.setPattern(one.name, style.url);
+  if (!layer || others.length) return;
+  if (style) window.studio.overlay.setPattern(one.name, style.url);
   clearTimeout(resting);
-  const draft = { style: style.title, names: [one.name], settings: { ...settings.value, quality: "draft" }, instead: true };
-  resting = setTimeout(() => act("paint", draft), RESTING);
+  const { scale, rotate } = settings.value, draft = { name: layer.name, settings: { scale, rotate, quality: "draft" } };
+  resting = setTimeout(() => act("repaint_layer", draft), RESTING);
 }
 
 // Paint objects, by default what is picked, like the style picture of a title
