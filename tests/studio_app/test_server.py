@@ -14,7 +14,8 @@ from typing import Any
 import msgspec
 import pytest
 import torch
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 from balls import CAMERAS, SPLATS
 from stylesplat.errors import StyleSplatError
@@ -202,7 +203,7 @@ def test_what_is_wrong_is_told_to_the_page_alone_in_a_sentence(
         assert texts == ["Painted."], "what nobody asked for is told to all"
 
 
-def until_pong(client: ClientConnection) -> list[dict[str, Any]]:
+def until_pong(client: Connection) -> list[dict[str, Any]]:
     """What a page hears until the server answers it."""
     client.send('{"do": "ping"}')
     heard = (header_of(each) for each in client)
