@@ -1,8 +1,8 @@
 """Two test objects that no photo shows: a face, and a sign on thin legs. Traced like the demo.
 
 Both are signed distance fields that stand at the origin of the demo's table and face +x, seen by
-cameras on an arc in front of them. `python benchmarks/traced_objects.py FACE DIR` writes one as a
-capture with exact label maps; its object has label 1.
+cameras on an arc in front of them. The object has label 1; label maps are exact. To write one as a
+capture: `python benchmarks/traced_objects.py --shape face --folder DIR`.
 """
 
 from math import exp, sin, sqrt

@@ -21,9 +21,10 @@ DOCS = Path(__file__).parents[1] / "docs"
 SIDE, QUALITY = 480, 82  # pixels of each picture, and of JPEG
 TEXT = """# Gallery
 
-Objects of scenes before and after, each painted by the command under it. `scripts/gallery.py` makes
+Objects of scenes before and after, each made by the commands under it. `scripts/gallery.py` makes
 these pictures, and a page of each scene that any browser opens and turns, as
-`stylesplat export SCENE page.html` does.
+`stylesplat export SCENE page.html` does. `van_gogh.jpg` and the like stand for pictures of the
+paintings below.
 
 Credits. The paintings are in the public domain: Vincent van Gogh, *The Starry Night* (1889);
 Wassily Kandinsky, *Composition VII* (1913); Childe Hassam, *The South Ledges, Appledore* (1913);
@@ -45,7 +46,7 @@ class Painting:
     """The beginning of a painting's file name, by object."""
     title: str
     made_by: tuple[str, ...] = ()
-    """The commands that make the scene, where it is not one of photos."""
+    """The commands that make the scene."""
     is_free: bool = True
     """Whether the scene's pictures may be published."""
 
@@ -55,6 +56,16 @@ class Painting:
         return "-".join([Path(self.scene).parts[0], *self.styles.values()])
 
 
+DEMO = ("stylesplat demo -o demo",)
+DOLL = (
+    "stylesplat sfm DollPhotos -o doll_capture",
+    "stylesplat mask doll_capture --box doll=20240212_003919.jpg:295,130,830,670",
+    "stylesplat train doll_capture -o doll --steps 3000",
+)
+SIGN = (
+    "python benchmarks/traced_objects.py --shape sign --folder sign_capture",
+    "stylesplat train sign_capture -o sign --steps 3000",
+)
 RIDER = (
     "stylesplat import biker.compressed.ply -o rider",
     "stylesplat select rider --name rider --point view_000.png:360,400",
@@ -64,15 +75,17 @@ BROOCH = (
     "stylesplat select brooch --name brooch --size group --point view_000.png:530,440",
 )
 PAINTINGS = (
-    Painting("demo/scene", {"vase": "van_gogh"}, "A vase in van Gogh's strokes"),
-    Painting("demo/scene", {"vase": "kandinsky", "teapot": "monet"}, "Two objects in two styles"),
-    Painting("doll", {"doll": "ukiyo_e"}, "A plush doll, from 49 phone photos"),
-    Painting("doll", {"doll": "van_gogh"}, "The same doll in another style"),
+    Painting("demo/scene", {"vase": "van_gogh"}, "A vase in van Gogh's strokes", DEMO),
+    Painting(
+        "demo/scene", {"vase": "kandinsky", "teapot": "monet"}, "Two objects in two styles", DEMO
+    ),
+    Painting("doll", {"doll": "ukiyo_e"}, "A plush doll, from 49 phone photos", DOLL),
+    Painting("doll", {"doll": "van_gogh"}, "The same doll in another style", DOLL),
     Painting("rider", {"rider": "hassam"}, "A rider, a splat of somebody else", RIDER),
     Painting("rider", {"rider": "kandinsky"}, "The rider in another style", RIDER),
     Painting("brooch", {"brooch": "ukiyo_e"}, "A brooch of open-work, from a .splat file", BROOCH),
     Painting("brooch", {"brooch": "van_gogh"}, "The brooch in another style", BROOCH),
-    Painting("sign", {"1": "kandinsky"}, "A sign on thin legs"),
+    Painting("sign", {"1": "kandinsky"}, "A sign on thin legs", SIGN),
     Painting("fox", {"1": "van_gogh"}, "A fox's head", is_free=False),
     Painting("desk", {"1": "kandinsky"}, "A bottle on a desk", is_free=False),
 )
@@ -122,8 +135,7 @@ def write_list() -> None:
         picture = f"gallery/{each.name}.jpg"
         if (DOCS / picture).is_file():
             styles = (f"--style {name}={style}.jpg" for name, style in each.styles.items())
-            scene = Path(each.scene).parts[0]
-            paint = " ".join(["stylesplat stylize", scene, *styles, "-o painted"])
+            paint = " ".join(["stylesplat stylize", each.scene, *styles, "-o painted"])
             commands = "\n".join([*each.made_by, paint])
             title = f"## {each.title}\n\n![{each.title}, before and after]({picture})"
             parts.append(f"{title}\n\n```sh\n{commands}\n```\n")
