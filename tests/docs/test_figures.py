@@ -1,7 +1,8 @@
-"""Figures of the README: those that a benchmark wrote, rounded, as its file or table has them."""
+"""Figures of the pages: those that a benchmark wrote, rounded, as its file or table has them."""
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ CANVAS = FOX["changed_gaussians"] - FOX["painted_gaussians"]
 
 
 def numbers(text: str) -> list[float]:
-    return [float(each.replace(",", "")) for each in re.findall(r"\d[\d,]*(?:\.\d+)?", text)]
+    return [float(each.replace(",", "")) for each in re.findall(r"\d[\d,]*(?:\.\d+)?|\.\d+", text)]
 
 
 def told(pattern: str) -> list[float]:
@@ -88,3 +89,113 @@ def test_leakage(pattern: str, kind: str):
 def test_on_a_gpu(pattern: str, begins: str, column: int):
     cells = row("docs/scale.md", begins).split("|")
     assert is_rounded(told(pattern)[0], numbers(cells[column])[0])
+
+
+@cache
+def text(page: str) -> str:
+    return " ".join((ROOT / page).read_text(encoding="utf-8").split())
+
+
+def figures(page: str, pattern: str) -> list[float]:
+    """The numbers in brackets of a pattern that a page has once."""
+    (found,) = re.finditer(pattern, text(page))
+    return [number for group in found.groups() for number in numbers(group)]
+
+
+BENCHMARKS, SCALE, FAQ = "benchmarks/README.md", "docs/scale.md", "docs/faq.md"
+STUDIO = "docs/studio.md"
+SAME = [
+    (STUDIO, r"to the first picture \| ([\d.]+)", r"to the first picture \| ([\d.]+) s \| 1"),
+    (STUDIO, r"outline of what is below it \| ([\d.]+)", r"\| hover \| ([\d.]+) s"),
+    (STUDIO, r"outline of what is picked \| ([\d.]+)", r"click to the outline \| ([\d.]+) s"),
+    (STUDIO, r"colours on the object \| ([\d.]+)", r"colours on the object \| ([\d.]+) s"),
+    (STUDIO, r"its first strokes \| ([\d.]+)", r"to its first strokes \| ([\d.]+) s"),
+    (STUDIO, r"\*Strength\* to the picture \| ([\d.]+)", r"\| strength \| ([\d.]+) s"),
+    (STUDIO, r"the camera moves \| ([\d.]+)", r"picture of a moving camera \| ([\d.]+) s"),
+    (STUDIO, r"take (\d+) seconds from the command", r"command to the first picture \| ([\d.]+) s"),
+    (SCALE, r"process ([\d.]+) times the photos", r"default with two threads\) \| \S+ \| ([\d.]+)"),
+    (SCALE, r"processes make ([\d.]+) times", r"2 processes apart \| \S+ \| ([\d.]+)"),
+    (SCALE, r"process ([\d.]+) photos a second where", r"where two threads made ([\d.]+)"),
+    (SCALE, r"where two processes made ([\d.]+)\.", r"together made ([\d.]+) where"),
+    (SCALE, r"after (\d+) s\]", r"1,000 \| 0.25 \| \S+ GiB \| ([\d.]+) s"),
+    ("docs/photos.md", r"within ([\d.]+ to [\d.]+) degrees", r"posed, ([\d.]+ to [\d.]+) degrees"),
+    ("docs/photos.md", r"median, and ([\d.]+) at most", r"median \(0.5\), ([\d.]+) at most"),
+    (
+        "docs/objects.md",
+        r"([\d.]+ to [\d.]+) on the demo's objects with",
+        r"objects ([\d.]+ to [\d.]+) \(",
+    ),
+]
+ELSEWHERE = [
+    (
+        FAQ,
+        r"([\d.]+) GiB to train 100,000",
+        SCALE,
+        r"the fox .914\) \| 45 \| 92 \| \| ([\d.]+) GiB",
+    ),
+    (FAQ, r"([\d.]+) GiB for a million", SCALE, r"from 600 \| 400 \| 462 \| \| ([\d.]+) GiB"),
+    (FAQ, r"million, ([\d.]+) GiB to paint", SCALE, r"\*\*([\d.]+)\*\* and [\d.]+ GiB"),
+    (
+        FAQ,
+        r"at (\d+) frames a second",
+        SCALE,
+        r"1 million Gaussians, frames per second \| 130 \| (\d+)",
+    ),
+    (FAQ, r"(\S+) GB of memory and (\S+) GB", "docs/batch.md", r"takes (\S+) GB and (\S+) GB for"),
+    (FAQ, r"`train` ([\d.]+ and [\d.]+);", "docs/batch.md", r"`train` ([\d.]+ and [\d.]+),"),
+    (FAQ, r"EdgeTAM (\d+) MB", "docs/objects.md", r"EdgeTAM-hf` \| (\d+) MB"),
+    (FAQ, r"tiny (\d+) MB", "docs/objects.md", r"hiera-tiny` \| (\d+) MB"),
+    (FAQ, r"SAM (\d+) MB", "docs/objects.md", r"vit-base` \| (\d+) MB"),
+    (FAQ, r"SAM 3 ([\d.]+) GB", "docs/objects.md", r"gated \| ([\d.]+) GB"),
+]
+
+
+@pytest.mark.parametrize(
+    ("page", "pattern", "source", "measured"),
+    [*((page, pattern, BENCHMARKS, measured) for page, pattern, measured in SAME), *ELSEWHERE],
+)
+def test_two_pages_agree(page: str, pattern: str, source: str, measured: str):
+    for stated, original in zip(figures(page, pattern), figures(source, measured), strict=True):
+        assert is_rounded(stated, original)
+
+
+def test_a_second_core():
+    """What two threads gain: seconds of painting, and the memory of a thousand photos."""
+    one, two = figures(SCALE, r"larger one: \[(\d+) s by one thread and (\d+) by two\]")
+    assert one == round(FOX["processor_seconds"]) and f"two threads take {two:g}" in FOX["machine"]
+    serial = 2 * two / one - 1
+    assert figures(SCALE, r"by two\]\S+ are (\d+) %") == [round(100 * serial)]
+    gains = [round(1 / (serial + (1 - serial) / cores), 1) for cores in (8, 16, 64)]
+    assert figures(SCALE, r"by two\]\S+ are \d+ %, so (.*?) times") == gains
+    few, many = figures(
+        BENCHMARKS, r"\| 50 \| 0.25 .*?([\d.]+) GiB.*?1,000 \| 0.25 \| ([\d.]+) GiB"
+    )
+    assert figures(SCALE, r"take ([\d.]+) GiB more than fifty") == [round(many - few, 2)]
+
+
+def test_sizes_of_packages():
+    page = "docs/guide/install.md"
+    rows = re.findall(r"^\| (.*?) \| ([\d,]+) \|", (ROOT / page).read_text("utf-8"), re.MULTILINE)
+    sizes = {name: numbers(size)[0] for name, size in rows}
+    photos = sum(size for name, size in sizes.items() if "of `photos`" in name)
+    cuda = sum(size for name, size in sizes.items() if "CUDA" in name)
+    both = sum(sizes.values())
+    cpu = both - cuda + figures(page, r"takes (\d+) MB itself")[0]
+    assert figures(page, r"([\d,]+) MB in all, and ([\d,]+) MB without") == [
+        round(cpu, -1),
+        round(cpu - photos, -1),
+    ]
+    for where, pattern in (
+        ("README.md", r"\*\*([\d.]+) GB instead of ([\d.]+)\*\*"),
+        (page, r"\*\*([\d.]+) gigabytes instead of ([\d.]+)\."),
+        (FAQ, r"How do I have ([\d.]+) GB of packages instead of ([\d.]+)\?"),
+    ):
+        assert figures(where, pattern) == [round(cpu / 1000, 1), round(both / 1000, 1)]
+    assert figures("README.md", r"`photos` \((\d+) MB\)") == [round(photos, -2)]
+
+
+def test_the_compact_network():
+    card = (ROOT / "src/stylesplat/stylization/compact.md").read_text("utf-8")
+    ways = [float(each) for each in re.findall(r"\| (\d+) % \|$", card, re.MULTILINE)]
+    low_high = figures("docs/manual.md", r"come (\d+) to (\d+) % of the way that 300")
+    assert low_high == [min(ways), max(ways)]
