@@ -41,8 +41,8 @@ def with_swept_points(
     """A capture without sparse points, with those of the surfaces that some of its photos show.
 
     `view_of` gives the picture of a row, so many times smaller. Where a capture has sparse points
-    they are left alone: more beside them made a fox and a desk .1 to .3 dB better after a minute,
-    and a toy .6 worse.
+    they are left alone: after a minute 20,000 more beside them made a fox and a desk .1 to .3 dB
+    better and a toy .6 worse, 6,000 the fox .3 better and the desk .5 worse.
     """
     if _has_points(capture):
         return capture
