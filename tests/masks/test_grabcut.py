@@ -14,6 +14,7 @@ from stylesplat.masks.grabcut import (
     grabcut_image,
     refine_mask,
 )
+from stylesplat.scene.capture import Mask
 
 HEIGHT, WIDTH = 60, 80
 PHOTO = "a.jpg"
@@ -103,11 +104,15 @@ def test_strokes_are_believed():
     bar = disc(40, 30, 14) & (torch.arange(HEIGHT)[:, None] - 30).abs().le(4)
     photo = seen(painted(DISC & ~bar))
     line = ((30.0, 30.0), (50.0, 30.0))
+
+    def over(*points: tuple[float, float]) -> Mask:
+        return Stroke(points, over_object=True).pixels((WIDTH, HEIGHT))
+
+    nothing = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
     _, plain = cut_box(photo, BOX, PHOTO)
-    _, whole = cut_box(photo, BOX, PHOTO, [Stroke(line, over_object=True)])
+    _, whole = cut_box(photo, BOX, PHOTO, [(over(*line), nothing)])
     assert not plain[30, 30:51].any() and whole[30, 30:51].all()
-    upper = ((30.0, 22.0), (50.0, 22.0))
-    _, less = cut_box(photo, BOX, PHOTO, [Stroke(upper, over_object=False)])
+    _, less = cut_box(photo, BOX, PHOTO, [(nothing, over((30.0, 22.0), (50.0, 22.0)))])
     assert plain[22, 32:49].all() and not less[22, 30:51].any()
-    _, dot = cut_box(photo, BOX, PHOTO, [Stroke(line[:1], over_object=True)])
+    _, dot = cut_box(photo, BOX, PHOTO, [(over(line[0]), nothing)])
     assert dot[30, 30], "one point is a dot"

@@ -26,7 +26,6 @@ from stylesplat.masks.grabcut import (
     Channels,
     DrawnBox,
     GrabCutImage,
-    Stroke,
     color_levels,
     cut_box,
     grabcut_image,
@@ -209,7 +208,7 @@ def propagate_boxes(
     cameras: Cameras,
     images: Images,
     boxes: Sequence[tuple[int, DrawnBox]],
-    strokes: Sequence[tuple[int, Stroke]] = (),
+    marks: Sequence[tuple[int, Mask, Mask]] = (),
     *,
     name: str = "object",
 ) -> list[Mask]:
@@ -221,13 +220,13 @@ def propagate_boxes(
     rendered into the nearest other views and their contours moved to edges; then the next views,
     until all have one; then all again until they settle.
 
-    Boxes and strokes are by row of view, in its pixels. A mask is empty where the object does not
-    show.
+    Boxes are by row of view, in its pixels; `marks` are rows, their pixels that belong to the
+    object, and that do not. A mask is empty where the object does not show.
     """
     cuts = {}
     for row, box in boxes:
-        drawn = [stroke for at, stroke in strokes if at == row]
-        cuts[row] = cut_box(images.with_depth(row), box, cameras.names[row], drawn)
+        known_pixels = [(own, others) for at, own, others in marks if at == row]
+        cuts[row] = cut_box(images.with_depth(row), box, cameras.names[row], known_pixels)
     known = {row: mask for row, (_, mask) in cuts.items()}
     channels = cuts[boxes[0][0]][0]
     on_cpu = splats.to("cpu")

@@ -73,7 +73,7 @@ class FromBoxes:
                 cameras,
                 images,
                 [(row, box) for (each, row), box in around.items() if each == name],
-                [(row, stroke) for each, row, stroke in over if each == name],
+                marks.get(name, ()),
                 name=name,
             )
             for id, name in names.items()

@@ -77,28 +77,29 @@ def refuse_box(box: DrawnBox, size: tuple[int, int], photo: str) -> None:
 
 
 def cut_box(
-    image: GrabCutImage, box: DrawnBox, photo: str, strokes: Sequence[Stroke] = ()
+    image: GrabCutImage, box: DrawnBox, photo: str, marks: Sequence[tuple[Mask, Mask]] = ()
 ) -> tuple[Channels, Mask]:
     """Cut out what a box holds, the rest of the photo being background.
+
+    `marks` are pixels that belong to the object, and that do not: colours are learned from them.
 
     Returns the mask, of the cuts by different channels the one that agrees with the others most,
     and its channels.
     """
     height, width, _ = image.shape
     inside = pixels_inside(box, (width, height))
-    marks = np.where(inside, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
-    for stroke in strokes:
-        marks[stroke.pixels((width, height)).numpy()] = (
-            cv2.GC_FGD if stroke.over_object else cv2.GC_BGD
-        )
-    foreground = np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD))
+    known = np.where(inside, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
+    for own, others in marks:
+        known[own.numpy()] = cv2.GC_FGD
+        known[others.numpy()] = cv2.GC_BGD
+    foreground = np.isin(known, (cv2.GC_FGD, cv2.GC_PR_FGD))
     if min(foreground.sum(), (~foreground).sum()) < MIN_PIXELS:
         raise StyleSplatError(
-            f"The strokes in {photo} leave nothing of the object, or nothing of what is around it. "
-            "Draw less."
+            f"What is marked in {photo} leaves nothing of the object, or nothing of what is around "
+            "it. Mark less."
         )
     found = {
-        each: torch.from_numpy(_grabcut(image[..., list(each)], marks)) for each in GRABCUT_CHANNELS
+        each: torch.from_numpy(_grabcut(image[..., list(each)], known)) for each in GRABCUT_CHANNELS
     }
     cuts = {channels: mask for channels, mask in found.items() if mask.any()}
     if not cuts:
