@@ -72,6 +72,22 @@ def test_a_run_with_a_time_takes_many_of_its_quick_steps(
     assert (by_steps, by_time) == (3.0, 2.25), "2.8 times the steps at 1200 pixels"
 
 
+def test_a_moment_of_noise_promises_no_speed(
+    large: Callable[[float], Capture], monkeypatch: pytest.MonkeyPatch
+):
+    """What was measured as larger photos were tried, and smaller ones a moment before."""
+
+    def seconds(capture: Capture, *_: object) -> Tensor:
+        side = int(capture.cameras.sizes.max())
+        even = torch.full((10,), 300 / TrainConfig.steps * (side / 600) ** 2)
+        even[3] *= 6 if side < 600 else 1
+        return even
+
+    monkeypatch.setattr(photo_size, "_step_seconds", seconds)
+    assert affordable_downscale(large, TrainConfig(max_seconds=300.0), device=CPU) >= 6
+    assert affordable_downscale(large, TrainConfig(), device=CPU) >= 6
+
+
 def test_the_time_is_measured_with_the_settings_of_a_run_that_has_one(
     large: Callable[[float], Capture], monkeypatch: pytest.MonkeyPatch
 ):

@@ -29,7 +29,6 @@ TRIED = (480, 960)  # of those that are measured
 PAINTED = 960  # at least, of views to paint, if the photos have them
 TRIED_PHOTOS = 8
 FACTOR_STEP = 4  # factors are quarters
-INSTANT = 1e-6  # seconds: what is measured may differ by noise alone
 
 
 def affordable_downscale(
@@ -63,12 +62,13 @@ def affordable_downscale(
                 measured.append(_step_seconds(capture_at(factor), config, device))
             counted.advance()
     small, large = (1 / factor**2 for factor in factors)
-    a_pixel = (measured[1] - measured[0]) / (large - small)
+    # never less: one point of a run that noise made slower on small photos would promise any speed
+    a_pixel = (measured[1] - measured[0]).clamp(min=0) / (large - small)
     most = _quarters(whole.shrink_to(SMALLEST))
     factor = usual_downscale(whole)
     while factor < most:
         seconds = measured[0] + a_pixel * (1 / factor**2 - small)
-        if _fits(seconds.clamp(min=INSTANT), config):
+        if _fits(seconds, config):
             break
         factor += 1 / FACTOR_STEP
     return factor
