@@ -39,9 +39,9 @@ PREVIEW, RIMS = "preview.jpg", "rims.jpg"  # beside the label maps, which are PN
 SCENE_PREVIEW = "masks.jpg"  # in the folder of a scene
 SIDE = 480  # pixels of the views in it
 MEND = (
-    "If a mask is wrong there: the same command again with --overwrite and a line in any photo, "
-    "--stroke over what it missed or --not-stroke over what it took too much, from whose colours "
-    "it learns; or `mask` with --keep or --drop and a box over the part that is to change."
+    "If a mask is wrong there: the same command again with --overwrite and a line in the photo of "
+    "its box, --stroke over what it missed or --not-stroke over what it took too much, whose "
+    "colours it learns; or `mask` with --keep or --drop and a box over the part that is to change."
 )
 
 
