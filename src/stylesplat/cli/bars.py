@@ -18,7 +18,7 @@ from stylesplat.progress import Observer, write_lines
 MOMENT, LOG_MOMENT = 0.5, 2.0  # seconds of work that is not worth a bar, or a line in a log
 EVERY, LOG_EVERY = 1.0, 10.0  # seconds between two drawings of work that does not advance
 TICK = 0.25  # seconds between two looks at it
-RECENT = 30.0  # seconds whose speed is that of the rest
+RATE_SECONDS = 30.0  # the last ones, whose speed tells the time left
 BAR_FORMAT = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
 OF_SECONDS = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}{postfix}]"
 UNCOUNTED = "{desc}: {elapsed}{postfix}"
@@ -28,7 +28,7 @@ UNBOUNDED = "{desc}: {n_fmt} {unit}s [{elapsed}{postfix}]"
 class _Bar(tqdm):
     """A task. Without `display` a bar that is drawn before its delay would not end its line.
 
-    tqdm knows no speed of what the thread draws: the rate is that since an earlier drawing.
+    The rate is measured here: tqdm's is wrong where the thread draws between two of its drawings.
     """
 
     def __init__(self, *, initial: int | float, **options: Any) -> None:
@@ -52,7 +52,7 @@ class _Bar(tqdm):
         if self.delay > 0:
             self.last_print_t = max(self.last_print_t, self.start_t + self.delay)
         now = time()
-        while len(self._before) > 1 and now - self._before[1][0] > RECENT:
+        while len(self._before) > 1 and now - self._before[1][0] > RATE_SECONDS:
             self._before.popleft()
         drawn = super().display(*arguments, **options)
         self._before.append((now, self.n))

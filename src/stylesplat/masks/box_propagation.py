@@ -81,9 +81,10 @@ def agreement(
 def _candidates(
     splats: Splats, cameras: Cameras, boxes: BoxMasks, cuts: Mapping[int, Mask]
 ) -> Iterator[Bool[Tensor, " N"]]:
-    """All or nothing, what cuts show, completed on the surface, and what clicks into them pick.
+    """All there is, what cuts show, completed on the surface, and what clicks into them pick.
 
-    All there is may be the object where photos are cut out: most of what is beside it is empty.
+    All there is can be an object only where photos are cut out to it, so that most of what is
+    beside the boxes is empty. Elsewhere the first candidate is nothing.
     """
     everything = torch.ones(len(splats), dtype=torch.bool)
     beside = [

@@ -84,7 +84,7 @@ class Gallery:
                         say(str(error))
 
     def add(self, path: Path) -> StylePicture:
-        """Add the picture of a file, which stays where it is, unless it is on the shelf."""
+        """Add the picture of a file, which stays where it is. None is added twice."""
         picture, name = read_style(path), style_title(path)
         height, width = picture.shape[:2]
         small = shrunk(to_uint8(picture).numpy(), GALLERY_SIDE)

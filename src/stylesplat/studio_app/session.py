@@ -28,7 +28,7 @@ from stylesplat.studio_app.history import History, ObjectMasks, StudioState, hid
 from stylesplat.studio_app.messages import Progress
 
 WorkItem = Callable[[], object]
-_page = ContextVar[int | None]("page", default=None)  # that alone gets what is told
+_page = ContextVar[int | None]("page", default=None)  # the only one to be told; None: all
 
 
 class Stopped(Exception):

@@ -386,15 +386,15 @@ def say_estimate(run: TrainingRun, state: State, capture: Capture, *, advise: bo
     seconds = fmean(round_seconds(run, state)) * config.steps / run.batch
     width, height = max((run.cameras[row].size for row in run.rows), key=max)
     advice = ""
-    if advise and config.steps < TrainConfig.steps:
+    if config.steps < TrainConfig.steps:
         advice = f" Fewer than {TrainConfig.steps:,} steps leave pictures softer."
-    if advise and capture.downscale > 1:
+    if capture.downscale > 1:
         most = format_duration(seconds * capture.downscale**2)
         advice += f" All pixels of the photos would take up to {most}."
-    if advise and seconds > LONG_SECONDS:
+    if seconds > LONG_SECONDS:
         advice += f" PSNR rises most near the end. `{FIRST_LOOK}` gives a first look."
     photos = f"{count_noun(len(run.rows), 'photo')} of {width}x{height}"
     say(
         f"{photos}, at most {config.max_gaussians:,} Gaussians: {config.steps:,} steps take "
-        f"about {format_duration(seconds)} on this machine.{advice}"
+        f"about {format_duration(seconds)} on this machine.{advice if advise else ''}"
     )

@@ -62,7 +62,7 @@ def affordable_downscale(
                 measured.append(_step_seconds(capture_at(factor), config, device))
             counted.advance()
     small, large = (1 / factor**2 for factor in factors)
-    # never less: one point of a run that noise made slower on small photos would promise any speed
+    # Not below 0: noise at one point of a run would give a time below 0, and any size would fit
     a_pixel = (measured[1] - measured[0]).clamp(min=0) / (large - small)
     most = _quarters(whole.shrink_to(SMALLEST))
     factor = usual_downscale(whole)
