@@ -564,13 +564,16 @@ def test_the_shelf_takes_files_of_this_machine_and_lets_sent_ones_go(page: Page,
     assert "Drop the file here" in page.said.pop()
 
 
+BRIEF = {"steps": 4, "object_size": 48}
+
+
 def test_every_style_can_be_tried(page: Page):
     page.act("pick_names", names=["3"])
     earlier = list[str]()
     page.session.on_progress.append(
         lambda: earlier.append(page.actions.state_message().previews["stripes"])
     )
-    state = page.act("try_all")
+    state = page.act("try_all", settings=BRIEF)
     first, second = (state.previews[name] for name in ("stripes", "turned"))
     assert first != second
     assert earlier[0] and earlier[0] != first, "a draft follows the colours"
@@ -581,10 +584,57 @@ def test_every_style_can_be_tried(page: Page):
         page.session.do(lambda state: pick_names(state, ["7"]))
 
     page.session.on_progress.append(pick_another)
-    state = page.act("try_all")
+    state = page.act("try_all", settings=BRIEF)
     assert page.names() == ["7"] and page.session.progress is None, "the drafts have ended"
     assert not state.previews, "they were of another object"
     assert not page.session.state.scene.layers
+
+
+def test_what_was_tried_stays_as_variants(page: Page):
+    page.act("pick_names", names=["3"])
+    region = {"stripes": (0, 0, 40, 40)}
+    state = page.act("try_all", settings=BRIEF | {"rotate": 90.0}, regions=region)
+    assert sorted({each.title for each in state.variants}) == ["stripes", "turned"], page.said
+    assert all(each.object == "3" and each.thumbnail for each in state.variants)
+    assert "rotate 90" in state.variants[1].settings and "region" in state.variants[0].settings
+    assert not state.layers, "the scene is as it was"
+
+    base, used = page.session.state.scene.splats, state.variants[1].id
+    state = page.act("use_variant", id=used)
+    (layer,) = state.layers
+    assert layer.values["quality"] == "draft", "it can be finished"
+    assert not torch.equal(page.session.state.scene.splats.sh0, base.sh0)
+    assert state.previews, "they are still those of what is picked"
+
+    page.act("star_variant", id=used, starred=True)
+    page.act("try_all")
+    state = page.act("try_all", settings=BRIEF | {"rotate": 90.0})
+    known = {(each.title, each.settings) for each in state.variants}
+    assert len(state.variants) == len(known) == 3, "the same draft once"
+    paths = {each.folder.name for each in page.actions.variants._kept}
+    again = Variants(
+        page.session, page.actions.gallery.files, page.actions.thumbnails, readonly=False
+    )
+    assert {each.id for each in again.cards()} == paths, "they stay with the scene"
+
+
+def test_drafts_make_room_before_paintings(page: Page, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("stylesplat.studio_app.variants.MOST_VARIANTS", 2)
+    state = painted(page, "3")
+    kept = state.variants[0].id
+    page.act("pick_names", names=["3", "7"])
+    state = page.act("try_all", settings=BRIEF)
+    assert len(state.previews) == 2, "of both objects"
+    assert [each.object for each in state.variants] == ["3", "7"]
+    assert state.variants[0].id == kept, "the drafts have gone, and not the painting"
+
+
+def test_a_selection_that_was_tried_is_no_object(page: Page):
+    page.act("pick_names", names=["3"])
+    page.act("invert_picked")
+    state = page.act("try_all", settings=BRIEF)
+    assert len(state.previews) == 2 and not state.variants, page.said
+    assert {each.name for each in state.objects} == {"3", "7", "300"}
 
 
 def test_the_queue_is_a_list(page: Page):

@@ -109,7 +109,7 @@ class Actions:
         readonly = store is None
         self.variants = Variants(session, gallery.files, thumbnails, readonly=readonly)
         self.pictures = Pictures(session, self.variants.before)
-        self.previews = StylePreviews(session, gallery, **options)
+        self.previews = StylePreviews(session, gallery, self.variants.keep_draft, **options)
         self._spot: tuple[object, StudioState, StudioState] | None = None
         """Where was picked last, what became of it, and what was before."""
         scene, variants = session.state.scene, self.variants

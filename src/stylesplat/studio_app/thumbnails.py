@@ -1,7 +1,9 @@
 """Small pictures of objects and paintings, and of what is picked in every style."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,21 +17,22 @@ from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import jpeg
 from stylesplat.rendering.weights import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.layers import Layer
 from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
-from stylesplat.studio_app.gallery import Files, Gallery, StylePicture
+from stylesplat.studio_app.gallery import Files, Gallery
 from stylesplat.studio_app.history import StudioState, require_picked
-from stylesplat.studio_app.messages import Progress
-from stylesplat.studio_app.paint_queue import preview_colors
+from stylesplat.studio_app.messages import Progress, ShortText
+from stylesplat.studio_app.paint_queue import preview_colors, seconds_left
 from stylesplat.studio_app.session import SESSION_BUSY, Session, Stopped
+from stylesplat.stylization.painter import SurveyedObject
 from stylesplat.stylization.style import Style
-from stylesplat.verbs.stylize import stylize
+from stylesplat.verbs.stylize import Live, stylize_live
 
 THUMBNAIL_SIDE = 160  # pixels along a thumbnail
 CARD = 0.15  # grey around an object
-THUMBNAIL_QUICK = {"quality": "draft", "steps": 24, "object_size": 112}
-NAME = "object"
+SELECTION = "the selection"  # the name under which it is tried
 
 
 @torch.no_grad()
@@ -55,9 +58,8 @@ class ObjectThumbnails:
             session.ask(partial(self._make, name), kind=f"thumbnail {name}", patient=True)
         return self._made[name][1] if name in self._made else ""
 
-    def paint_picture(self, name: str) -> bytes:
-        """A picture of an object as it is now; nothing if no view shows it."""
-        scene = self._session.state.scene
+    def paint_picture(self, name: str, scene: Scene) -> bytes:
+        """A picture of an object of a scene; nothing if no view shows it."""
         with suppress(StyleSplatError):
             picked = scene.to_splats(self._session.masks.of(scene, name))
             return object_picture(scene.splats, self._camera(name), picked)
@@ -78,15 +80,21 @@ class ObjectThumbnails:
             picked, splats = scene.to_splats(self._session.masks.of(scene, name)), scene.splats
             looks = torch.cat([splats.sh0[picked, 0], splats.opacities[picked, None]], dim=1)
             if name not in self._made or not torch.equal(self._made[name][0], looks):
-                picture = self.paint_picture(name)
+                picture = self.paint_picture(name, scene)
                 self._made[name] = looks, self._files.add(picture) if picture else ""
                 self._session.ask(self._session.on_change.call, kind="thumbnails", patient=True)
 
 
 class StylePreviews:
-    def __init__(self, session: Session, gallery: Gallery, **options: Any) -> None:
-        self._session, self._gallery = session, gallery
-        self._options, self._urls = {**options, "measured": False}, dict[str, str]()
+    def __init__(
+        self, session: Session, gallery: Gallery, keep: Callable[[Layer, str], bool], **options: Any
+    ) -> None:
+        """`keep` is called with each draft of an object and the title of its picture.
+
+        It tells whether the draft is kept.
+        """
+        self._session, self._gallery, self._keep = session, gallery, keep
+        self._options, self._urls = options, dict[str, str]()
         self._of: StudioState | None = None
         self._stopped = False
 
@@ -95,8 +103,15 @@ class StylePreviews:
         """The addresses of the previews of what is picked, by the titles of styles."""
         return self._urls if self._is_current() else {}
 
-    def try_all(self) -> None:
-        """Show previews of all styles on what is picked, or remove them."""
+    def try_all(
+        self,
+        settings: dict[str, Any] | None = None,
+        regions: dict[ShortText, tuple[int, int, int, int]] | None = None,
+    ) -> None:
+        """Show drafts of all styles on what is picked and keep those of objects, or remove all.
+
+        `regions` are the parts of pictures that are used, by their titles.
+        """
         session, state = self._session, self._session.state
         there, self._of = self._is_current(), None
         self._urls.clear()
@@ -106,8 +121,14 @@ class StylePreviews:
         require_picked(state)
         if session.painting:
             raise StyleSplatError(SESSION_BUSY)
+        draft: dict[str, Any] = {**(settings or {}), "quality": "draft"}
+        parts = {title: {**draft, "region": region} for title, region in (regions or {}).items()}
+        styles = {
+            each.title: Style(each.path, **parts.get(each.title, draft))
+            for each in self._gallery.pictures.values()
+        }
         self._of, self._stopped = state, False
-        session.worker.set_background_task(self._steps(state))
+        session.worker.set_background_task(self._steps(state, styles))
 
     def stop(self) -> None:
         """End the drafts; the previews that there are stay."""
@@ -115,47 +136,79 @@ class StylePreviews:
 
     def _is_current(self) -> bool:
         of, now = self._of, self._session.state
-        return of is not None and (of.picked, of.selection) == (now.picked, now.selection)
+        if of is None or (of.picked, of.selection) != (now.picked, now.selection):
+            return False
+        mask, known = self._session.masks.picked(now), self._session.masks.picked(of)
+        assert mask is not None and known is not None
+        return torch.equal(mask, known)
 
-    def _keep(self, style: StylePicture, content: bytes) -> None:
-        self._urls[style.title] = self._gallery.files.add(content)
+    def _show(self, title: str, splats: Splats, camera: Cameras, picked: Tensor) -> None:
+        self._urls[title] = self._gallery.files.add(object_picture(splats, camera, picked))
         self._session.on_change.call()
 
-    def _steps(self, of: StudioState) -> Iterator[None]:
-        """Paint the object in one style after the other, until something else is asked for."""
-        session, styles = self._session, [*self._gallery.pictures.values()]
-        base, picked = of.scene.base, session.masks.picked(of)
+    def _steps(self, of: StudioState, styles: Mapping[str, Style]) -> Iterator[None]:
+        """Paint what is picked in one style after the other, until something else is painted."""
+        session, base, picked = self._session, of.scene.base, self._session.masks.picked(of)
         assert picked is not None
         camera = close_up(base, of.scene.cameras, picked).at_most(THUMBNAIL_SIDE)
-        alone, everything = base[picked], torch.ones(int(picked.sum()), dtype=torch.bool)
-        scene = Scene(alone, of.scene.cameras, objects={NAME: SceneObject(everything)})
-
-        def over() -> bool:
-            return self._stopped or self._of is not of or session.state is not of
-
+        scene, names = of.scene, of.picked
+        if not names:
+            scene, names = scene.with_object(SELECTION, SceneObject(picked)), (SELECTION,)
         what = f"Drafts of {', '.join(of.picked) or 'the selection'}"
+        drafts = [(title, name) for title in styles for name in names]
+        surveys, times = dict[str, SurveyedObject | None](), [(0.0, time.monotonic())]
+        shown = below = scene.below(names[0])
         try:
-            for style in styles:
-                splats = preview_colors(base, picked, Style(style.path).read())
-                self._keep(style, object_picture(splats, camera, picked))
+            for title, style in styles.items():
+                self._show(title, preview_colors(base, picked, style.read()), camera, picked)
                 yield
-                if over():
-                    return
-            for row, style in enumerate(styles):
-                progress = Progress(f"{what}: {row + 1} of {len(styles)}", row / len(styles))
-                session.progress = progress
+                self._end_unless_wanted(of)
+            for count, (title, name) in enumerate(drafts, 1):
+                number = 1 + (count - 1) // len(names)
+                words, left = f"{what}: {number} of {len(styles)}", seconds_left(times, None)
+                session.progress = Progress(words, times[-1][0], left)
                 session.on_progress.call()
-                with session.listening(lambda: over() or session.painting):
-                    styled = stylize(
-                        scene, {NAME: Style(style.path, **THUMBNAIL_QUICK)}, **self._options
-                    )
-                if over():
+                live = yield from self._draft(of, scene, name, styles[title], surveys.get(name))
+                surveys[name] = live.survey
+                layer = replace(live.layer, mask=None, blend="normal")
+                if of.picked and not self._keep(layer, title):
                     return
-                self._keep(style, object_picture(styled.splats, camera, everything))
-                yield
+                shown = shown.with_layer(layer)
+                times.append((count / len(drafts), time.monotonic()))
+                if count % len(names) == 0:
+                    self._show(title, shown.splats, camera, shown.to_splats(picked))
+                    shown = below
         except Stopped:
             return
         finally:
             if session.progress is not None and session.progress.what.startswith(what):
                 session.progress = None
                 session.on_change.call()
+
+    def _draft(
+        self,
+        of: StudioState,
+        scene: Scene,
+        name: str,
+        style: Style,
+        survey: SurveyedObject | None,
+    ) -> Generator[None, None, Live]:
+        live, lives = None, stylize_live(scene, name, style, survey=survey, **self._options)
+        while True:
+            with self._session.listening(partial(self._is_over, of)):
+                following = next(lives, None)
+            if following is None:
+                assert live is not None  # there is at least one step
+                return live
+            live = following
+            yield
+            self._end_unless_wanted(of)
+
+    def _is_over(self, of: StudioState) -> bool:
+        return (
+            self._stopped or self._of is not of or self._session.painting or not self._is_current()
+        )
+
+    def _end_unless_wanted(self, of: StudioState) -> None:
+        if self._is_over(of):
+            raise Stopped

@@ -1,4 +1,4 @@
-"""The paintings that were finished or stopped, which stay beside the scene."""
+"""The paintings that were finished or stopped, and drafts, which stay beside the scene."""
 
 import shutil
 from dataclasses import dataclass
@@ -41,6 +41,14 @@ class _About(msgspec.Struct):
     digest: str  # of the paint
     name: ShortText = ""
     starred: bool = False
+    draft: bool = False  # of all styles that were tried; such make room first
+
+    def replaced_by(self, other: "_About") -> bool:
+        """Whether it is an earlier draft of the same that nobody has marked."""
+        if not self.draft or self.name or self.starred:
+            return False
+        of_other = other.object, other.title, other.settings
+        return (self.object, self.title, self.settings) == of_other
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,30 +106,49 @@ class Variants:
 
     def keep_painted(self, name: str, title: str) -> None:
         """Keep a layer that was painted just now."""
-        layer = find_layer(self._session.state.scene, name)
-        picture = self._thumbnails.paint_picture(layer.object)
+        scene = self._session.state.scene
+        self._keep(find_layer(scene, name), title, scene)
+
+    def keep_draft(self, layer: Layer, title: str) -> bool:
+        """Keep a draft that is not shown, in place of an earlier one of the same; whether it is."""
+        scene = self._session.state.scene
+        return self._keep(layer, title, scene.below(layer.name).with_layer(layer), draft=True)
+
+    def _keep(self, layer: Layer, title: str, scene: Scene, *, draft: bool = False) -> bool:
+        """Keep a layer, with a picture of it in a scene; return whether that went well."""
+        settings, digest = describe_settings(layer.settings), self._digest(layer)
+        about = _About(layer.object, title, settings, digest, draft=draft)
+        known = draft and any(each.about.digest == digest for each in self._kept)
         try:
-            self._add(layer, title, describe_settings(layer.settings), picture)
+            if not known:
+                self._add(layer, about, self._thumbnails.paint_picture(layer.object, scene))
         except (OSError, StyleSplatError) as error:
             self._session.tell(f"The variant is not kept: {reason(error)}.", failure=True)
-        self._session.on_change.call()
+            return False
+        finally:
+            self._session.on_change.call()
+        return True
 
-    def _add(self, layer: Layer, title: str, settings: str, picture: bytes) -> None:
-        about = _About(layer.object, title, settings, self._digest(layer))
+    def _add(self, layer: Layer, about: _About, picture: bytes) -> None:
         place = self._place()
         names = (*(each.name for each in place.iterdir()), *(each.id for each in self._kept))
         last = max((int(name) for name in names if name.isdecimal()), default=0)
         folder = place / f"{last + 1:04}"
-        with atomic_folder(folder, overwrite=False, marker=STACK) as draft:
-            write_layers([layer], draft)
-            (draft / PICTURE).write_bytes(picture)
-            write_json(msgspec.to_builtins(about), draft / ABOUT)
+        with atomic_folder(folder, overwrite=False, marker=STACK) as partial:
+            write_layers([layer], partial)
+            (partial / PICTURE).write_bytes(picture)
+            write_json(msgspec.to_builtins(about), partial / ABOUT)
+        earlier = [each for each in self._kept if about.draft and each.about.replaced_by(about)]
         self._kept.append(_Kept(folder, about, self._url(folder)))
+        for each in earlier:
+            self.delete_variant(each.id)
         if len(self._kept) > MOST_VARIANTS:
             plain = [each for each in self._kept[:-1] if not each.about.starred]
-            if plain:
+            drafts = [each for each in plain if each.about.draft]
+            if plain and not drafts:
                 self._session.tell(f"{MOST_VARIANTS} variants are kept: the oldest one has gone.")
-                self.delete_variant(plain[0].id)
+            if plain:
+                self.delete_variant((drafts or plain)[0].id)
 
     def layer(self, id: str) -> tuple[Layer, str]:
         """The layer of a variant, and what it is called."""

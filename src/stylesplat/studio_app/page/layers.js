@@ -22,7 +22,7 @@ export function Layers() {
   const now = state.value, chosen = now.objects.filter((each) => each.picked).map((each) => each.name);
   const layers = [...now.layers].reverse(), list = useRef(null), moving = useSignal(null);
   const variants = now.variants.map((each) => ({ ...each, current: now.current.includes(each.id) }))
-    .filter((each) => !chosen.length || chosen.includes(each.object)).sort((a, b) => b.starred - a.starred);
+    .filter((each) => !chosen.length || chosen.includes(each.object)).reverse().sort((a, b) => b.starred - a.starred);
   const move = (name, row) => act("move_layer", { name, to: layers.length - 1 - row });
   // A drag by the handle, while which no controls are between the layers: the place is that of the row whose middle
   // the pointer has passed
