@@ -241,8 +241,11 @@ class PaintQueue:
                     own = self.session.masks.of(live.before, split_name(job.name)[0])
                     self._surveyed = replace(live.below, composed=None), own, live.survey
                 self._latest, begun = live, True
-                self._show(job, live)
-                yield
+                if self._show(job, live):
+                    yield  # its pictures are made before the next step
+                    self._drawing = time.monotonic() - self._drawn_at
+                else:
+                    yield
             latest = self._latest
             assert latest is not None  # there is at least one step
             self._usual[job.style.config.quality] = self._times
@@ -260,11 +263,12 @@ class PaintQueue:
     def _is_dropped(self, job: PaintJob) -> bool:
         return self._current is not job
 
-    def _show(self, job: PaintJob, live: Live) -> None:
+    def _show(self, job: PaintJob, live: Live) -> bool:
+        """Show a step, unless pictures would take too much of the time; return whether it is."""
         now, step, steps = time.monotonic(), live.state.step, live.state.steps
         self._times.append((step / steps, now))
         if now - self._drawn_at < max(SHOW_EVERY, self._drawing / SHOWING):
-            return
+            return False
         self._drawn_at = now
         left = seconds_left(self._times, self._usual.get(job.style.config.quality))
         what = f"Painting {job.name} like {job.title}: step {step} of {steps}"
@@ -273,7 +277,7 @@ class PaintQueue:
         state = replace_scene(self.session.state, scene, "")
         self.session.preview = Display(scene.splats, hidden_rows(state, self.session.masks))
         self.session.on_change.call()
-        self._drawing = time.monotonic() - now
+        return True
 
     def _finish(self, job: PaintJob, live: Live, note: str) -> None:
         session = self.session
