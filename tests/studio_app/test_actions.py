@@ -611,11 +611,11 @@ def test_what_was_tried_stays_as_variants(page: Page):
     state = page.act("try_all", settings=BRIEF | {"rotate": 90.0})
     known = {(each.title, each.settings) for each in state.variants}
     assert len(state.variants) == len(known) == 3, "the same draft once"
-    paths = {each.folder.name for each in page.actions.variants._kept}
+    page.act("compare_with", id=state.variants[0].id)
     again = Variants(
         page.session, page.actions.gallery.files, page.actions.thumbnails, readonly=False
     )
-    assert {each.id for each in again.cards()} == paths, "they stay with the scene"
+    assert again.cards() == state.variants, "they stay with the scene"
 
 
 def test_drafts_make_room_before_paintings(page: Page, monkeypatch: pytest.MonkeyPatch):
@@ -627,6 +627,23 @@ def test_drafts_make_room_before_paintings(page: Page, monkeypatch: pytest.Monke
     assert len(state.previews) == 2, "of both objects"
     assert [each.object for each in state.variants] == ["3", "7"]
     assert state.variants[0].id == kept, "the drafts have gone, and not the painting"
+
+    page.act("name_variant", id=state.variants[1].id, name="mine")
+    page.act("try_all")
+    named = page.act("try_all", settings=BRIEF | {"rotate": 90.0}).variants
+    assert [each.title for each in named] == [state.variants[0].title, "mine"]
+    assert "drafts are not kept" in page.said.pop()
+
+
+def test_a_picture_that_is_gone_stops_no_other_draft(page: Page):
+    page.act("pick_names", names=["3"])
+    page.actions.gallery.pictures["stripes"].path.unlink()
+    state = page.act("try_all", settings=BRIEF)
+    assert [*state.previews] == ["turned"] == [each.title for each in state.variants]
+    assert "stripes" in page.said.pop()
+    page.act("try_all")
+    page.act("try_all", settings={"config": 1})
+    assert "config" in page.said.pop()
 
 
 def test_a_selection_that_was_tried_is_no_object(page: Page):

@@ -125,7 +125,7 @@ class LayerInfo(msgspec.Struct, frozen=True):
 
 
 class Variant(msgspec.Struct, frozen=True):
-    """A painting of an object that was finished, or stopped, or a draft of all that were tried."""
+    """A painting of an object that was finished or stopped, or a draft of Try all."""
 
     id: str
     object: str

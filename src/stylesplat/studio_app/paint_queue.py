@@ -34,6 +34,7 @@ from stylesplat.verbs.stylize import Live, stylize_live
 
 SHOW_EVERY = 0.4  # seconds between two pictures of a painting
 SHOWING = 0.2  # of the time of a painting, which its pictures may take
+LONGEST_DRAWING = 0.5  # seconds; what lasts longer is another job, and the next picture no later
 RECENT = 20  # steps whose speed is that of the rest
 FIRST_GUESS = 2.0  # seconds of painting before the rest is estimated
 QUEUE_SAMPLE = 20_000  # pixels of a style picture whose colours are measured
@@ -242,8 +243,8 @@ class PaintQueue:
                     self._surveyed = replace(live.below, composed=None), own, live.survey
                 self._latest, begun = live, True
                 if self._show(job, live):
-                    yield  # its pictures are made before the next step
-                    self._drawing = time.monotonic() - self._drawn_at
+                    yield  # the worker makes its pictures now, before the next step
+                    self._drawing = min(time.monotonic() - self._drawn_at, LONGEST_DRAWING)
                 else:
                     yield
             latest = self._latest
@@ -264,7 +265,10 @@ class PaintQueue:
         return self._current is not job
 
     def _show(self, job: PaintJob, live: Live) -> bool:
-        """Show a step, unless pictures would take too much of the time; return whether it is."""
+        """Show a step, unless pictures would take too large a share of the time.
+
+        Returns whether it was shown.
+        """
         now, step, steps = time.monotonic(), live.state.step, live.state.steps
         self._times.append((step / steps, now))
         if now - self._drawn_at < max(SHOW_EVERY, self._drawing / SHOWING):

@@ -15,6 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.best_views import close_up
 from stylesplat.figures.pictures import to_uint8
 from stylesplat.io.images import jpeg
+from stylesplat.options import with_settings
 from stylesplat.rendering.weights import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import Layer
@@ -26,13 +27,14 @@ from stylesplat.studio_app.history import StudioState, require_picked
 from stylesplat.studio_app.messages import Progress, ShortText
 from stylesplat.studio_app.paint_queue import preview_colors, seconds_left
 from stylesplat.studio_app.session import SESSION_BUSY, Session, Stopped
+from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.painter import SurveyedObject
 from stylesplat.stylization.style import Style
 from stylesplat.verbs.stylize import Live, stylize_live
 
 THUMBNAIL_SIDE = 160  # pixels along a thumbnail
 CARD = 0.15  # grey around an object
-SELECTION = "the selection"  # the name under which it is tried
+SELECTION = "the selection"  # the name of a temporary object
 
 
 @torch.no_grad()
@@ -87,13 +89,17 @@ class ObjectThumbnails:
 
 class StylePreviews:
     def __init__(
-        self, session: Session, gallery: Gallery, keep: Callable[[Layer, str], bool], **options: Any
+        self,
+        session: Session,
+        gallery: Gallery,
+        keep_draft: Callable[[Layer, str], bool],
+        **options: Any,
     ) -> None:
-        """`keep` is called with each draft of an object and the title of its picture.
+        """`keep_draft` gets each draft of an object and the title of its picture.
 
-        It tells whether the draft is kept.
+        It returns whether more may come.
         """
-        self._session, self._gallery, self._keep = session, gallery, keep
+        self._session, self._gallery, self._keep_draft = session, gallery, keep_draft
         self._options, self._urls = options, dict[str, str]()
         self._of: StudioState | None = None
         self._stopped = False
@@ -108,9 +114,10 @@ class StylePreviews:
         settings: dict[str, Any] | None = None,
         regions: dict[ShortText, tuple[int, int, int, int]] | None = None,
     ) -> None:
-        """Show drafts of all styles on what is picked and keep those of objects, or remove all.
+        """Paint a draft of what is picked in every style, and keep those of objects as variants.
 
-        `regions` are the parts of pictures that are used, by their titles.
+        If previews are shown, they are removed instead. `regions` are the parts of pictures that
+        are used, by their titles; those of other titles are ignored.
         """
         session, state = self._session, self._session.state
         there, self._of = self._is_current(), None
@@ -121,10 +128,10 @@ class StylePreviews:
         require_picked(state)
         if session.painting:
             raise StyleSplatError(SESSION_BUSY)
-        draft: dict[str, Any] = {**(settings or {}), "quality": "draft"}
-        parts = {title: {**draft, "region": region} for title, region in (regions or {}).items()}
+        config = with_settings(StyleConfig(), {**(settings or {}), "quality": "draft"})
+        parts = regions or {}
         styles = {
-            each.title: Style(each.path, **parts.get(each.title, draft))
+            each.title: Style(each.path, config=replace(config, region=parts.get(each.title)))
             for each in self._gallery.pictures.values()
         }
         self._of, self._stopped = state, False
@@ -138,9 +145,11 @@ class StylePreviews:
         of, now = self._of, self._session.state
         if of is None or (of.picked, of.selection) != (now.picked, now.selection):
             return False
-        mask, known = self._session.masks.picked(now), self._session.masks.picked(of)
-        assert mask is not None and known is not None
-        return torch.equal(mask, known)
+        if now.scene.objects is of.scene.objects:
+            return True
+        mask, earlier = self._session.masks.picked(now), self._session.masks.picked(of)
+        assert mask is not None and earlier is not None
+        return torch.equal(mask, earlier)
 
     def _show(self, title: str, splats: Splats, camera: Cameras, picked: Tensor) -> None:
         self._urls[title] = self._gallery.files.add(object_picture(splats, camera, picked))
@@ -155,23 +164,31 @@ class StylePreviews:
         if not names:
             scene, names = scene.with_object(SELECTION, SceneObject(picked)), (SELECTION,)
         what = f"Drafts of {', '.join(of.picked) or 'the selection'}"
-        drafts = [(title, name) for title in styles for name in names]
+        unread = set[str]()
         surveys, times = dict[str, SurveyedObject | None](), [(0.0, time.monotonic())]
         shown = below = scene.below(names[0])
         try:
             for title, style in styles.items():
-                self._show(title, preview_colors(base, picked, style.read()), camera, picked)
+                try:
+                    pictures = style.read()
+                except StyleSplatError as error:
+                    session.tell(str(error), failure=True)
+                    unread.add(title)
+                else:
+                    self._show(title, preview_colors(base, picked, pictures), camera, picked)
                 yield
-                self._end_unless_wanted(of)
+                self._raise_if_over(of)
+            readable = [title for title in styles if title not in unread]
+            drafts = [(title, name) for title in readable for name in names]
             for count, (title, name) in enumerate(drafts, 1):
                 number = 1 + (count - 1) // len(names)
-                words, left = f"{what}: {number} of {len(styles)}", seconds_left(times, None)
+                words, left = f"{what}: {number} of {len(readable)}", seconds_left(times, None)
                 session.progress = Progress(words, times[-1][0], left)
                 session.on_progress.call()
                 live = yield from self._draft(of, scene, name, styles[title], surveys.get(name))
                 surveys[name] = live.survey
                 layer = replace(live.layer, mask=None, blend="normal")
-                if of.picked and not self._keep(layer, title):
+                if of.picked and not self._keep_draft(layer, title):
                     return
                 shown = shown.with_layer(layer)
                 times.append((count / len(drafts), time.monotonic()))
@@ -202,13 +219,13 @@ class StylePreviews:
                 return live
             live = following
             yield
-            self._end_unless_wanted(of)
+            self._raise_if_over(of)
 
     def _is_over(self, of: StudioState) -> bool:
         return (
             self._stopped or self._of is not of or self._session.painting or not self._is_current()
         )
 
-    def _end_unless_wanted(self, of: StudioState) -> None:
+    def _raise_if_over(self, of: StudioState) -> None:
         if self._is_over(of):
             raise Stopped

@@ -41,14 +41,7 @@ class _About(msgspec.Struct):
     digest: str  # of the paint
     name: ShortText = ""
     starred: bool = False
-    draft: bool = False  # of all styles that were tried; such make room first
-
-    def replaced_by(self, other: "_About") -> bool:
-        """Whether it is an earlier draft of the same that nobody has marked."""
-        if not self.draft or self.name or self.starred:
-            return False
-        of_other = other.object, other.title, other.settings
-        return (self.object, self.title, self.settings) == of_other
+    draft: bool = False  # made by Try all; drafts are deleted before paintings
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +57,11 @@ class _Kept:
     @property
     def title(self) -> str:
         return self.about.name or self.about.title
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What drafts that replace each other have in common."""
+        return self.about.object, self.about.title, self.about.settings
 
 
 class Variants:
@@ -110,20 +108,31 @@ class Variants:
         self._keep(find_layer(scene, name), title, scene)
 
     def keep_draft(self, layer: Layer, title: str) -> bool:
-        """Keep a draft that is not shown, in place of an earlier one of the same; whether it is."""
+        """Keep a draft that is not shown, in place of an earlier one with the same settings.
+
+        Returns whether there is room for more.
+        """
         scene = self._session.state.scene
         return self._keep(layer, title, scene.below(layer.name).with_layer(layer), draft=True)
 
     def _keep(self, layer: Layer, title: str, scene: Scene, *, draft: bool = False) -> bool:
-        """Keep a layer, with a picture of it in a scene; return whether that went well."""
+        """Keep a layer, with a picture of it in a scene. Returns False if that cannot be."""
         settings, digest = describe_settings(layer.settings), self._digest(layer)
         about = _About(layer.object, title, settings, digest, draft=draft)
-        known = draft and any(each.about.digest == digest for each in self._kept)
+        if draft and any(each.about.digest == digest for each in self._kept):
+            return True
+        if draft and len(self._kept) >= MOST_VARIANTS and not self._replaceable():
+            self._session.tell(
+                f"{MOST_VARIANTS} variants are kept, all of them paintings or marked: drafts are "
+                "not kept. Delete some.",
+                failure=True,
+            )
+            return False
         try:
-            if not known:
-                self._add(layer, about, self._thumbnails.paint_picture(layer.object, scene))
+            self._add(layer, about, self._thumbnails.paint_picture(layer.object, scene))
         except (OSError, StyleSplatError) as error:
-            self._session.tell(f"The variant is not kept: {reason(error)}.", failure=True)
+            why = reason(error).rstrip(".")
+            self._session.tell(f"The variant is not kept: {why}.", failure=True)
             return False
         finally:
             self._session.on_change.call()
@@ -134,21 +143,32 @@ class Variants:
         names = (*(each.name for each in place.iterdir()), *(each.id for each in self._kept))
         last = max((int(name) for name in names if name.isdecimal()), default=0)
         folder = place / f"{last + 1:04}"
-        with atomic_folder(folder, overwrite=False, marker=STACK) as partial:
-            write_layers([layer], partial)
-            (partial / PICTURE).write_bytes(picture)
-            write_json(msgspec.to_builtins(about), partial / ABOUT)
-        earlier = [each for each in self._kept if about.draft and each.about.replaced_by(about)]
+        with atomic_folder(folder, overwrite=False, marker=STACK) as unfinished:
+            write_layers([layer], unfinished)
+            (unfinished / PICTURE).write_bytes(picture)
+            write_json(msgspec.to_builtins(about), unfinished / ABOUT)
+        drafts, key = self._replaceable(), (about.object, about.title, about.settings)
+        earlier = [each for each in drafts if each.key == key] if about.draft else []
         self._kept.append(_Kept(folder, about, self._url(folder)))
         for each in earlier:
             self.delete_variant(each.id)
         if len(self._kept) > MOST_VARIANTS:
             plain = [each for each in self._kept[:-1] if not each.about.starred]
-            drafts = [each for each in plain if each.about.draft]
             if plain and not drafts:
                 self._session.tell(f"{MOST_VARIANTS} variants are kept: the oldest one has gone.")
             if plain:
                 self.delete_variant((drafts or plain)[0].id)
+
+    def _replaceable(self) -> list[_Kept]:
+        """Drafts that nobody has starred or named, and that are neither shown nor compared."""
+        used = {self.compared, *self.current(self._session.state.scene)}
+        return [
+            each
+            for each in self._kept
+            if each.about.draft
+            and not (each.about.starred or each.about.name)
+            and each.id not in used
+        ]
 
     def layer(self, id: str) -> tuple[Layer, str]:
         """The layer of a variant, and what it is called."""
@@ -202,6 +222,7 @@ class Variants:
             self.compared = None
         shutil.rmtree(each.folder, ignore_errors=True)
         self._kept.remove(each)
+        self._last = None  # another variant may get its number
         self._session.on_change.call()
 
     def move_along(self) -> None:
