@@ -125,7 +125,7 @@ SAME_TURN, SAME_PLACE = 5.0, 0.1
 # Times as far from the middle as most cameras are: the cape had 1.2 where it was right, 19 where a
 # second group lay in a corner
 SAME_SCALE = 6.0
-MIN_POSED = 0.9  # share of the photos of a closed orbit that neighbours have to pose
+MIN_POSED = 0.9  # share of the photos, or of those of a closed orbit, that are enough
 
 
 @dataclass(frozen=True)
@@ -258,12 +258,15 @@ def _map_both_ways(
 ) -> list[list[pycolmap.Reconstruction]]:
     """The models by COLMAP's incremental mapper, and by its global one if they are to be trusted.
 
-    The second joins photos that are far apart (of 29 of a golden cape, whose highlights wander, 22
-    instead of 8; of all 56 the whole circle instead of 45). It is trusted where its poses are those
-    of the first and of the largest model that is known, or those of an object alone that turns on
-    one axis.
+    The first poses photos by few points here; what it leaves out is tried with the second, which
+    joins photos that are far apart (of 29 of a golden cape, whose highlights wander, 22 instead of
+    8; of all 56 the whole circle instead of 45). It is trusted where its poses are those of the
+    first and of the largest model that is known, or those of an object alone that turns on one
+    axis.
     """
-    in_turn = _map_photos(workspace)
+    in_turn = _map_photos(workspace, few=True)
+    if _posed(in_turn) >= MIN_POSED * len(workspace.names):
+        return [in_turn]
     others = (*in_turn[:1], *known[:1])
     for least in PAIR_MATCHES:
         at_once = _map_photos(workspace, "map_photos_at_once", least=least)
