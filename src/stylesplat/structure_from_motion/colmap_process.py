@@ -36,10 +36,6 @@ PHOTOS_PER_THREAD, PAIRS = 4, 50
 # Features that suffice in a typical photo at its own size: fox (1250) then has poses within 0.05
 # degrees, desk (440) has a fifth to a half more error than with the 1360 of twice the size
 COLMAP_FEW = 800
-# Points that pose a photo where others leave it out, a third of COLMAP's 30. Of 131 photos of a
-# statue from many cameras and seasons, all pairs matched, groups of 40 and 13 fit together with 30,
-# 65 and 28 with 15, 127 and 7 with 10: all within 12 degrees of known poses, 2.5 in the median
-FEW_POINTS = 10
 FAINT = 0.002  # contrast of features on smooth objects; the usual third finds a fifth as many
 LOG_LINES = 50  # of the child that are kept for error messages
 COLMAP_DISK_FULL = re.compile(
@@ -242,11 +238,12 @@ def _match_pairs(task: dict[str, Any]) -> None:
 def _map_photos(task: dict[str, Any]) -> None:
     """Find poses and points, and write each model into a folder of its own.
 
-    If the task says so, a photo is posed by few points, and by points that only two others show.
+    A task may say how many points are enough for a pose. Points that only two photos show, which
+    COLMAP leaves out, then count as well.
     """
     options = pycolmap.IncrementalPipelineOptions()
-    if task.get("few"):
-        options.mapper.abs_pose_min_num_inliers = FEW_POINTS
+    if "points" in task:
+        options.mapper.abs_pose_min_num_inliers = task["points"]
         options.triangulation.ignore_two_view_tracks = False
     options.num_threads = task["threads"]
     options.random_seed = options.mapper.random_seed = task["seed"]

@@ -239,7 +239,7 @@ MIN_REGISTERED, ENOUGH = 1 / 3, 20
 MOSTLY_PLANAR = 0.75  # share of the matched pairs; fox has 5 %
 MIN_ANGLE = 3.0  # degrees between the rays to a typical point; with less, depth is a guess
 SAMPLED_POINTS = 1000
-MIN_INLIERS = 30  # matches that a pose needs, COLMAP's abs_pose_min_num_inliers
+MIN_INLIERS = 30  # matches that a pose needs at first, COLMAP's abs_pose_min_num_inliers
 # Share of the pairs with two motions, from which something turns before what stands still
 MANY_MOTIONS = 0.3
 WALK = "Walk around what you want to show, so that each photo is taken from another place"
@@ -362,7 +362,7 @@ def why_unregistered(
         if shared < MIN_INLIERS:
             return (
                 "too far from the others: no photo with a pose shares more than "
-                f"{count_noun(shared, 'feature')} with it, {MIN_INLIERS} are needed"
+                f"{count_noun(shared, 'feature')} with it, usually {MIN_INLIERS} are needed"
             )
         return (
             f"no camera position fits, though it shares {shared} features with a photo that has a "

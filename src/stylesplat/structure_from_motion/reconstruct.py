@@ -119,13 +119,17 @@ MOSTLY_POSED, CLOSER = 0.75, 4
 # be trusted: few wrong pairs tear it apart. Of the cape, whose ornament repeats, all 56 photos had
 # the incremental mapper's poses with 20, 25 and 40, whatever the seed, and not with 15 and 30
 PAIR_MATCHES = 15, 20, 30, 40
+# Common points that are enough for a pose, where COLMAP's 30 leave most photos out. Of 131 photos
+# of a statue from many cameras and seasons, all pairs matched, the two largest groups had 40 and 13
+# photos with 30, 65 and 28 with 15, 127 and 7 with 10: all within 12 degrees of known poses
+FEW_POINTS = 10
 ALL_PAIRS = 20_000  # that are compared before: those of 200 photos take some 4 minutes
 # Degrees between poses of two mappers, and shares of their spread, from which one of them is wrong
 SAME_TURN, SAME_PLACE = 5.0, 0.1
 # Times as far from the middle as most cameras are: the cape had 1.2 where it was right, 19 where a
 # second group lay in a corner
 SAME_SCALE = 6.0
-MIN_POSED = 0.9  # share of the photos, or of those of a closed orbit, that are enough
+MIN_POSED = 0.9  # share of the photos that is enough, also of a closed orbit
 
 
 @dataclass(frozen=True)
@@ -233,8 +237,8 @@ def _look_closer(
     every = set(combinations(range(len(names)), 2))
     if table.compared < len(every) <= ALL_PAIRS and workspace.config.matching == "auto":
         say(f"{_fit_together(models, names)}: comparing all pairs of photos.")
-        found = match_pairs(workspace, every)
-        tries += [(each, counts, found) for each in _map_both_ways(workspace, models)]
+        table = match_pairs(workspace, every)
+    tries += [(each, counts, table) for each in _map_both_ways(workspace, models)]
     best = max(tries, key=lambda each: _posed(each[0]))
     if _posed(best[0]) >= MOSTLY_POSED * len(names) or are_apart(best[0], best[2]):
         return best
@@ -258,13 +262,18 @@ def _map_both_ways(
 ) -> list[list[pycolmap.Reconstruction]]:
     """The models by COLMAP's incremental mapper, and by its global one if they are to be trusted.
 
-    The first poses photos by few points here; what it leaves out is tried with the second, which
-    joins photos that are far apart (of 29 of a golden cape, whose highlights wander, 22 instead of
-    8; of all 56 the whole circle instead of 45). It is trusted where its poses are those of the
-    first and of the largest model that is known, or those of an object alone that turns on one
-    axis.
+    The first needs only `FEW_POINTS` for a pose, and is trusted where photos are turned as in the
+    largest model that is known. If it leaves out more than a tenth of them, the second is tried,
+    which joins photos that are far apart (of 29 of a golden cape, whose highlights wander, 22
+    instead of 8; of all 56 the whole circle instead of 45; with 30 points for a pose). It is
+    trusted where its poses are those of the first and of the known model, or those of an object
+    alone that turns on one axis.
     """
-    in_turn = _map_photos(workspace, few=True)
+    in_turn = _map_photos(workspace, points=FEW_POINTS)
+    if not in_turn or not (
+        has_one_scale(in_turn[0]) and all(turned_alike(in_turn[0], each) for each in known[:1])
+    ):
+        in_turn = _map_photos(workspace)
     if _posed(in_turn) >= MIN_POSED * len(workspace.names):
         return [in_turn]
     others = (*in_turn[:1], *known[:1])
@@ -297,20 +306,40 @@ def agree(one: pycolmap.Reconstruction, other: pycolmap.Reconstruction) -> bool:
     The global mapper may join two groups in scales of their own: then one lies in a corner of the
     other.
     """
-    posed = [{i.name: i for i in each.images.values() if i.has_pose} for each in (one, other)]
-    shared = sorted(posed[0].keys() & posed[1].keys())
+    shared = _posed_in_both(one, other)
     if len(shared) < MIN_PHOTOS:
         return True  # they say nothing of each other
-    places = [np.stack([each[name].projection_center() for name in shared]) for each in posed]
+    places = [np.stack([i.projection_center() for i in each]) for each in zip(*shared, strict=True)]
     fitted, moved, _ = procrustes(places[1], places[0])  # whose squares add up to 1
     apart = np.linalg.norm(fitted - moved, axis=1)
-    if np.quantile(apart, 0.9) > SAME_PLACE / np.sqrt(len(shared)):
-        return False
-    turns = [[each[name].cam_from_world().rotation.matrix() for name in shared] for each in posed]
-    a, b = map(np.stack, turns)
-    relative = [np.einsum("iab,jcb->ijac", each, each) for each in (a, b)]
+    is_near = np.quantile(apart, 0.9) <= SAME_PLACE / np.sqrt(len(shared))
+    return bool(is_near) and turned_alike(one, other)
+
+
+def turned_alike(one: pycolmap.Reconstruction, other: pycolmap.Reconstruction) -> bool:
+    """Whether the photos of both are turned alike against each other, mostly.
+
+    Places may differ: from afar a longer focal length looks like a larger distance.
+    """
+    shared = _posed_in_both(one, other)
+    if len(shared) < MIN_PHOTOS:
+        return True
+    turns = [
+        np.stack([image.cam_from_world().rotation.matrix() for image in each])
+        for each in zip(*shared, strict=True)
+    ]
+    relative = [np.einsum("iab,jcb->ijac", each, each) for each in turns]
     traces = np.einsum("ijab,ijab->ij", *relative)[np.triu_indices(len(shared), 1)]
     return float(np.median(np.degrees(np.arccos(((traces - 1) / 2).clip(-1, 1))))) < SAME_TURN
+
+
+def _posed_in_both(
+    one: pycolmap.Reconstruction, other: pycolmap.Reconstruction
+) -> list[tuple[pycolmap.Image, pycolmap.Image]]:
+    of_one, of_other = (
+        {i.name: i for i in each.images.values() if i.has_pose} for each in (one, other)
+    )
+    return [(of_one[name], of_other[name]) for name in sorted(of_one.keys() & of_other.keys())]
 
 
 def _masks_of(
