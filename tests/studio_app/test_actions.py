@@ -599,6 +599,14 @@ def test_what_was_tried_stays_as_variants(page: Page):
     assert "rotate 90" in state.variants[1].settings and "region" in state.variants[0].settings
     assert not state.layers, "the scene is as it was"
 
+    state = page.act("rename_picked", name="vase")
+    assert {each.object for each in state.variants} == {"vase"}, "they follow their object"
+    state = page.act("use_variant", id=state.variants[0].id)
+    assert [each.object for each in state.layers] == ["vase"], page.said
+    for _ in range(2):
+        state = page.act("step", rows=-1)
+    assert page.names() == ["3"] == [*{each.object for each in state.variants}]
+
     base, used = page.session.state.scene.splats, state.variants[1].id
     state = page.act("use_variant", id=used)
     (layer,) = state.layers

@@ -1,13 +1,14 @@
 """The paintings that were finished or stopped, and drafts, which stay beside the scene."""
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from weakref import WeakKeyDictionary
 
 import msgspec
+from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_folder, refuse_unwritable
@@ -24,7 +25,7 @@ from stylesplat.studio_app.edits import (
     replace_layer,
 )
 from stylesplat.studio_app.gallery import Files
-from stylesplat.studio_app.history import StudioState, hidden_rows
+from stylesplat.studio_app.history import StudioState, hidden_rows, object_names
 from stylesplat.studio_app.messages import ShortText, Variant
 from stylesplat.studio_app.session import Display, Session
 from stylesplat.studio_app.thumbnails import ObjectThumbnails
@@ -39,6 +40,7 @@ class _About(msgspec.Struct):
     title: str
     settings: str
     digest: str  # of the paint
+    rows: str = ""  # the digest of the object's Gaussians, by which it is found once it is renamed
     name: ShortText = ""
     starred: bool = False
     draft: bool = False  # made by Try all; drafts are deleted before paintings
@@ -58,11 +60,6 @@ class _Kept:
     def title(self) -> str:
         return self.about.name or self.about.title
 
-    @property
-    def key(self) -> tuple[str, str, str]:
-        """What drafts that replace each other have in common."""
-        return self.about.object, self.about.title, self.about.settings
-
 
 class Variants:
     """Their layers stay on the disk until one is shown."""
@@ -77,6 +74,7 @@ class Variants:
         self._elsewhere: TemporaryDirectory[str] | None = None
         """Where they are kept if the scene's folder cannot be written to."""
         self._digests = WeakKeyDictionary[Layer, str]()
+        self._rows = dict[str, tuple[Tensor, str]]()  # digests of the masks of objects
         self._last: tuple[Path, Layer] | None = None
         self._kept = list[_Kept]()
         place = session.folder / VARIANTS
@@ -93,7 +91,7 @@ class Variants:
 
     def cards(self) -> list[Variant]:
         return [
-            Variant(e.id, e.about.object, e.title, e.about.settings, e.url, e.about.starred)
+            Variant(e.id, self._object_of(e), e.title, e.about.settings, e.url, e.about.starred)
             for e in self._kept
         ]
 
@@ -118,7 +116,8 @@ class Variants:
     def _keep(self, layer: Layer, title: str, scene: Scene, *, draft: bool = False) -> bool:
         """Keep a layer, with a picture of it in a scene. Returns False if that cannot be."""
         settings, digest = describe_settings(layer.settings), self._digest(layer)
-        about = _About(layer.object, title, settings, digest, draft=draft)
+        rows = self._rows_digest(layer.object)
+        about = _About(layer.object, title, settings, digest, rows, draft=draft)
         if draft and any(each.about.digest == digest for each in self._kept):
             return True
         if draft and len(self._kept) >= MOST_VARIANTS and not self._replaceable():
@@ -148,7 +147,11 @@ class Variants:
             (unfinished / PICTURE).write_bytes(picture)
             write_json(msgspec.to_builtins(about), unfinished / ABOUT)
         drafts, key = self._replaceable(), (about.object, about.title, about.settings)
-        earlier = [each for each in drafts if each.key == key] if about.draft else []
+        earlier = [
+            each
+            for each in (drafts if about.draft else ())
+            if (self._object_of(each), each.about.title, each.about.settings) == key
+        ]
         self._kept.append(_Kept(folder, about, self._url(folder)))
         for each in earlier:
             self.delete_variant(each.id)
@@ -176,7 +179,7 @@ class Variants:
         if self._last is None or self._last[0] != each.folder:
             (layer,) = read_layers(each.folder, len(self._session.state.scene.base))
             self._last = each.folder, layer
-        return self._last[1], each.title
+        return replace(self._last[1], object=self._object_of(each)), each.title
 
     def use_variant(self, id: ShortText) -> StudioState:
         return self._shown(self._session.state, id)
@@ -249,6 +252,23 @@ class Variants:
         write_json(msgspec.to_builtins(about), each.folder / ABOUT)
         self._kept[self._kept.index(each)] = _Kept(each.folder, about, each.url)
         self._session.on_change.call()
+
+    def _object_of(self, each: _Kept) -> str:
+        """What the object of a variant is called now."""
+        scene, masks = self._session.state.scene, self._session.masks
+        names = [name for name in object_names(scene) if masks.has(scene, name)]
+        if each.about.object in names:
+            return each.about.object
+        same = (name for name in names if self._rows_digest(name) == each.about.rows)
+        return next(same, each.about.object)
+
+    def _rows_digest(self, name: str) -> str:
+        mask = self._session.masks.of(self._session.state.scene, name)
+        known = self._rows.get(name)
+        if known is None or known[0] is not mask:
+            found = blake2b(mask.cpu().numpy().tobytes(), digest_size=16).hexdigest()
+            known = self._rows[name] = mask, found
+        return known[1]
 
     def _digest(self, layer: Layer) -> str:
         if layer not in self._digests:
