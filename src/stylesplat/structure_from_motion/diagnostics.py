@@ -312,14 +312,11 @@ def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, t
     )
 
 
-def two_motions(share: float, view: str, box: Sequence[float]) -> str | None:
-    """What to do where an object turns before a still background; None where none does."""
-    if share < MANY_MOTIONS:
-        return None
+def two_motions(view: str, box: Sequence[float], fault: str) -> str:
+    """What to do where an object turns before a still background and could not be posed."""
     corners = ",".join(f"{edge:.0f}" for edge in box)
     return (
-        f"In {share:.0%} of the pairs of photos much stays in its place while the rest moves: an "
-        "object that turns before a still background. Poses can only fit one of the two. Draw a "
+        f"An object turns before a still background, and its poses were not found. {fault} Draw a "
         f"box around the object in one photo, such as --object {view}:{corners}, or give its "
         "--masks."
     )

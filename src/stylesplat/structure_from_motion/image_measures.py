@@ -40,6 +40,7 @@ MEASURE_RIM = 0.02  # width of the rim, in shorter sides
 # Share of the rim of one grey level; the object may reach the rest. Fox and desk have 0.07 at most,
 # and an overexposed sky covers half of it
 PLAIN_RIM = 0.7
+MOSTLY_BACKDROP = 0.3  # share of the rims of other photos: of a jug before white .6, of rooms .0
 SAME_LEVEL = 1.5  # grey levels: the variation that JPEG gives to one colour
 
 # Displacement
@@ -97,12 +98,31 @@ def lacks_background(small: SmallPhoto) -> bool:
     """
     if small.transparent > MIN_REMOVED:
         return True
-    grey = small.grey.astype(np.float32)
+    level = np.median(_rim(small.grey))
+    share = _share_of_level(small.grey, level)
+    return _share_of_level(_rim(small.grey), level) >= PLAIN_RIM and share >= MIN_REMOVED
+
+
+def shares_backdrop(small: SmallPhoto, others: Sequence[SmallPhoto]) -> bool:
+    """Whether the rims of other photos mostly have the one colour that a photo's rim has.
+
+    Then that is no masked photo among ordinary ones, but a backdrop that light has made white, of
+    which the others show a little more: a scale, or an edge.
+    """
+    level = np.median(_rim(small.grey))
+    shares = [_share_of_level(_rim(each.grey), level) for each in others]
+    return small.transparent <= MIN_REMOVED and float(np.median(shares)) > MOSTLY_BACKDROP
+
+
+def _rim(grey: Grey) -> UInt8[np.ndarray, " R"]:
     width = max(1, round(MEASURE_RIM * min(grey.shape)))
     on_rim = np.ones(grey.shape, bool)
     on_rim[width:-width, width:-width] = False
-    plain = np.abs(grey - np.median(grey[on_rim])) < SAME_LEVEL
-    return bool(plain[on_rim].mean() >= PLAIN_RIM and plain.mean() >= MIN_REMOVED)
+    return grey[on_rim]
+
+
+def _share_of_level(grey: UInt8[np.ndarray, "..."], level: float) -> float:
+    return float((np.abs(grey.astype(np.float32) - level) < SAME_LEVEL).mean())
 
 
 class CornerTracker:

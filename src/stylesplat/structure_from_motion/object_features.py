@@ -6,6 +6,7 @@ wrong for the other, and poses of both together are wrong for both.
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -52,21 +53,37 @@ def read_matches(workspace: Workspace) -> tuple[list[Float[np.ndarray, "_ 2"]], 
     return places, {(a, b): each for (a, b), each in zip(pairs, found, strict=True) if len(each)}
 
 
+@dataclass(frozen=True)
+class TwoMotions:
+    """A room that stays, and what moves before it."""
+
+    share: float
+    """Of the pairs of photos that show both."""
+    photo: int
+    """The one that shows most of what moves."""
+    box: PhotoBox
+    """Around what moves there."""
+
+
+NO_MOTION = TwoMotions(0.0, 0, (0.0, 0.0, 0.0, 0.0))
+
+
 def find_two_motions(
     places: Sequence[Float[np.ndarray, "_ 2"]], matches: Matches, sides: Sequence[int]
-) -> tuple[float, int, PhotoBox]:
-    """The share of the pairs in which much stays at its pixel while the rest moves as one.
+) -> TwoMotions:
+    """Look for pairs in which much stays at its pixel while the rest moves as one.
 
-    And the photo that shows most of what moves, with the box around it there.
+    Where photos were cut in their own ways, what stays shifts by the same pixels.
     """
     pairs = [pair for pair, each in matches.items() if len(each) >= 2 * MIN_MATCHES]
     pairs = pairs[:: -(-len(pairs) // FEATURE_MAX_PAIRS) or 1]
     moving = {pair: _moving_as_one(places, matches[pair], pair, sides) for pair in pairs}
     (photo, _), most = max(moving.items(), key=lambda each: len(each[1]), default=((0, 0), []))
     if not len(most):
-        return 0.0, 0, (0.0, 0.0, 0.0, 0.0)
+        return NO_MOTION
     low, high = (np.quantile(most, share, axis=0).round().tolist() for share in (0.02, 0.98))
-    return sum(len(each) > 0 for each in moving.values()) / len(moving), photo, (*low, *high)
+    share = sum(len(each) > 0 for each in moving.values()) / len(moving)
+    return TwoMotions(share, photo, (*low, *high))
 
 
 def _moving_as_one(
@@ -77,19 +94,46 @@ def _moving_as_one(
 ) -> Float[np.ndarray, "N 2"]:
     """Where the first photo shows what moves; nowhere if nothing does or nothing stays."""
     here, there = (places[photo][rows[:, side]] for side, photo in enumerate(pair))
-    moved = np.linalg.norm(here - there, axis=1) / sides[pair[0]]
-    still, moving = moved < STILL_MATCH, moved > MOVED_MATCH
-    nowhere = here[:0]
-    if min(still.sum(), moving.sum()) < MIN_MATCHES:
-        return nowhere
-    if here[still].std(axis=0).max() < FEATURE_SPREAD * sides[pair[0]]:
-        return nowhere
-    cv2.setRNGSeed(0)
     error = STILL_MATCH * sides[pair[0]]
-    _, fits = cv2.findFundamentalMat(here[moving], there[moving], cv2.FM_RANSAC, error)
-    if fits is None or fits.sum() < max(MIN_MATCHES, MIN_FITTING * len(fits)):
-        return nowhere
-    return here[moving][fits[:, 0] > 0]
+    for shift in (np.zeros(2), common_shift(here, there, error)):
+        moved = np.linalg.norm(there - here - shift, axis=1)
+        still, moving = moved < error, moved > MOVED_MATCH * sides[pair[0]]
+        if min(still.sum(), moving.sum()) < MIN_MATCHES or not is_wide(here[still], sides[pair[0]]):
+            continue
+        cv2.setRNGSeed(0)
+        geometry, fits = cv2.findFundamentalMat(here[moving], there[moving], cv2.FM_RANSAC, error)
+        if fits is None or fits.sum() < max(MIN_MATCHES, MIN_FITTING * len(fits)):
+            continue
+        if shift.any() and _fit(geometry, here[still], there[still], error) > MIN_FITTING:
+            continue  # before a wall that is far away a scene that stands still does the same
+        return here[moving][fits[:, 0] > 0]
+    return here[:0]
+
+
+def common_shift(
+    here: Float[np.ndarray, "M 2"], there: Float[np.ndarray, "M 2"], error: float
+) -> Float[np.ndarray, "2"]:
+    """The displacement that most matches have, but for an error."""
+    shifts = there - here
+    alike = KDTree(shifts).query_ball_point(shifts, error, return_length=True)
+    return shifts[np.linalg.norm(shifts - shifts[alike.argmax()], axis=1) < error].mean(axis=0)
+
+
+def is_wide(places: Float[np.ndarray, "M 2"], side: int) -> bool:
+    """Whether places lie as far apart as those of a room: the centre of an orbit is smaller."""
+    return bool(places.std(axis=0).max() >= FEATURE_SPREAD * side)
+
+
+def _fit(
+    geometry: Float[np.ndarray, "3 3"],
+    here: Float[np.ndarray, "M 2"],
+    there: Float[np.ndarray, "M 2"],
+    error: float,
+) -> float:
+    """The share of matches whose places are on the epipolar lines of the others."""
+    lines = np.c_[here, np.ones(len(here))] @ geometry.T
+    away = np.abs((lines * np.c_[there, np.ones(len(there))]).sum(axis=1))
+    return float((away < error * np.linalg.norm(lines[:, :2], axis=1)).mean())
 
 
 def spread_box(

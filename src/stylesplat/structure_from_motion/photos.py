@@ -41,6 +41,7 @@ from stylesplat.structure_from_motion.image_measures import (
     lacks_background,
     near_duplicates,
     relative_sharpness,
+    shares_backdrop,
     sharpness,
 )
 from stylesplat.structure_from_motion.turntable import find_turntable
@@ -271,6 +272,8 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
         others = {photo.name for photo in photos} - masked
         left_out |= dict.fromkeys(others, "it has a background, which most photos lack")
     else:
+        rooms = [photo.small for photo in photos if photo.name not in masked]
+        masked -= {p.name for p in photos if p.name in masked and shares_backdrop(p.small, rooms)}
         left_out |= dict.fromkeys(masked, "its background is transparent or of one colour")
     photos = [photo for photo in photos if photo.name not in left_out]
     series = is_series([photo.name for photo in photos])

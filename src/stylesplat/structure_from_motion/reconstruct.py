@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from scipy.spatial import procrustes
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, count_noun
 from stylesplat.io.atomic import locked_folder
 from stylesplat.io.captures.colmap import posed_images
 from stylesplat.io.captures.colmap_files import check_complete
@@ -24,7 +24,9 @@ from stylesplat.io.images import image_sizes, straight_alpha, write_image
 from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import say
 from stylesplat.structure_from_motion.config import MIN_PHOTOS, SfmConfig
+from stylesplat.structure_from_motion.cut_alike import cut_alike, find_offsets
 from stylesplat.structure_from_motion.diagnostics import (
+    MANY_MOTIONS,
     are_apart,
     check_features,
     check_matches,
@@ -40,8 +42,10 @@ from stylesplat.structure_from_motion.matching import (
     orbit_pairs,
 )
 from stylesplat.structure_from_motion.object_features import (
+    NO_MOTION,
     MaskReaders,
     PhotoBox,
+    TwoMotions,
     find_two_motions,
     pixels_near_features,
     read_matches,
@@ -138,6 +142,8 @@ class Reconstruction:
 
     model: pycolmap.Reconstruction
     """The largest group of photos that fit together, under the caller's names."""
+    photos: Path
+    """Their folder: another than was given if they were cut."""
     unregistered: dict[str, str]
     """By name why a photo is not in it."""
     numbers: dict[str, Any]
@@ -158,13 +164,19 @@ def reconstruct(
 
     Of masks, one for each photo, features outside are ignored; a box around an object in a photo
     is spread to masks of all. On a turntable, whose camera stands still, photos in order are
-    matched with their neighbours, and turn about one axis. An interrupted call loses nothing that
-    its database holds: the next one with the same photos and settings continues.
+    matched with their neighbours, and turn about one axis. Where features tell that something moves
+    while much stays, what moves is posed. An interrupted call loses nothing that its database
+    holds: the next one with the same photos and settings continues.
     """
     names, times = prepared.names, [time.perf_counter()]
+    motions = NO_MOTION
     with locked_folder(work):
         if box is not None:
-            masks = _masks_of(box, photos, prepared, work / "object", config)
+            apart = _match(work / "object", photos, prepared, config)
+            motions = find_two_motions(*read_matches(apart), _sides(photos, names))
+            first = names.index(box[0])
+            photos, masks = _object_alone(apart, photos, replace(motions, photo=first, box=box[1]))
+            turntable |= motions.share >= MANY_MOTIONS
         folder = None if masks is None else write_masks(masks, photos, names, work / "masks")
         workspace = open_workspace(work, photos, names, config, folder)
         extract_features(workspace)
@@ -172,7 +184,7 @@ def reconstruct(
         check_features(counts, len(names))
         times.append(time.perf_counter())
         models, table, turned = list[pycolmap.Reconstruction](), None, False
-        matched, motions = 0.0, 0.0
+        matched = 0.0
         may_turn = turntable or prepared.cut_outs
         if may_turn and prepared.ordered and config.matching == "auto":
             table, matched = match_pairs(workspace, orbit_pairs(len(names))), time.perf_counter()
@@ -183,7 +195,9 @@ def reconstruct(
             table = match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
             check_matches(table)
             if folder is None:
-                motions = _refuse_two_motions(workspace, photos, prepared)
+                motions = find_two_motions(*read_matches(workspace), _sides(photos, names))
+                if motions.share >= MANY_MOTIONS:
+                    return _pose_what_moves(workspace, photos, prepared, motions, config)
             matched = time.perf_counter()
             models = _map_photos(workspace)
             turned = turntable and bool(models) and turn_on_one_axis(models[0], names)
@@ -194,6 +208,7 @@ def reconstruct(
     model = models[0]
     return Reconstruction(
         model=model,
+        photos=photos,
         unregistered=why_unregistered(models, counts, prepared.sharpness, table, names),
         numbers={
             "photos": len(names),
@@ -203,7 +218,7 @@ def reconstruct(
             "compared_pairs": table.compared,
             "matched_pairs": table.matched,
             "models": len(models),
-            "pairs_with_two_motions": round(motions, 3),
+            "pairs_with_two_motions": round(motions.share, 3),
             "turns_on_one_axis": turned,
             "seconds": {
                 stage: round(end - start, 2)
@@ -213,13 +228,32 @@ def reconstruct(
     )
 
 
-def _refuse_two_motions(workspace: Workspace, photos: Path, prepared: PreparedPhotos) -> float:
-    """The share of pairs with two motions. Where these are many no poses fit, so none are found."""
-    sides = [max(image_sizes(resolve_within(photos, name))[0]) for name in prepared.names]
-    motions, shown, around = find_two_motions(*read_matches(workspace), sides)
-    if why := two_motions(motions, prepared.origins[prepared.names[shown]], around):
-        raise StyleSplatError(why)
-    return motions
+def _pose_what_moves(
+    workspace: Workspace,
+    photos: Path,
+    prepared: PreparedPhotos,
+    motions: TwoMotions,
+    config: SfmConfig,
+) -> Reconstruction:
+    """Pose what moves before a room that does not; where that fails, the error names the box."""
+    say(
+        f"In {motions.share:.0%} of the pairs of photos much stays while the rest moves: what "
+        "moves is posed."
+    )
+    try:
+        cut, masks = _object_alone(workspace, photos, motions)
+        found = reconstruct(
+            cut, prepared, workspace.folder / "moving", config=config, masks=masks, turntable=True
+        )
+        count, total = found.model.num_reg_images(), len(prepared.names)
+        if count >= MIN_POSED * total:
+            share = {"pairs_with_two_motions": round(motions.share, 3)}
+            return replace(found, numbers=found.numbers | share)
+        fault = f"Only {count} of {count_noun(total, 'photo')} fit together."
+    except StyleSplatError as error:
+        fault = str(error)
+    view = prepared.origins[prepared.names[motions.photo]]
+    raise StyleSplatError(two_motions(view, motions.box, fault))
 
 
 def _look_closer(
@@ -342,25 +376,50 @@ def _posed_in_both(
     return [(of_one[name], of_other[name]) for name in sorted(of_one.keys() & of_other.keys())]
 
 
-def _masks_of(
-    box: tuple[str, PhotoBox], photos: Path, prepared: PreparedPhotos, work: Path, config: SfmConfig
-) -> MaskReaders:
-    """Masks of the object that a box in one photo is around."""
+def _match(work: Path, photos: Path, prepared: PreparedPhotos, config: SfmConfig) -> Workspace:
+    """A workspace of its own with all features of the photos and their matches."""
     workspace = open_workspace(work, photos, prepared.names, config)
     extract_features(workspace)
     match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
+    return workspace
+
+
+def _object_alone(
+    workspace: Workspace, photos: Path, shown: TwoMotions
+) -> tuple[Path, MaskReaders]:
+    """The photos, cut alike if they were not, and masks of the object that a box is around."""
+    names, first, box = workspace.names, shown.photo, shown.box
     places, matches = read_matches(workspace)
-    sizes = [image_sizes(resolve_within(photos, name))[0] for name in prepared.names]
-    first = prepared.names.index(box[0])
-    shares = spread_box(places, matches, [max(size) for size in sizes], first, box[1])
+    sizes = [image_sizes(resolve_within(photos, name))[0] for name in names]
+    sides = [max(size) for size in sizes]
+    if shown.share >= MANY_MOTIONS:
+        offsets = find_offsets(places, matches, sides)
+        if offsets.any():
+            most = np.ptp(offsets, axis=0).max()
+            folder = workspace.folder / "cut"
+            corners, size = cut_alike(photos, names, offsets, folder)
+            say(
+                f"The photos were cut in their own ways, by up to {most:.0f} pixels: they are cut "
+                f"to the {size[0]}x{size[1]} that all show of the room."
+            )
+            photos, sizes = folder, [size] * len(names)
+            places = [each - corner for each, corner in zip(places, corners, strict=True)]
+            x, y = corners[first].tolist()
+            box = box[0] - x, box[1] - y, box[2] - x, box[3] - y
+    shares = spread_box(places, matches, sides, first, box)
     if not (shares[first] > 0).any():
         raise StyleSplatError(
-            f"The box in {box[0]} shows nothing that can be found again. Draw a larger one."
+            f"The box in {names[first]} shows nothing that can be found again. Draw a larger one."
         )
     regions = [
         partial(pixels_near_features, *each) for each in zip(places, shares, sizes, strict=True)
     ]
-    return dict(zip(prepared.names, regions, strict=True))
+    return photos, dict(zip(names, regions, strict=True))
+
+
+def _sides(photos: Path, names: Sequence[str]) -> list[int]:
+    """The longer sides of photos."""
+    return [max(image_sizes(resolve_within(photos, name))[0]) for name in names]
 
 
 def _map_orbit(workspace: Workspace) -> tuple[list[pycolmap.Reconstruction], bool]:

@@ -48,7 +48,7 @@ from stylesplat.scene.frames import Frame
 from stylesplat.scene.sequences import Lazy
 from stylesplat.structure_from_motion import diagnostics
 from stylesplat.structure_from_motion.config import SfmConfig
-from stylesplat.structure_from_motion.diagnostics import CaptureReport, Finding
+from stylesplat.structure_from_motion.diagnostics import MANY_MOTIONS, CaptureReport, Finding
 from stylesplat.structure_from_motion.earlier_capture import source_digest
 from stylesplat.structure_from_motion.image_measures import MEASURE_SIDE
 from stylesplat.structure_from_motion.object_features import MaskReaders, PhotoBox, cut_out_mask
@@ -209,7 +209,7 @@ def sfm(
             found = _pose_or_name_box(pose, prepared, turntable, (source, "-o", output))
         frame = move_to_working_frame(found.model)
         with atomic_folder(output, overwrite=overwrite, marker=SFM_FILE) as new:
-            write_colmap(found.model, photos, new)
+            write_colmap(found.model, found.photos, new)
             record = _record(source, digest, prepared, found, frame, config)
             record.settings |= {"masks": None if masks is None else str(masks), "box": box}
             write_sfm(record, new)
@@ -217,7 +217,7 @@ def sfm(
             if (output / OBJECT_MASK).is_dir():  # of an earlier capture; they may be handwork
                 shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
                 say(f"The label maps in {output / OBJECT_MASK} are kept.")
-            elif turntable is not None and (labelled := _with_masks(load(new), drawn)):
+            elif _is_turning(turntable, found) and (labelled := _with_masks(load(new), drawn)):
                 write_label_maps(labelled, new / OBJECT_MASK)
         shutil.rmtree(work, ignore_errors=True)
         with suppress(OSError):  # something else lies beside it
@@ -285,6 +285,10 @@ def _pose_or_name_box(
         "turntable, or draw a box around what has detail: "
         f"{shell_command('sfm', *arguments, '--object', box)}"
     )
+
+
+def _is_turning(turntable: Turntable | None, found: Reconstruction) -> bool:
+    return turntable is not None or found.numbers["pairs_with_two_motions"] >= MANY_MOTIONS
 
 
 def _drawn_on(masks: Path, prepared: PreparedPhotos) -> FoundMasks:
