@@ -23,13 +23,14 @@ STILL_PHOTOS = 36  # that tell what stands still
 STILL_MIN_PHOTOS = 8  # fewer tell nothing
 # Levels of 255 by which a colour may differ that is the same; and that of the room, which changes
 # by noise alone, behind an object whose own colours change slowly
-STILL_SAME_COLOR, STILL_NOISE = 16, 4
-STAYS = 0.8  # share of the photos in which a pixel has the same colour if little moves there
-# Share of such pixels from which the camera stood still: .45 before the room of a museum, with
-# daylight, .10 around desk, .00 around fox, a bust, a blowtorch and a wooden figure
+STILL_SAME_COLOR, STILL_NOISE = 10, 4
+# Levels by which light may change what stays, and the share of the photos in which little moves
+DAYLIGHT, STAYS = 16, 0.8
+# Share of the pixels that stay, from which the camera stood still: .41 before the room of a museum,
+# .08 around desk, .00 around fox and a wooden figure
 STILL = 0.2
-# A plain sky is the same in all photos, too: still pixels at an edge. .0063 in that room, .0000 of
-# the others, and before a white wall
+# A plain sky is the same in all photos, too: pixels that stay at an edge. .0048 in that room, .0011
+# around desk, .0000 around the others
 EDGE, EDGES = 0.04, 0.002
 STILL_RIM = 0.95  # of the picture's rim: before a plain wall nothing stands out but what turns
 DIFFERS = 0.03  # of a colour channel; less is noise
@@ -64,7 +65,8 @@ def find_still_background(photos: Sequence[UInt8[Tensor, "H W 3"]]) -> StillBack
     typical = torch.stack([*photos]).median(dim=0).values.float() / 255
     alike = (255 * torch.stack([_like(each, typical) for each in photos])).round().short()
     colors, shares = _most_frequent(alike, STILL_SAME_COLOR)
-    stays, grey = shares > STAYS, colors.mean(dim=-1)
+    lit = torch.stack([_largest(each.float() - 255 * colors) < DAYLIGHT for each in alike])
+    stays, grey = lit.float().mean(dim=0) > STAYS, colors.mean(dim=-1)
     edges = (grey[1:, 1:] - grey[1:, :-1]).abs() + (grey[1:, 1:] - grey[:-1, 1:]).abs() > EDGE
     rim = torch.cat([stays[0], stays[-1], stays[:, 0], stays[:, -1]])
     is_room = (edges & stays[1:, 1:]).float().mean() > EDGES
