@@ -451,6 +451,15 @@ def test_a_variant_changes_its_object_alone(page: Page):
     page.act("use_variant", id=third)
     page.look(3, before=True)
     assert page.pictures["before"][1] == page.pictures["after"][1]
+    page.act("set_locked", name="3", locked=True)
+    page.act("adjust_layer", name="3", strength=0.5)
+    page.act("use_variant", id=first)
+    assert all("locked" in page.said.pop() for _ in range(2)), "it stays as it is"
+    page.act("adjust_layer", name="7", strength=0.5)
+    page.look(4, before=True)
+    assert page.pictures["before"][0]["look"] == 4, "a locked layer can be compared"
+    for _ in range(2):
+        page.act("step", rows=-1)
 
     page.act("star_variant", id=second, starred=True)
     state = page.act("name_variant", id=first, name="calm")

@@ -182,7 +182,9 @@ class Variants:
         return replace(self._last[1], object=self._object_of(each)), each.title
 
     def use_variant(self, id: ShortText) -> StudioState:
-        return self._shown(self._session.state, id)
+        state = self._session.state
+        refuse_locked(state, self.layer(id)[0].name)
+        return self._shown(state, id)
 
     def compare_with(self, id: ShortText | None = None) -> None:
         """Show a variant on the left of the handle, or the scene before painting."""
@@ -208,7 +210,6 @@ class Variants:
 
     def _shown(self, state: StudioState, id: str) -> StudioState:
         layer, title = self.layer(id)
-        refuse_locked(state, layer.name)
         shown = shown_like(layer, state.scene.layer(layer.name), len(state.scene.base))
         return replace_layer(state, shown, f"Switched {layer.object} to {title}")
 
