@@ -174,6 +174,9 @@ def test_picks(page: Page):
     assert page.names() == [] and not page.said and [*page.session.state.scene.objects] == ["both"]
     page.act("unite_picked")
     assert "Nothing is picked" in page.said[-1]
+    page.act("pick_names", names=["3"])
+    page.act("step", rows=-1)
+    assert page.act("pick_names", names=[]).redo == "Picked 3", "nothing more is picked than before"
 
 
 def painted(page: Page, *names: str, style: int = 0) -> m.StateMessage:

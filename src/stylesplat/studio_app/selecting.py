@@ -104,6 +104,8 @@ def pick_names(state: StudioState, names: Sequence[str], how: How = "new") -> St
     else:
         before = state.picked if how == "add" else ()
         picked = tuple(dict.fromkeys((*before, *names)))
+    if picked == state.picked and state.selection is None:
+        return state
     note = f"Picked {', '.join(picked) or 'nothing'}"
     return replace(state, picked=picked, selection=None, note=note)
 
