@@ -148,6 +148,28 @@ def test_a_line_that_is_drawn_steers_the_strokes(opened: StudioServer, tab: Tab,
     assert session.state.scene.layers[0] is below
 
 
+def test_another_style_takes_the_place_of_that_on_a_new_layer(
+    opened: StudioServer, tab: Tab, tmp_path: Path
+):
+    session, queue = opened.session, opened.server.actions.queue
+    adds_pictures(tab, tmp_path)
+    style = Style(opened.server.actions.gallery.pictures["stripes"].path, config=QUICK)
+    session.ask(lambda: queue.paint(["7"], style, "stripes"))
+    until(lambda: session.state.note == "Painted 7 like stripes", "strokes")
+    below = session.state.scene.layers
+    tab.click(*tab.middle_of("7"))
+    until(lambda: session.state.picked == ("7",), "a pick")
+    tab.press_button("New layer")
+    tab.press_button("Paint like stripes")
+    until(lambda: session.painting, "a painting")
+    tab.press_button("Paint like plain")
+    until(lambda: session.state.note == "Painted 7/2 like plain", "the newest")
+    assert opened.session.worker.wait_until_idle()
+    assert session.state.scene.layers[:-1] == below, "what is below stays"
+    tab.press_button("Paint like stripes")
+    until(lambda: session.state.note == "Painted 7/2 like stripes", "the layer that is chosen")
+
+
 def test_layers_are_dragged_and_brushed_out(opened: StudioServer, tab: Tab):
     session = opened.session
     session.do(lambda state: recolor_objects(state, ["3"], "hue", 90.0))

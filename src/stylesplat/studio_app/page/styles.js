@@ -1,8 +1,8 @@
 // The strip at the bottom: the shelf of style pictures, and painting with them; or views
 
-import { above, dialog, part, presets, regions, settings, strip } from "./choices.js";
+import { above, active, dialog, part, presets, regions, settings, strip } from "./choices.js";
 import { useEffect, useRef } from "./libraries/hooks.js";
-import { useSignal } from "./libraries/signals.js";
+import { effect, useSignal } from "./libraries/signals.js";
 import { act, hello, newest, note, state, upload } from "./connection.js";
 import { activeLayer } from "./layers.js";
 import { picked } from "./panels.js";
@@ -13,6 +13,8 @@ const RESTING = 300; // milliseconds without motion of the handle, after which a
 const IS_PATH = /^\s*["']?(file:|~?\/|[a-z]:[\\/])/i; // in quotes as some file managers copy it
 
 let resting = null;
+let begun = null; // what gets a new layer, until that is painted: another style takes the place of the first
+effect(() => state.value?.painting || (begun = null));
 
 // Other strokes: if the picked object has a style, that shows on it at once, and a draft follows
 export function setStrokes(values) {
@@ -34,7 +36,9 @@ export function paint(style, names = null) {
     note("Pick an object first, or drag the picture onto one.", true);
     return;
   }
-  const region = regions.value[style], layer = activeLayer(), isNew = above.value;
+  const region = regions.value[style], layer = activeLayer();
+  const place = String([active.value, ...(names ?? picked().map((each) => each.name))]), isNew = above.value || begun === place;
+  if (isNew) begun = place;
   // Into the layer that is chosen, where that is paint of what is picked
   if (!names && !isNew && layer?.kind === "paint" && String(picked().map((each) => each.name)) === layer.object) names = [layer.name];
   above.value = false;
