@@ -203,6 +203,32 @@ def test_layers_are_dragged_and_brushed_out(opened: StudioServer, tab: Tab):
     assert not tab.page.complaints(), json.dumps(tab.page.complaints(), indent=1)
 
 
+def test_a_layer_is_chosen_beside_a_selection_and_where_it_is_of_no_object(
+    opened: StudioServer, tab: Tab
+):
+    session = opened.session
+    session.do(lambda state: recolor_objects(state, ["7"], "hue", 90.0))
+    session.do(lambda state: recolor_objects(state, ["background"], "hue", 90.0))
+    row = "document.querySelectorAll('.layer .card')"
+    pick = "document.querySelector('.objects h3').innerText"
+    until(lambda: tab.page.evaluate(f"{row}.length") == 2, "two layers")
+    tab.press_button("Brush over what is meant")
+    x, y = tab.middle_of("7")
+    tab.drag((x - 12, y), (x + 12, y))
+    until(lambda: tab.page.evaluate(pick) == "Selection", "a selection")
+    selection = session.state.selection
+    tab.page.evaluate(f"{row}[1].click()")
+    tab.press_button("Show the layer within the selection alone")
+    until(lambda: session.state.scene.layers[0].mask is not None, "a mask")
+    assert selection is not None and session.state.selection is selection
+    tab.press_button("Pick objects")
+    tab.click(*tab.middle_of("7"))
+    until(lambda: tab.page.evaluate(pick) == "7", "a pick")
+    tab.page.evaluate(f"{row}[0].click()")
+    tab.press_button("Remove the colours of background")
+    until(lambda: len(session.state.scene.layers) == 1, "one layer")
+
+
 def test_a_folder_that_is_dropped_adds_its_pictures_and_tells_of_the_others(
     opened: StudioServer, tab: Tab, tmp_path: Path
 ):

@@ -83,7 +83,8 @@ function Layer({ layer, lowest, grip, folded, dragged, place }) {
   const what = layer.kind === "edit" ? layer.title : recolor ? `the colours of ${object}` : `the paint of ${object}${label ? ` (${label})` : ""}`;
   const choose = () => {
     active.value = name;
-    if (found && !found.picked) act("pick_names", { names: [object] });
+    if (now.selection) return; // it stays, for a mask
+    if (found ? !found.picked : now.objects.some((each) => each.picked)) act("pick_names", { names: found ? [object] : [] });
   };
   return html`<li class=${`layer ${layer.visible ? "" : "off"} ${dragged ? "dragged" : ""} ${place}`}>
     <div class="line"><button type="button" class="square small grip" aria-label=${`Move ${what}: drag, or the arrow keys`} title="Drag to reorder" ...${grip}><${Icon} name="grip" /></button>
