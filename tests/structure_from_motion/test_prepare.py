@@ -167,6 +167,17 @@ def test_photos_without_background(tmp_path: Path, level: int | None):
     assert prepared.left_out == {"whole.jpg": "it has a background, which most photos lack"}
 
 
+def test_a_white_backdrop_is_no_mask_where_most_photos_show_something_on_it(tmp_path: Path):
+    for index in range(5):
+        photo = np.full((480, 640, 3), 255, np.uint8)
+        photo[120:400, 200:440] = cv2.resize(view(index * 24), (240, 280))
+        if index:
+            photo[468:] = photo[:, :8] = 40  # where the backdrop ends
+        save(tmp_path / "in" / f"{index}.png", photo)
+    prepared = prepare(tmp_path / "in", tmp_path / "out")
+    assert len(prepared.names) == 5 and not prepared.cut_outs and not prepared.left_out
+
+
 def test_sources_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     posed, films, out = tmp_path / "posed", tmp_path / "films", tmp_path / "out"
     walk(posed / "images")
