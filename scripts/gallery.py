@@ -31,9 +31,11 @@ Wassily Kandinsky, *Composition VII* (1913); Childe Hassam, *The South Ledges, A
 Claude Monet, *Water Lilies*; Utagawa Kuniyoshi, a woodblock print of Raiko. The doll's photos are
 those of noname0310/snowmiku2023plush-splat (MIT). The still life of the vase and the teapot, which
 `make demo` trains, and the sign are ray-traced by this project. The rider is a splat of
-playcanvas/engine, the brooch one of davidmhart/FastSplatStyler (both MIT). The fox and the desk of
-[other pages](paper.md) are not here: the fox's photos are for non-commercial use, the desk's state
-no licence.
+playcanvas/engine, the brooch one of davidmhart/FastSplatStyler (both MIT). The tankard of the Mary
+Rose is trained on the photos of vork/maryRose, published by Daniel Pett
+([CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)), and painted here. The fox and the desk
+of [other pages](paper.md) are not here: the fox's photos are for non-commercial use, the desk's
+state no licence.
 """
 
 
@@ -62,6 +64,11 @@ DOLL = (
     "stylesplat mask doll_capture --box doll=20240212_003919.jpg:295,130,830,670",
     "stylesplat train doll_capture -o doll --steps 3000",
 )
+TANKARD = (
+    "stylesplat sfm TankardPhotos -o tankard_capture",
+    "stylesplat mask tankard_capture --box tankard=IMG_9678.JPG:104,696,3400,2960",
+    "stylesplat train tankard_capture -o tankard --steps 3000",
+)
 SIGN = (
     "python benchmarks/traced_objects.py --shape sign --folder sign_capture",
     "stylesplat train sign_capture -o sign --steps 3000",
@@ -81,6 +88,8 @@ PAINTINGS = (
     ),
     Painting("doll", {"doll": "ukiyo_e"}, "A plush doll, from 49 phone photos", DOLL),
     Painting("doll", {"doll": "van_gogh"}, "The same doll in another style", DOLL),
+    Painting("tankard", {"tankard": "hassam"}, "A tankard of 1545, from 69 photos", TANKARD),
+    Painting("tankard", {"tankard": "monet"}, "The tankard in another style", TANKARD),
     Painting("rider", {"rider": "hassam"}, "A rider, a splat of somebody else", RIDER),
     Painting("rider", {"rider": "kandinsky"}, "The rider in another style", RIDER),
     Painting("brooch", {"brooch": "ukiyo_e"}, "A brooch of open-work, from a .splat file", BROOCH),
