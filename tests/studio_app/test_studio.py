@@ -118,8 +118,9 @@ def test_the_user_is_warned_of_the_network(folder: Path, said: list[str]):
         with urlopen(opened.url, timeout=LIMIT) as answer:
             assert answer.status == 200, "the address that is printed works"
         elsewhere = Request(opened.url, headers={"Host": "evil.example"})
-        with pytest.raises(HTTPError, match="403"):
+        with pytest.raises(HTTPError, match="403") as refused:
             urlopen(elsewhere, timeout=LIMIT)
+        assert b"names and addresses of its machine" in refused.value.read()
     finally:
         opened.close()
 

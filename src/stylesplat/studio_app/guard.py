@@ -24,7 +24,11 @@ SERVER_ADDRESS = "127.0.0.1"  # a splat may show somebody's home: never offer it
 LOOPBACK = (SERVER_ADDRESS, "localhost", "::1")
 EVERYWHERE = {"0.0.0.0": "192.0.2.1", "::": "2001:db8::1"}  # and an address that no machine has
 HOST_HEADER = re.compile(r"([a-z0-9.-]+|\[[0-9a-f:.]+\])(?::([0-9]{1,5}))?", re.IGNORECASE)
-REFUSAL = "This server needs a token. Open the address that its terminal shows.\n"
+NO_TOKEN = "This server needs a token. Open the address that its terminal shows.\n"
+NOT_OURS = (
+    "This server answers to names and addresses of its machine alone, and to its own pages. Open "
+    "the address that its terminal shows.\n"
+)
 ICON = '<!doctype html><title>Studio</title><link rel="icon" href="/page/icon.svg">'
 COOKIE = "stylesplat-token"
 POLICY = (
@@ -56,9 +60,10 @@ class Guard:
         named = HOST_HEADER.fullmatch(hosts[0]) if len(hosts) == 1 else None
         # One cookie for each port: browsers send a machine's cookies to all its servers
         cookie = f"{COOKIE}-{named[2] or ''}" if named else ""
-        if named is None or not self._is_ours(asked, named) or not self._has_token(asked, cookie):
-            is_socket = scope["type"] == "websocket"
-            refuse = WebSocketClose(1008) if is_socket else PlainTextResponse(REFUSAL, 403)
+        is_ours = named is not None and self._is_ours(asked, named)
+        if named is None or not is_ours or not self._has_token(asked, cookie):
+            is_socket, why = scope["type"] == "websocket", NO_TOKEN if is_ours else NOT_OURS
+            refuse = WebSocketClose(1008) if is_socket else PlainTextResponse(why, 403)
             await refuse(scope, receive, send)
             return
         is_secure = asked.headers.get("x-forwarded-proto", asked.url.scheme) in ("https", "wss")
