@@ -40,6 +40,7 @@ from stylesplat.structure_from_motion.reconstruct import (
 )
 from stylesplat.structure_from_motion.workspace import (
     open_workspace,
+    use_simple_lenses,
 )
 
 COUNT = 10
@@ -203,6 +204,23 @@ def test_unusable_databases_are_made_anew(tmp_path: Path, said: list[str], capfd
     database(SfmConfig(max_features=400))
     assert len(said) == 3
     assert capfd.readouterr().err == ""  # COLMAP says nothing of its own
+
+
+def test_lenses_are_made_simple_once(tmp_path: Path):
+    prepared = write_photos(tmp_path / "photos", corner(COUNT))
+    workspace = open_workspace(tmp_path / "work", tmp_path / "photos", prepared.names, FAST)
+
+    def cameras() -> list[pycolmap.Camera]:
+        with workspace.open_database() as database:
+            return database.read_all_cameras()
+
+    before = cameras()
+    assert [each.model for each in before] == [pycolmap.CameraModelId.OPENCV]
+    assert use_simple_lenses(workspace) and not use_simple_lenses(workspace)
+    (after,) = cameras()
+    assert after.model == pycolmap.CameraModelId.SIMPLE_RADIAL and after.verify_params()
+    assert after.mean_focal_length() == before[0].mean_focal_length()
+    assert after.params[1:].tolist() == [before[0].width / 2, before[0].height / 2, 0]
 
 
 def test_photos_from_one_place_make_no_scene(tmp_path: Path):

@@ -59,6 +59,7 @@ from stylesplat.structure_from_motion.workspace import (
     extract_features,
     feature_counts,
     open_workspace,
+    use_simple_lenses,
 )
 
 MIN_TRACK = 3  # photos that see a point: the error of points of two is several times as large
@@ -263,11 +264,17 @@ def _look_closer(
     counts: dict[str, int],
     table: MatchTable,
 ) -> tuple[list[pycolmap.Reconstruction], dict[str, int], MatchTable]:
-    """What all pairs of photos tell, then finer features, where few photos fit together.
+    """What a simple lens, all pairs of photos and finer features tell, where few fit together.
 
     Returns what poses most, or what there is.
     """
     names, tries = workspace.names, [(models, counts, table)]
+    if use_simple_lenses(workspace):
+        say(f"{_fit_together(models, names)}: trying a simpler lens.")
+        models = max(models, _map_photos(workspace), key=_posed)
+        tries.append((models, counts, table))
+        if _posed(models) >= MOSTLY_POSED * len(names):
+            return tries[-1]
     every = set(combinations(range(len(names)), 2))
     if table.compared < len(every) <= ALL_PAIRS and workspace.config.matching == "auto":
         say(f"{_fit_together(models, names)}: comparing all pairs of photos.")

@@ -75,7 +75,7 @@ class Workspace:
 
     @contextmanager
     def open_database(self) -> Iterator[pycolmap.Database]:
-        """The database, to read from.
+        """The database.
 
         COLMAP brings its own SQLite. Python's would be a second one in this process, and two of
         them undo each other's locks (sqlite.org/howtocorrupt.html, 2.2.1).
@@ -221,6 +221,23 @@ def extract_features(workspace: Workspace, *, finest: bool = False) -> None:
             * (1 if workspace.masks is None else UNMASKED),
             masks=None if workspace.masks is None else str(workspace.masks),
         )
+
+
+def use_simple_lenses(workspace: Workspace) -> bool:
+    """Give cameras one focal length and one coefficient; whether any had more.
+
+    What little of its lens a capture tells may lead astray: of 68 photos of a tankard, from three
+    widths away before white, 13 fitted together with OPENCV's lens, all with a simple one.
+    """
+    simple = pycolmap.CameraModelId.SIMPLE_RADIAL
+    with workspace.open_database() as database:
+        found = [each for each in database.read_all_cameras() if each.model != simple]
+        for camera in found:
+            focal = camera.mean_focal_length()
+            x, y = camera.principal_point_x, camera.principal_point_y
+            camera.model, camera.params = simple, [focal, x, y, 0.0]
+            database.update_camera(camera)
+    return bool(found)
 
 
 def feature_counts(workspace: Workspace) -> dict[str, int]:
