@@ -279,9 +279,14 @@ def _look_closer(
     if table.compared < len(every) <= ALL_PAIRS and workspace.config.matching == "auto":
         say(f"{_fit_together(models, names)}: comparing all pairs of photos.")
         table = match_pairs(workspace, every)
+        models = _map_photos(workspace)  # those of pairs that look alike may be wrong
+        tries.append((models, counts, table))
     tries += [(each, counts, table) for each in _map_both_ways(workspace, models)]
     best = max(tries, key=lambda each: _posed(each[0]))
-    if _posed(best[0]) >= MOSTLY_POSED * len(names) or are_apart(best[0], best[2]):
+    grouped = sum(each.num_reg_images() for each in best[0])
+    if _posed(best[0]) >= MOSTLY_POSED * len(names) or (
+        grouped >= MOSTLY_POSED * len(names) and are_apart(best[0], best[2])
+    ):
         return best
     say(f"{_fit_together(best[0], names)}: looking for finer features.")
     config = replace(workspace.config, max_features=CLOSER * workspace.config.max_features)
