@@ -279,7 +279,7 @@ def _look_closer(
     if table.compared < len(every) <= ALL_PAIRS and workspace.config.matching == "auto":
         say(f"{_fit_together(models, names)}: comparing all pairs of photos.")
         table = match_pairs(workspace, every)
-        models = _map_photos(workspace)  # those of pairs that look alike may be wrong
+        models = _map_photos(workspace)  # poses from the similar pairs alone may be wrong
         tries.append((models, counts, table))
     tries += [(each, counts, table) for each in _map_both_ways(workspace, models)]
     best = max(tries, key=lambda each: _posed(each[0]))
