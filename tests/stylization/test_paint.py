@@ -258,6 +258,15 @@ def test_what_cannot_be_painted_is_refused(job: Painting, network: FeatureNetwor
         painted([job], network, max_memory=-1.0)
 
 
+def test_few_steps_take_a_view_that_shows_the_object(network: FeatureNetwork, job: Painting):
+    """Two steps take the view in the middle, from which the ball is too small to be painted."""
+    viewmats = CAMERAS.viewmats.clone()
+    viewmats[len(CAMERAS) // 2, 2, 3] += 12
+    cameras = replace(CAMERAS, viewmats=viewmats)
+    styled = paint_objects(paint_setup(SCENE, cameras, network), [with_settings(job, steps=2)])
+    assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
+
+
 def test_a_viewer_may_paint_without_gradients(job: Painting, network: FeatureNetwork):
     with torch.no_grad():
         quiet = styled_by(job, network)

@@ -167,11 +167,12 @@ def object_views(
     zoom: float,
     *,
     max_memory: float = 0.0,
+    others: Sequence[ObjectBox] = (),
 ) -> list[ObjectView]:
     """Views cropped to boxes of the object, at a multiple of the cameras' size.
 
-    Boxes that hardly show it are skipped. Linear views may take so many bytes of memory; others are
-    rasterised in every step.
+    Boxes that hardly show it are skipped; where all of them do, `others` take their place. Linear
+    views may take so many bytes of memory; more are rasterised in every step.
     """
     splats, mask = setup.splats, painting.mask
     cells = setup.network.cells(painting.config.block)
@@ -201,6 +202,8 @@ def object_views(
             if linear is not None:  # the object's Gaussians alone count
                 linear = replace(linear, count=len(rows), gaussians=places[linear.gaussians])
             views.append(ObjectView(camera, own_cells, own, splats, rows, linear))
+    if not views and others:
+        return object_views(setup, painting, others, zoom, max_memory=max_memory)
     if not views:
         raise StyleSplatError(
             f"Cannot stylise {painting.name}: it is hardly visible in the {len(boxes)} views that "
@@ -226,11 +229,11 @@ def stage_views(
     """The views or windows of a stage; a stage of few steps needs few of them."""
     zoom = stage.length / typical_length(boxes)
     if stage.window is None:
-        boxes = evenly_spaced(boxes, math.ceil(stage.steps / VISITS))
+        few = evenly_spaced(boxes, math.ceil(stage.steps / VISITS))
     else:
         count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
-        boxes = windows(boxes, stage.window / zoom, count, generator, surface)
-    return object_views(setup, painting, boxes, zoom, max_memory=setup.max_memory)
+        few = windows(boxes, stage.window / zoom, count, generator, surface)
+    return object_views(setup, painting, few, zoom, max_memory=setup.max_memory, others=boxes)
 
 
 def whole_views(
@@ -252,7 +255,8 @@ def whole_views(
             return evenly_spaced(views, WHOLE_VIEWS), stage.length
     length = min(stage.length, WHOLE_LENGTH)
     few, zoom = evenly_spaced(boxes, WHOLE_VIEWS), length / typical_length(boxes)
-    return object_views(setup, painting, few, zoom, max_memory=math.inf), length
+    views = object_views(setup, painting, few, zoom, max_memory=math.inf, others=boxes)
+    return views, length
 
 
 def windows(
