@@ -92,12 +92,32 @@ def test_other_sites_are_refused_even_with_the_token(viewer: StudioServer):
     assert answer(viewer, path, **rebound)[0] == 403
     assert answer(viewer, path, Host="")[0] in (400, 403)
     page = f"/?token={viewer.server.token}"
-    for host in ("localhost; script-src *", "127.0.0.1:1 'unsafe-eval'", "[::1", "evil.example"):
+    for host in ("localhost; script-src *", "127.0.0.1:1 'unsafe-eval'", "[::1"):
         assert answer(viewer, page, Host=host)[0] in (400, 403), host
     secure = {"Host": "[::1]:9000", "X-Forwarded-Proto": "https"}
     status, headers = answer(viewer, page, **secure)
     assert status == 200 and headers["Set-Cookie"].endswith("; Secure")
     assert "wss://[::1]:9000;" in headers["Content-Security-Policy"]
+
+
+def test_a_server_in_front_may_have_any_name_once_the_address_was_opened_there(
+    viewer: StudioServer,
+):
+    token = viewer.server.token
+    front = {"Host": "studio.example", "X-Forwarded-Proto": "https"}
+    assert answer(viewer, "/", **front)[0] == 403
+    assert answer(viewer, "/?token=wrong", **front)[0] == 403
+    assert answer(viewer, f"/page/main.js?token={token}", **front)[0] == 403
+    status, headers = answer(viewer, f"/?token={token}", **front)
+    assert status == 200 and headers["Refresh"] == "0; url=/"
+    front["Cookie"] = headers["Set-Cookie"].partition(";")[0]
+    status, headers = answer(viewer, "/", **front)
+    assert status == 200 and "wss://studio.example;" in headers["Content-Security-Policy"]
+    own = {"Origin": "https://studio.example", **WEBSOCKET}
+    assert answer(viewer, "/socket", **front, **own)[0] == 101
+    assert answer(viewer, "/socket", **front, **own | {"Origin": "https://x.example"})[0] == 403
+    assert answer(viewer, "/socket", **front | {"Cookie": ""}, **own)[0] == 403
+    assert answer(viewer, "/", **front | {"Host": "other.example"})[0] == 403
 
 
 @pytest.mark.parametrize("path", ["/page/../server.py", "/page/%2e%2e/server.py", "/page/none.js"])

@@ -2,7 +2,8 @@
 
 Other accounts of this machine reach its ports as well, and any site can make a browser send
 requests to it: under a name of its own that it lets point here (DNS rebinding), and over
-websockets. Browsers send neither the cookie with the token.
+websockets. Browsers send neither the cookie with the token. A name under which somebody opened
+the address with the token is that of a server in front of this one.
 
 The token changes with each start. While no studio runs, another account may listen at its port,
 and a page that tries to connect again sends the cookie there: a token that outlives the studio
@@ -26,8 +27,8 @@ EVERYWHERE = {"0.0.0.0": "192.0.2.1", "::": "2001:db8::1"}  # and an address tha
 HOST_HEADER = re.compile(r"([a-z0-9.-]+|\[[0-9a-f:.]+\])(?::([0-9]{1,5}))?", re.IGNORECASE)
 NO_TOKEN = "This server needs a token. Open the address that its terminal shows.\n"
 NOT_OURS = (
-    "This server answers to names and addresses of its machine alone, and to its own pages. Open "
-    "the address that its terminal shows.\n"
+    "This server answers to its own pages, and under another name than its machine's once the "
+    "address was opened there with the token. Open the address that its terminal shows.\n"
 )
 ICON = '<!doctype html><title>Studio</title><link rel="icon" href="/page/icon.svg">'
 COOKIE = "stylesplat-token"
@@ -60,8 +61,13 @@ class Guard:
         named = HOST_HEADER.fullmatch(hosts[0]) if len(hosts) == 1 else None
         # One cookie for each port: browsers send a machine's cookies to all its servers
         cookie = f"{COOKIE}-{named[2] or ''}" if named else ""
+        in_address = self._is_token(*asked.query_params.getlist("token"))
+        is_opened = in_address and scope["type"] == "http" and scope["path"] == "/"
+        if is_opened and named is not None:
+            self._names.add(named[1].lower())
         is_ours = named is not None and self._is_ours(asked, named)
-        if named is None or not is_ours or not self._has_token(asked, cookie):
+        has_token = in_address or self._is_token(asked.cookies.get(cookie, ""))
+        if named is None or not is_ours or not has_token:
             is_socket, why = scope["type"] == "websocket", NO_TOKEN if is_ours else NOT_OURS
             refuse = WebSocketClose(1008) if is_socket else PlainTextResponse(why, 403)
             await refuse(scope, receive, send)
@@ -80,13 +86,13 @@ class Guard:
             await send(message)
 
         app = self._app
-        if scope["type"] == "http" and scope["path"] == "/" and "token" in asked.query_params:
+        if is_opened:
             # Not a status 303, with which a link on another site would come without the cookie
             app = HTMLResponse(ICON, headers={"refresh": "0; url=/"})
         await app(scope, receive, with_headers)
 
     def _is_ours(self, asked: "HTTPConnection", named: re.Match[str]) -> bool:
-        """Whether the host is a name of this machine, or any address: those cannot be rebound."""
+        """Whether the host is a known name, or any address: those cannot be rebound."""
         name, origins = named[1].strip("[]").lower(), asked.headers.getlist("origin")
         known = name in self._names
         with suppress(ValueError):
@@ -94,9 +100,7 @@ class Guard:
         own = [f"{scheme}://{named[0]}" for scheme in ("http", "https")]
         return known and (not origins or (len(origins) == 1 and origins[0] in own))
 
-    def _has_token(self, asked: "HTTPConnection", cookie: str) -> bool:
-        """Whether a request has the token: in its address, or in a cookie of an earlier one."""
-        given = [*asked.query_params.getlist("token"), asked.cookies.get(cookie, "")]
+    def _is_token(self, *given: str) -> bool:
         return any(hmac.compare_digest(each.encode(), self._token.encode()) for each in given)
 
 
