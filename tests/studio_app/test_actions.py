@@ -33,7 +33,7 @@ from stylesplat.studio_app.pictures import camera_of
 from stylesplat.studio_app.selecting import pick_names
 from stylesplat.studio_app.session import Session
 from stylesplat.studio_app.studio import StudioServer, studio
-from stylesplat.studio_app.thumbnails import ObjectThumbnails
+from stylesplat.studio_app.thumbnails import SELECTION, ObjectThumbnails
 from stylesplat.studio_app.variants import Variants
 from stylesplat.studio_app.views import KeptViews
 from stylesplat.stylization.recipe import read_recipe
@@ -666,12 +666,28 @@ def test_a_picture_that_is_gone_stops_no_other_draft(page: Page):
     assert "config" in page.said.pop()
 
 
-def test_a_selection_that_was_tried_is_no_object(page: Page):
+def test_drafts_of_a_selection_stay_and_become_those_of_its_object(page: Page):
     page.act("pick_names", names=["3"])
     page.act("invert_picked")
     state = page.act("try_all", settings=BRIEF)
-    assert len(state.previews) == 2 and not state.variants, page.said
-    assert {each.name for each in state.objects} == {"3", "7", "300"}
+    assert len(state.previews) == 2 and {each.object for each in state.variants} == {SELECTION}
+    assert {each.name for each in state.objects} == {"3", "7", "300"}, "it is no object yet"
+
+    page.act("pick_names", names=["7"])
+    page.act("invert_picked")
+    state = page.act("try_all", settings=BRIEF)
+    assert len(state.variants) == 4, "another selection's drafts take the place of none"
+    mask = page.session.masks.picked(page.session.state)
+    state = page.act("name_selection", name="rest")
+    assert [each.object for each in state.variants] == [SELECTION] * 2 + ["rest"] * 2, page.said
+    assert torch.equal(page.session.state.scene.objects["rest"].mask, mask)
+
+    state = page.act("use_variant", id=state.variants[0].id)
+    (layer,) = state.layers
+    assert layer.object == "painted part" and page.names() == ["painted part"], page.said
+    assert [each.object for each in state.variants] == ["painted part"] * 2 + ["rest"] * 2
+    state = page.act("step", rows=-1)
+    assert not state.layers and state.variants[0].object == SELECTION, "one step"
 
 
 def test_the_queue_is_a_list(page: Page):

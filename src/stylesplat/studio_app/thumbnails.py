@@ -95,7 +95,7 @@ class StylePreviews:
         keep_draft: Callable[[Layer, str], bool],
         **options: Any,
     ) -> None:
-        """`keep_draft` gets each draft of an object and the title of its picture.
+        """`keep_draft` gets each draft and the title of its picture.
 
         It returns whether more may come.
         """
@@ -114,7 +114,7 @@ class StylePreviews:
         settings: dict[str, Any] | None = None,
         regions: dict[ShortText, tuple[int, int, int, int]] | None = None,
     ) -> None:
-        """Paint a draft of what is picked in every style, and keep those of objects as variants.
+        """Paint a draft of what is picked in every style, and keep them as variants.
 
         If previews are shown, they are removed instead. `regions` are the parts of pictures that
         are used, by their titles; those of other titles are ignored.
@@ -188,7 +188,7 @@ class StylePreviews:
                 live = yield from self._draft(of, scene, name, styles[title], surveys.get(name))
                 surveys[name] = live.survey
                 layer = replace(live.layer, mask=None, blend="normal")
-                if of.picked and not self._keep_draft(layer, title):
+                if not self._keep_draft(layer, title):
                     return
                 shown = shown.with_layer(layer)
                 times.append((count / len(drafts), time.monotonic()))

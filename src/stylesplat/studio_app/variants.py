@@ -8,6 +8,8 @@ from tempfile import TemporaryDirectory
 from weakref import WeakKeyDictionary
 
 import msgspec
+import numpy as np
+import torch
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
@@ -17,7 +19,9 @@ from stylesplat.io.json_yaml import read_json_as, write_json
 from stylesplat.io.layers import STACK, read_layers, write_layers
 from stylesplat.progress import say
 from stylesplat.scene.layers import Layer, shown_like
+from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.selection import IN_MEMORY, Selection
 from stylesplat.studio_app.edits import (
     describe_settings,
     find_layer,
@@ -25,13 +29,15 @@ from stylesplat.studio_app.edits import (
     replace_layer,
 )
 from stylesplat.studio_app.gallery import Files
-from stylesplat.studio_app.history import StudioState, hidden_rows, object_names
+from stylesplat.studio_app.history import Selected, StudioState, hidden_rows, object_names
 from stylesplat.studio_app.messages import ShortText, Variant
+from stylesplat.studio_app.selecting import with_object_of_selection
 from stylesplat.studio_app.session import Display, Session
-from stylesplat.studio_app.thumbnails import ObjectThumbnails
+from stylesplat.studio_app.thumbnails import SELECTION, ObjectThumbnails
 
 VARIANTS = "studio-variants"  # in the scene's folder: a folder each
 ABOUT, PICTURE = "variant.json", "picture.jpg"
+ROWS = "rows.npy"  # of a draft of a selection: its Gaussians, as bits
 MOST_VARIANTS = 60  # the oldest without a star make room
 
 
@@ -110,13 +116,16 @@ class Variants:
 
         Returns whether there is room for more.
         """
-        scene = self._session.state.scene
-        return self._keep(layer, title, scene.below(layer.name).with_layer(layer), draft=True)
+        state = self._session.state
+        scene = state.scene.below(layer.name)
+        if layer.object == SELECTION and state.selection is not None:
+            scene = scene.with_object(SELECTION, SceneObject(state.selection.weights > 0))
+        return self._keep(layer, title, scene.with_layer(layer), draft=True)
 
     def _keep(self, layer: Layer, title: str, scene: Scene, *, draft: bool = False) -> bool:
         """Keep a layer, with a picture of it in a scene. Returns False if that cannot be."""
         settings, digest = describe_settings(layer.settings), self._digest(layer)
-        rows = self._rows_digest(layer.object)
+        rows = self._rows_digest(layer.object, scene)
         about = _About(layer.object, title, settings, digest, rows, draft=draft)
         if draft and any(each.about.digest == digest for each in self._kept):
             return True
@@ -128,7 +137,7 @@ class Variants:
             )
             return False
         try:
-            self._add(layer, about, self._thumbnails.paint_picture(layer.object, scene))
+            self._add(layer, about, scene)
         except (OSError, StyleSplatError) as error:
             why = reason(error).rstrip(".")
             self._session.tell(f"The variant is not kept: {why}.", failure=True)
@@ -137,8 +146,8 @@ class Variants:
             self._session.on_change.call()
         return True
 
-    def _add(self, layer: Layer, about: _About, picture: bytes) -> None:
-        place = self._place()
+    def _add(self, layer: Layer, about: _About, scene: Scene) -> None:
+        place, picture = self._place(), self._thumbnails.paint_picture(layer.object, scene)
         names = (*(each.name for each in place.iterdir()), *(each.id for each in self._kept))
         last = max((int(name) for name in names if name.isdecimal()), default=0)
         folder = place / f"{last + 1:04}"
@@ -146,13 +155,12 @@ class Variants:
             write_layers([layer], unfinished)
             (unfinished / PICTURE).write_bytes(picture)
             write_json(msgspec.to_builtins(about), unfinished / ABOUT)
-        drafts, key = self._replaceable(), (about.object, about.title, about.settings)
-        earlier = [
-            each
-            for each in (drafts if about.draft else ())
-            if (self._object_of(each), each.about.title, each.about.settings) == key
-        ]
-        self._kept.append(_Kept(folder, about, self._url(folder)))
+            if layer.object == SELECTION:
+                mask = self._session.masks.of(scene, SELECTION)
+                np.save(unfinished / ROWS, np.packbits(mask.cpu().numpy()))
+        kept, drafts = _Kept(folder, about, self._url(folder)), self._replaceable()
+        earlier = [each for each in drafts if about.draft and self._is_like(each, kept)]
+        self._kept.append(kept)
         for each in earlier:
             self.delete_variant(each.id)
         if len(self._kept) > MOST_VARIANTS:
@@ -161,6 +169,13 @@ class Variants:
                 self._session.tell(f"{MOST_VARIANTS} variants are kept: the oldest one has gone.")
             if plain:
                 self.delete_variant((drafts or plain)[0].id)
+
+    def _is_like(self, one: _Kept, other: _Kept) -> bool:
+        """Whether two are of one object, or of one selection, in one style and its settings."""
+        objects = self._object_of(one), self._object_of(other)
+        same = objects[0] == objects[1] != SELECTION or one.about.rows == other.about.rows
+        settings = [(each.about.title, each.about.settings) for each in (one, other)]
+        return same and settings[0] == settings[1]
 
     def _replaceable(self) -> list[_Kept]:
         """Drafts that nobody has starred or named, and that are neither shown nor compared."""
@@ -210,6 +225,10 @@ class Variants:
 
     def _shown(self, state: StudioState, id: str) -> StudioState:
         layer, title = self.layer(id)
+        rows = self._item(id).folder / ROWS
+        if layer.object not in object_names(state.scene) and rows.is_file():
+            state = _with_object_of(state, rows)
+            layer = replace(layer, object=state.picked[0])
         shown = shown_like(layer, state.scene.layer(layer.name), len(state.scene.base))
         return replace_layer(state, shown, f"Switched {layer.object} to {title}")
 
@@ -260,11 +279,11 @@ class Variants:
         names = [name for name in object_names(scene) if masks.has(scene, name)]
         if each.about.object in names:
             return each.about.object
-        same = (name for name in names if self._rows_digest(name) == each.about.rows)
+        same = (name for name in names if self._rows_digest(name, scene) == each.about.rows)
         return next(same, each.about.object)
 
-    def _rows_digest(self, name: str) -> str:
-        mask = self._session.masks.of(self._session.state.scene, name)
+    def _rows_digest(self, name: str, scene: Scene) -> str:
+        mask = self._session.masks.of(scene, name)
         known = self._rows.get(name)
         if known is None or known[0] is not mask:
             found = blake2b(mask.cpu().numpy().tobytes(), digest_size=16).hexdigest()
@@ -294,3 +313,14 @@ class Variants:
             place = Path(self._elsewhere.name)
         place.mkdir(exist_ok=True)
         return place
+
+
+def _with_object_of(state: StudioState, path: Path) -> StudioState:
+    """The state with an object of the selection that a draft was of, as painting makes it."""
+    count = len(state.scene.base)
+    rows = torch.from_numpy(np.unpackbits(np.load(path), count=count).astype(bool))
+    selected = state.selection
+    if selected is None or not torch.equal(selected.weights.cpu() > 0, rows):
+        rows = rows.to(state.scene.base.device)
+        selected = Selected(rows.to(torch.uint8) * 255, Selection(rows=IN_MEMORY))
+    return with_object_of_selection(replace(state, selection=selected), "painted")

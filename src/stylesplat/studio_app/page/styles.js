@@ -75,7 +75,7 @@ function Styles() {
       <p class="hint">${chosen.length || now.selection ? `Click a picture to paint ${chosen.map((each) => each.name).join(", ") || "the selection"}${above.value ? " on a new layer" : ""}` : "Pick an object, then click a picture; or drag one onto an object"}</p>
       <input type="search" class="search" aria-label="Search styles, or the path of a picture to add" placeholder="Search, or a path" maxlength="4096"
         onInput=${(event) => (words.value = event.target.value)} onKeyDown=${enter} />
-      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts; those of objects stay as variants" disabled=${!(chosen.length || now.selection) || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all", { settings: settings.value, regions: regions.value })} />
+      <${Button} icon="try" text="Try all" label="Show all styles on what is picked: the colours first, then drafts, which stay as variants" disabled=${!(chosen.length || now.selection) || !now.styles.length || now.painting} active=${tried} onClick=${() => act("try_all", { settings: settings.value, regions: regions.value })} />
       <${Button} icon="sliders" text=${unusual ? `Settings (${unusual})` : "Settings"} label="Settings of the painting, and presets" onClick=${() => (dialog.value = "settings")} />
       <label class="button"><${Icon} name="plus" /><span>Add pictures</span><input type="file" accept="image/*" multiple onChange=${add} /></label></div>
     <ul class="strip" ref=${list}>${shown.map((each) => html`<${StyleCard} key=${each.title} style=${each} preview=${now.previews[each.title]} />`)}
