@@ -36,7 +36,7 @@ clean:
 # Of what is installed Python compiles, later, what is imported: that is sooner than all of it
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --no-compile --editable '.[photos]' --constraint constraints.txt
+	$(BIN)/pip install --quiet --no-compile --editable '.[photos,view]' --constraint constraints.txt
 	touch $@
 
 $(VENV)/installed-dev: pyproject.toml constraints.txt
