@@ -123,6 +123,22 @@ def test_a_variant_is_swapped_by_its_thumbnail(opened: StudioServer, tab: Tab, t
     until(lambda: len(opened.server.actions.variants) == 2, "one less")
 
 
+def test_a_style_may_be_clicked_before_the_server_has_told_of_the_pick(
+    opened: StudioServer, tab: Tab, tmp_path: Path
+):
+    session, busy = opened.session, threading.Event()
+    adds_pictures(tab, tmp_path)
+    where = tab.middle_of("7")
+    session.ask(lambda: busy.wait(60))
+    tab.click(*where)
+    tab.page.until("String(studio.overlay.picked?.names) === '7'")
+    tab.press_button("Paint like stripes")
+    assert "Pick an object first" not in tab.text()
+    busy.set()
+    until(lambda: session.painting or session.state.note.startswith("Painted 7"), "a painting")
+    session.ask(opened.server.actions.stop)
+
+
 def test_a_line_that_is_drawn_steers_the_strokes(opened: StudioServer, tab: Tab, tmp_path: Path):
     session, actions = opened.session, opened.server.actions
     adds_pictures(tab, tmp_path)

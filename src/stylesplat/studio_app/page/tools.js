@@ -196,7 +196,10 @@ export class Tools {
     const before = objects.filter((each) => each.picked).map((each) => each.name);
     const after = { new: names, add: [...before, ...names], away: before.filter((each) => !names.includes(each)) }[how];
     if (how === "new" && !selection && String(before) === String(names)) return;
-    if (act("pick_names", { names, how }) && after && (how === "new" || !selection)) this.overlay.guessPicked(after);
+    if (!act("pick_names", { names, how }) || !after || (how !== "new" && selection)) return;
+    // At once, before the server has told: a style that is clicked next is for these
+    state.value = { ...state.value, selection: null, objects: objects.map((each) => ({ ...each, picked: after.includes(each.name) })) };
+    this.overlay.guessPicked(after);
   }
 
   focus(event) {
