@@ -671,6 +671,7 @@ def test_drafts_of_a_selection_stay_and_become_those_of_its_object(page: Page):
     page.act("invert_picked")
     state = page.act("try_all", settings=BRIEF)
     assert len(state.previews) == 2 and {each.object for each in state.variants} == {SELECTION}
+    assert all(each.thumbnail for each in state.variants), "with pictures"
     assert {each.name for each in state.objects} == {"3", "7", "300"}, "it is no object yet"
 
     page.act("pick_names", names=["7"])

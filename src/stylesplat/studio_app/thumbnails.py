@@ -64,12 +64,11 @@ class ObjectThumbnails:
         """A picture of an object of a scene; nothing if no view shows it."""
         with suppress(StyleSplatError):
             picked = scene.to_splats(self._session.masks.of(scene, name))
-            return object_picture(scene.splats, self._camera(name), picked)
+            return object_picture(scene.splats, self._camera(name, scene), picked)
         return b""
 
-    def _camera(self, name: str) -> Cameras:
+    def _camera(self, name: str, scene: Scene) -> Cameras:
         """A small square view of an object. Raises a StyleSplatError if no view shows it."""
-        scene = self._session.state.scene
         own = self._session.masks.of(scene, name)
         if name not in self._cameras or not torch.equal(self._cameras[name][0], own):
             camera = close_up(scene.base, scene.cameras, own).at_most(THUMBNAIL_SIDE)
