@@ -30,11 +30,13 @@ from stylesplat.figures.sheets import (
 )
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.rendering.render import rasterize
+from stylesplat.rendering.weights import coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Classifier
 from stylesplat.selection.labels import pick, render_labels
+from stylesplat.training.object_alone import OBJECTS_ALONE
 
 RED, GREEN, BLUE = (pick(SPLATS, object_id=id, remove_outliers=False) for id in (3, 7, 300))
 HEIGHT = SHEET_PANEL * 36 // 48  # of a view of a selection
@@ -248,3 +250,17 @@ def test_cut_outs_and_masks_beside_their_renders():
     masked = replace(capture, valid_masks=[nothing, nothing, valid, *[nothing] * 5])
     part, _ = pair(beside_photo(scene, masked, CAMERAS.names[2], device="cpu"), width, height)
     assert torch.equal(part[:20], photo[:20]) and (part[20:] == 0).all()
+
+
+def test_a_photo_of_objects_that_were_trained_alone_is_cut_out():
+    images, _, _ = rasterize(SPLATS, CAMERAS)
+    photos = [(255 * image.clamp(0, 1)).round().to(torch.uint8) for image in images]
+    labels = [(coverage(SPLATS, camera, RED) > 0.5).int() for camera in CAMERAS]
+    capture = Capture(CAMERAS, photos, label_maps=labels)
+    scene: Scene = replace(TRAINED, info={OBJECTS_ALONE: True})
+    width, height = CAMERAS[2].size
+    picture = beside_photo(scene, capture, CAMERAS.names[2], device="cpu")
+    photo, _ = pair(picture, width, height)
+    assert (photo[labels[2] == 0] == 0).all() and (photo[labels[2] == 1] > 20).any()
+    other = beside_photo(replace(scene, info={}), capture, CAMERAS.names[2], device="cpu")
+    assert not torch.equal(pair(other, width, height)[0], photo)

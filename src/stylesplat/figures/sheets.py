@@ -23,6 +23,7 @@ from stylesplat.figures.grid import CARD, GRID_CELL, Row, add_legend, draw_grid,
 from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
 from stylesplat.imaging.similarity import psnr
 from stylesplat.io.captures.capture_folder import open_capture
+from stylesplat.io.captures.photos import PHOTO_OPAQUE
 from stylesplat.photo_libraries import cv2
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device, render
@@ -36,6 +37,7 @@ from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE, each_object, object_ids, render_labels
 from stylesplat.selection.shares import object_shares, survey
+from stylesplat.training.object_alone import OBJECTS_ALONE, as_trained
 
 MAX_COLUMNS = 4  # of a sheet with few objects; a sheet of many is about square
 SHEET_SURVEY_VIEWS = 24  # views searched for the best ones of each object
@@ -197,16 +199,20 @@ def beside_photo(
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw a photo and the render of its view, with their PSNR.
 
-    The photo is drawn at its full size if the capture is smaller, up to 2048 pixels a side. The
-    PSNR is measured at the size of the capture.
+    The photo is drawn at its full size if the capture is smaller, up to 2048 pixels a side; of
+    objects that were trained alone at the size of the capture, with which its label maps come. The
+    PSNR is measured at the size of the capture, over opaque pixels.
     """
-    whole = capture
-    if capture.downscale != 1 and capture.path is not None:
+    capture = whole = as_trained(capture, scene.info)
+    if capture.downscale != 1 and capture.path is not None and not scene.info.get(OBJECTS_ALONE):
         whole = open_capture(capture.path, masks=False).at(1.0)
     splats = scene.splats.to(pick_device(device))
     photo, image = _photo_and_render(scene, splats, capture, name)
-    valid = capture.valid(capture.cameras.index(name))
-    counted = slice(None) if valid is None else valid
+    row = capture.cameras.index(name)
+    valid, alpha = capture.valid(row), capture.alpha(row)
+    counted = torch.ones(photo.shape[:2], dtype=torch.bool) if valid is None else valid
+    if alpha is not None and (opaque := counted & (alpha >= PHOTO_OPAQUE)).any():
+        counted = opaque
     decibels = float(psnr(image[counted] / 255, photo[counted] / 255))
     pair = _photo_and_render(scene, splats, at_most(whole, SHEET_LONGEST), name)
     held_out = "held-out " if name in scene.held_out else ""

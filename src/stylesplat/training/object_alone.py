@@ -8,9 +8,10 @@ silhouettes: only the object is inside of most of them. After Laurentini: The Vi
 1994.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -81,6 +82,13 @@ def object_alone(capture: Capture) -> Capture | None:
     if capture.alphas is not None or not _stands_still_around(capture):
         return None
     return cut_out_labels(capture)
+
+
+def as_trained(capture: Capture, info: Mapping[str, Any]) -> Capture:
+    """The photos as a scene with this `info` was trained on them: cut out if objects are alone."""
+    if info.get(OBJECTS_ALONE) and capture.label_maps and capture.alphas is None:
+        return cut_out_labels(capture)
+    return capture
 
 
 def cut_out_labels(capture: Capture) -> Capture:

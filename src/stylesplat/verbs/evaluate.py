@@ -33,7 +33,7 @@ from stylesplat.stylization.painting import Painting, load_network, paint_setup
 from stylesplat.stylization.style import Style, digest
 from stylesplat.stylization.views import ObjectBox, find_boxes
 from stylesplat.training.config import TrainConfig
-from stylesplat.training.object_alone import OBJECTS_ALONE, cut_out_labels
+from stylesplat.training.object_alone import as_trained
 
 EVALUATE_VIEWS = 4  # by default
 EVALUATE_VISIBLE = 8  # levels of 255 in a channel: smaller differences are hard to see
@@ -190,8 +190,7 @@ def _photo_metrics(scene: Scene, splats: Splats, capture: Capture) -> dict[str, 
     if rows and len(rows) < len(capture):  # some were left out when it was trained
         capture = capture.only(rows)
     capture = with_poses_of(capture, scene.cameras)
-    if scene.info.get(OBJECTS_ALONE) and capture.label_maps and capture.alphas is None:
-        capture = cut_out_labels(capture)
+    capture = as_trained(capture, scene.info)
     if "splat" in scene.info:
         rows = measured_rows(capture)
     else:
