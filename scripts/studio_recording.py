@@ -1,6 +1,6 @@
 """The README's moving picture: the studio in headless Chromium paints an object of a scene.
 
-    python scripts/studio_recording.py SCENE STYLES vase "Paint like swirling" docs/studio.webp
+    python scripts/studio_recording.py tankard STYLES tankard "Paint like van gogh" docs/studio.webp
 
 A click on the object, a style, the strokes as they appear, a turn of the camera, and the handle
 between before and after. Waiting is left out. The scene is copied first; Chromium is needed.
