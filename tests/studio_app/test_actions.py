@@ -679,6 +679,7 @@ def test_drafts_of_a_selection_stay_and_become_those_of_its_object(page: Page):
     state = page.act("try_all", settings=BRIEF)
     assert len(state.variants) == 4, "another selection's drafts take the place of none"
     mask = page.session.masks.picked(page.session.state)
+    assert mask is not None
     state = page.act("name_selection", name="rest")
     assert [each.object for each in state.variants] == [SELECTION] * 2 + ["rest"] * 2, page.said
     assert torch.equal(page.session.state.scene.objects["rest"].mask, mask)
