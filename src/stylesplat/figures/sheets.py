@@ -199,9 +199,9 @@ def beside_photo(
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw a photo and the render of its view, with their PSNR.
 
-    The photo is drawn at its full size if the capture is smaller, up to 2048 pixels a side; of
-    objects that were trained alone at the size of the capture, with which its label maps come. The
-    PSNR is measured at the size of the capture, over opaque pixels.
+    The photo is drawn at its full size if the capture is smaller, up to 2048 pixels a side. Where
+    objects were trained alone, it is cut out by the label maps, and drawn at their size. The PSNR
+    is measured at the size of the capture, over opaque pixels.
     """
     capture = whole = as_trained(capture, scene.info)
     if capture.downscale != 1 and capture.path is not None and not scene.info.get(OBJECTS_ALONE):

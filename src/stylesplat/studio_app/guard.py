@@ -27,8 +27,8 @@ EVERYWHERE = {"0.0.0.0": "192.0.2.1", "::": "2001:db8::1"}  # and an address tha
 HOST_HEADER = re.compile(r"([a-z0-9.-]+|\[[0-9a-f:.]+\])(?::([0-9]{1,5}))?", re.IGNORECASE)
 NO_TOKEN = "This server needs a token. Open the address that its terminal shows.\n"
 NOT_OURS = (
-    "This server answers to its own pages, and under another name than its machine's once the "
-    "address was opened there with the token. Open the address that its terminal shows.\n"
+    "This server answers its own pages alone, at its machine's names, and at another name once "
+    "its address was opened there with the token. Open the address that its terminal shows.\n"
 )
 ICON = '<!doctype html><title>Studio</title><link rel="icon" href="/page/icon.svg">'
 COOKIE = "stylesplat-token"

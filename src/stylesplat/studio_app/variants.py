@@ -159,7 +159,8 @@ class Variants:
                 mask = self._session.masks.of(scene, SELECTION)
                 np.save(unfinished / ROWS, np.packbits(mask.cpu().numpy()))
         kept, drafts = _Kept(folder, about, self._url(folder)), self._replaceable()
-        earlier = [each for each in drafts if about.draft and self._is_like(each, kept)]
+        same = self._made_from(kept)
+        earlier = [each for each in drafts if about.draft and self._made_from(each) == same]
         self._kept.append(kept)
         for each in earlier:
             self.delete_variant(each.id)
@@ -170,12 +171,10 @@ class Variants:
             if plain:
                 self.delete_variant((drafts or plain)[0].id)
 
-    def _is_like(self, one: _Kept, other: _Kept) -> bool:
-        """Whether two are of one object, or of one selection, in one style and its settings."""
-        objects = self._object_of(one), self._object_of(other)
-        same = objects[0] == objects[1] != SELECTION or one.about.rows == other.about.rows
-        settings = [(each.about.title, each.about.settings) for each in (one, other)]
-        return same and settings[0] == settings[1]
+    def _made_from(self, each: _Kept) -> tuple[str, ...]:
+        """What two variants have in common that are of one object or selection, painted alike."""
+        name, about = self._object_of(each), each.about
+        return name, about.rows if name == SELECTION else "", about.title, about.settings
 
     def _replaceable(self) -> list[_Kept]:
         """Drafts that nobody has starred or named, and that are neither shown nor compared."""
