@@ -103,7 +103,7 @@ def figures(page: str, pattern: str) -> list[float]:
 
 
 BENCHMARKS, SCALE, FAQ = "benchmarks/README.md", "docs/scale.md", "docs/faq.md"
-STUDIO = "docs/studio.md"
+STUDIO, OBJECTS = "docs/studio.md", "docs/objects.md"
 SAME = [
     (STUDIO, r"to the first picture \| ([\d.]+)", r"to the first picture \| ([\d.]+) s \| 1"),
     (STUDIO, r"outline of what is below it \| ([\d.]+)", r"\| hover \| ([\d.]+) s"),
@@ -121,10 +121,15 @@ SAME = [
     ("docs/photos.md", r"within ([\d.]+ to [\d.]+) degrees", r"posed, ([\d.]+ to [\d.]+) degrees"),
     ("docs/photos.md", r"median, and ([\d.]+) at most", r"median \(0.5\), ([\d.]+) at most"),
     (
-        "docs/objects.md",
+        OBJECTS,
         r"([\d.]+ to [\d.]+) on the demo's objects with",
         r"objects ([\d.]+ to [\d.]+) \(",
     ),
+    (OBJECTS, r"IoU of ([\d.]+ to [\d.]+) on the fox", r"on the fox ([\d.]+ to [\d.]+) \(target"),
+    (OBJECTS, r"\(([\d.]+) at the lowest tenth", r"lowest tenth ([\d.]+) \("),
+    (OBJECTS, r"gives an IoU of ([\d.]+ to [\d.]+)", r"found: \S+ to \S+ and ([\d.]+ to [\d.]+)"),
+    (OBJECTS, r"ear, give ([\d.]+ to [\d.]+)", r"found: ([\d.]+ to [\d.]+)"),
+    (OBJECTS, r"five give ([\d.]+) .*? one ([\d.]+)", r"part`: ([\d.]+) five times, ([\d.]+),"),
 ]
 ELSEWHERE = [
     (
@@ -143,10 +148,10 @@ ELSEWHERE = [
     ),
     (FAQ, r"(\S+) GB of memory and (\S+) GB", "docs/batch.md", r"takes (\S+) GB and (\S+) GB for"),
     (FAQ, r"`train` ([\d.]+ and [\d.]+);", "docs/batch.md", r"`train` ([\d.]+ and [\d.]+),"),
-    (FAQ, r"EdgeTAM (\d+) MB", "docs/objects.md", r"EdgeTAM-hf` \| (\d+) MB"),
-    (FAQ, r"tiny (\d+) MB", "docs/objects.md", r"hiera-tiny` \| (\d+) MB"),
-    (FAQ, r"SAM (\d+) MB", "docs/objects.md", r"vit-base` \| (\d+) MB"),
-    (FAQ, r"SAM 3 ([\d.]+) GB", "docs/objects.md", r"gated \| ([\d.]+) GB"),
+    (FAQ, r"EdgeTAM (\d+) MB", OBJECTS, r"EdgeTAM-hf` \| (\d+) MB"),
+    (FAQ, r"tiny (\d+) MB", OBJECTS, r"hiera-tiny` \| (\d+) MB"),
+    (FAQ, r"SAM (\d+) MB", OBJECTS, r"vit-base` \| (\d+) MB"),
+    (FAQ, r"SAM 3 ([\d.]+) GB", OBJECTS, r"gated \| ([\d.]+) GB"),
 ]
 
 
@@ -171,6 +176,19 @@ def test_a_second_core():
         BENCHMARKS, r"\| 50 \| 0.25 .*?([\d.]+) GiB.*?1,000 \| 0.25 \| ([\d.]+) GiB"
     )
     assert figures(SCALE, r"take ([\d.]+) GiB more than fifty") == [round(many - few, 2)]
+
+
+def test_a_large_splat_stays_below_what_the_manual_says():
+    *stated, stylize = figures(
+        "docs/manual.md",
+        r"stay below (\d+) GB, .*? import below (\d+), export below (\d+), `stylize` below (\d+)",
+    )
+    select, load, write = stated
+    said = {"select by": select, "import with": load, "export as": write, "stylize an": stylize}
+    for begins, gigabytes in said.items():
+        measured = numbers(row(BENCHMARKS, begins))[-1] * 2**30 / 1e9
+        assert gigabytes - 1.1 < measured < gigabytes
+    assert stylize == figures(FAQ, r"ten million takes up to (\d+) GB to paint")[0]
 
 
 def test_sizes_of_packages():
