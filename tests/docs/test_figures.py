@@ -103,7 +103,7 @@ def figures(page: str, pattern: str) -> list[float]:
 
 
 BENCHMARKS, SCALE, FAQ = "benchmarks/README.md", "docs/scale.md", "docs/faq.md"
-STUDIO, OBJECTS = "docs/studio.md", "docs/objects.md"
+STUDIO, OBJECTS, MANUAL = "docs/studio.md", "docs/objects.md", "docs/manual.md"
 SAME = [
     (STUDIO, r"to the first picture \| ([\d.]+)", r"to the first picture \| ([\d.]+) s \| 1"),
     (STUDIO, r"outline of what is below it \| ([\d.]+)", r"\| hover \| ([\d.]+) s"),
@@ -125,6 +125,7 @@ SAME = [
         r"([\d.]+ to [\d.]+) on the demo's objects with",
         r"objects ([\d.]+ to [\d.]+) \(",
     ),
+    (MANUAL, r"about (\d+) bytes per Gaussian", r"of the demo, ([\d.]+) of a tankard"),
     (OBJECTS, r"IoU of ([\d.]+ to [\d.]+) on the fox", r"on the fox ([\d.]+ to [\d.]+) \(target"),
     (OBJECTS, r"\(([\d.]+) at the lowest tenth", r"lowest tenth ([\d.]+) \("),
     (OBJECTS, r"gives an IoU of ([\d.]+ to [\d.]+)", r"found: \S+ to \S+ and ([\d.]+ to [\d.]+)"),
@@ -180,7 +181,7 @@ def test_a_second_core():
 
 def test_a_large_splat_stays_below_what_the_manual_says():
     *stated, stylize = figures(
-        "docs/manual.md",
+        MANUAL,
         r"stay below (\d+) GB, .*? import below (\d+), export below (\d+), `stylize` below (\d+)",
     )
     select, load, write = stated
@@ -215,5 +216,20 @@ def test_sizes_of_packages():
 def test_the_compact_network():
     card = (ROOT / "src/stylesplat/stylization/compact.md").read_text("utf-8")
     ways = [float(each) for each in re.findall(r"\| (\d+) % \|$", card, re.MULTILINE)]
-    low_high = figures("docs/manual.md", r"come (\d+) to (\d+) % of the way that 300")
+    low_high = figures(MANUAL, r"come (\d+) to (\d+) % of the way that 300")
     assert low_high == [min(ways), max(ways)]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "column"),
+    [
+        (r"own form, (\w+) times smaller", 1),
+        (r"version 4, (\w+) times", 2),
+        (r"web: (\w+) times", 4),
+    ],
+)
+def test_sizes_of_formats(pattern: str, column: int):
+    names = ["three", "four", "five", "six", "seven"]
+    ply, *_ = sizes = numbers(row(BENCHMARKS, "bytes per Gaussian"))
+    (stated,) = re.findall(pattern, text(MANUAL))
+    assert names[round(ply / sizes[column]) - 3] == stated
