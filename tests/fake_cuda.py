@@ -13,7 +13,9 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch._ops import OpOverload
 from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from stylesplat.imaging.color import luma_weights
 from stylesplat.imaging.similarity import blur_matrix, ssim_window
@@ -223,6 +225,23 @@ class HostTrips(TorchFunctionMode):
         if left or came or (moved and not is_sent):
             self.found.append(getattr(func, "__name__", str(func)))
         return result
+
+
+class Operations(TorchDispatchMode):
+    """Counts operations, forward and backward, each of which is a kernel to start on a GPU.
+
+    Views and new memory are none. What stands in for a kernel of ours counts with its parts.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(
+        self, func: OpOverload, types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
+        self.count += not func.is_view and "empty" not in func.name()
+        return func(*args, **(kwargs or {}))
 
 
 def _pinned(tensor: Tensor) -> Tensor:

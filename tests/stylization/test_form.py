@@ -15,7 +15,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.form import (
-    FormBand,
+    Form,
     FormSurvey,
     PooledMask,
     detail_bands,
@@ -56,21 +56,21 @@ NEAR_EYE = spot(*EYE, RADIUS + 2) > 0
 FAR = MASK & (spot(*EYE, 5 * RADIUS) == 0) & (XS.square() + YS.square() < (0.4 * LENGTH) ** 2)
 
 
-def form_of(image: Tensor) -> list[FormBand]:
+def form_of(image: Tensor) -> Form:
     return measure_form(image, MASK, LENGTH, measure_detail([image], [MASK], LENGTH))
 
 
-def shares(form: list[FormBand]) -> list[float]:
-    return [float(band.weight.sum()) for band in form]
+def shares(form: Form) -> list[float]:
+    return form.weight.sum(dim=(1, 2)).tolist()
 
 
-def distance(image: Tensor, form: list[FormBand]) -> float:
-    return float(form_distance(image, MASK, LENGTH, form))
+def distance(image: Tensor, form: Form) -> float:
+    return float(form_distance(image, LENGTH, form))
 
 
 def test_an_eye_stands_out_of_a_plain_ball():
     form = form_of(WITH_EYE)
-    for detail, weight, _ in form:
+    for detail, weight in zip(form.detail, form.weight, strict=True):
         assert detail[NEAR_EYE].abs().max() > 10 * detail[FAR].abs().max()
         assert weight[NEAR_EYE].mean() > 1.5 * weight[FAR].mean()
 
@@ -83,8 +83,8 @@ def test_what_differs_in_hue_alone_stands_out_too():
     assert torch.allclose(spotted @ LUMA, WITH_EYE @ LUMA, atol=1e-5)
     here = NEAR_EYE.flip(1)
     grey_form, form = form_of(WITH_EYE), form_of(spotted)
-    for before, after in zip(grey_form, form, strict=True):
-        assert after.detail[here].abs().max() > 3 * before.detail[here].abs().max()
+    for before, after in zip(grey_form.detail, form.detail, strict=True):
+        assert after[here].abs().max() > 3 * before[here].abs().max()
 
 
 def test_dots_all_over_do_not_stand_out():
@@ -96,7 +96,7 @@ def test_dots_all_over_do_not_stand_out():
     assert distance(SOME, flat) < 1e-2, "so that it asks for nothing"
     inside = XS.square() + YS.square() < (0.35 * LENGTH) ** 2
     bands = detail_bands(DOTTED @ LUMA, MASK, LENGTH)
-    for (detail, *_), band in zip(dots, bands, strict=True):
+    for detail, band in zip(dots.detail, bands, strict=True):
         assert detail[inside].square().sum() < 0.1 * band[inside].square().sum()
 
 
@@ -139,9 +139,9 @@ def test_what_lies_outside_does_not_matter():
         return torch.where(MASK[..., None], image, SOME)
 
     form, other = form_of(WITH_EYE), form_of(beside(WITH_EYE))
-    assert all(torch.equal(a.detail, b.detail) for a, b in zip(form, other, strict=True))
+    assert torch.equal(form.detail, other.detail)
     image = beside(SOME.flip(0)).requires_grad_()
-    form_distance(image, MASK, LENGTH, form).backward()
+    form_distance(image, LENGTH, form).backward()
     assert image.grad is not None
     assert not image.grad[~MASK].any() and image.grad[MASK].any()
 
@@ -153,7 +153,7 @@ def test_sizes_follow_the_object():
     survey = measure_detail([double], [mask], 2 * LENGTH)
     large, small = measure_form(double, mask, 2 * LENGTH, survey), form_of(soft)
     assert shares(large) == pytest.approx(shares(small), abs=0.1)
-    for (one, *_), (other, *_) in zip(large, small, strict=True):
+    for one, other in zip(large.detail, small.detail, strict=True):
         shrunk = one.reshape(SIDE, 2, SIDE, 2).mean(dim=(1, 3))
         assert (shrunk - other).abs().max() < 0.15 * other.abs().max() + 0.01
 
@@ -171,10 +171,10 @@ def test_a_large_view_is_pooled_and_has_the_same_form():
     own = PooledMask.of(mask, length)
     form = measure_form(own.average(before), own.mask, own.length, survey)
     for after in map(enlarge, (grey(PLAIN), WITH_EYE, DOTTED)):
-        exact = form_distance(after, mask, length, measure_form(before, mask, length, survey))
+        exact = form_distance(after, length, measure_form(before, mask, length, survey))
         pooled = own.average(after)
         assert len(pooled) == len(own.mask) == 3 * SIDE
-        found = form_distance(pooled, own.mask, own.length, form)
+        found = form_distance(pooled, own.length, form)
         torch.testing.assert_close(found, exact, atol=0.02, rtol=0)
 
 
@@ -224,9 +224,9 @@ def test_what_lies_in_the_dark_stands_out_as_much_as_in_the_light():
     light = torch.where(XS < 0, 0.08, 0.8)
     eyes = grey(light * (1 - 0.4 * spot(*EYE) - 0.4 * spot(-EYE[0] - 8, EYE[1])))
     form = form_of(eyes)
-    bright = max(float(band.detail[NEAR_EYE].abs().max()) for band in form)
+    bright = form.detail[:, NEAR_EYE].abs().max()
     near = spot(-EYE[0] - 8, EYE[1], RADIUS + 2) > 0
-    dark = max(float(band.detail[near].abs().max()) for band in form)
+    dark = form.detail[:, near].abs().max()
     assert dark > 0.25 * bright, "in plain luminance a tenth"
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
+from fake_cuda import HostTrips, Operations, cuda  # noqa: F401  (a fixture)
 from processes import begun
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.outliers import scene_extent
@@ -55,16 +55,24 @@ def test_the_same_is_learned_as_on_the_cpu(cuda: str, capture: Capture):  # noqa
         assert error < (2e-2 if name in ("quats", "shN") else 5e-3), name
 
 
-@pytest.mark.parametrize("refine_poses", [False, True])
-def test_steps_never_wait_for_the_device(cuda: str, capture: Capture, refine_poses: bool):  # noqa: F811
+@pytest.mark.parametrize(("refine_poses", "most"), [(False, 300), (True, 410)])
+def test_steps_never_wait_for_the_device_and_ask_for_few_operations(
+    cuda: str,  # noqa: F811
+    capture: Capture,
+    refine_poses: bool,
+    most: int,
+):
+    """See docs/scale.md for the operations."""
     config = replace(CONFIG, refine_poses=refine_poses)
     run, state = begun(capture, config, of_photos=True, device=torch.device(cuda))
-    trips = {}
-    with HostTrips() as mode:
+    trips, counts = {}, {}
+    with HostTrips() as mode, Operations() as operations:
         for step in range(config.refine_every):
             state, _ = train_step(run, state)
             trips[step], mode.found = mode.found, []
+            counts[step], operations.count = operations.count, 0
     assert trips.pop(config.refine_every - 1), "growth asks the device"
     trips.pop(0)  # sends constants
     # of a real GPU the number of pairs, where Gaussians are sorted into tiles
     assert all(found in ([], ["__int__"]) for found in trips.values()), trips
+    assert max(counts[step] for step in trips) <= most

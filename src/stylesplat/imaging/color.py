@@ -79,26 +79,26 @@ COLOR_LEVELS = 24  # of red, green and blue in the table of nearest colours
 class Palette:
     """The colours of a style, and the nearest of them to any colour."""
 
-    table: Float[Tensor, "_ 3"]
-    """The nearest colour in 0..1, by red, green and blue in `COLOR_LEVELS` levels, blue fastest."""
-    shares: Float[Tensor, " _"]
-    """The share of the way there that ends at distance `COLOR_NEAR`; 0 for nearer colours."""
+    table: Float[Tensor, "_ 4"]
+    """The nearest colour in 0..1, by red, green and blue in `COLOR_LEVELS` levels, blue fastest;
+    and the share of the way there that ends at distance `COLOR_NEAR`, 0 for nearer colours."""
+    strides: Float[Tensor, " 3"]
+    """Rows of the table from one level of red, green and blue to the next."""
 
     def offset(self, colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
         """From colours in 0..1 to where the palette is near; without gradients."""
         colors = colors.detach()
-        red, green, blue = (colors.clamp(0, 1) * (COLOR_LEVELS - 1)).round().long().unbind(-1)
-        rows = ((red * COLOR_LEVELS + green) * COLOR_LEVELS + blue).flatten()
-        nearest = self.table.index_select(0, rows).view(colors.shape)
-        return (nearest - colors) * self.shares.index_select(0, rows).view(*colors.shape[:-1], 1)
+        levels = (colors.clamp(0, 1) * (COLOR_LEVELS - 1)).round()
+        rows = (levels @ self.strides).long().flatten()  # float32 holds these numbers exactly
+        found = self.table.index_select(0, rows).view(*colors.shape[:-1], 4)
+        return (found[..., :3] - colors) * found[..., 3:]
 
     def distance(
-        self, image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]
+        self, image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], area: int
     ) -> Float[Tensor, ""]:
-        """The mean squared offset of some pixels, which gradients shorten."""
-        offset = self.offset(image) * mask[..., None]
-        goal = torch.where(offset != 0, image.detach() + offset, image)
-        return (image - goal).square().sum() / mask.sum()
+        """The mean squared offset of some pixels, as many as `area`, which gradients shorten."""
+        goal = image.detach() + self.offset(image) * mask[..., None]
+        return F.mse_loss(image, goal, reduction="sum") / area
 
 
 @torch.no_grad()
@@ -109,7 +109,9 @@ def build_palette(style: Float[Tensor, "Q 3"]) -> Palette:
     every, shades = lab_from_rgb(torch.cartesian_prod(axis, axis, axis)), lab_from_rgb(palette)
     nearest = nearest_colors(every, shades)
     away = (every - shades[nearest]).norm(dim=1)
-    return Palette(palette[nearest], (1 - COLOR_NEAR / away).clamp(min=0))
+    shares = (1 - COLOR_NEAR / away).clamp(min=0)
+    strides = shares.new_tensor([COLOR_LEVELS**2, COLOR_LEVELS, 1])
+    return Palette(torch.cat([palette[nearest], shares[:, None]], dim=1), strides)
 
 
 COLOR_NOISE = 1e-6  # variance added to both sides, so that flat colours can be inverted

@@ -38,6 +38,33 @@ def blur(values: Float[Tensor, "*B H W"], deviation: float) -> Float[Tensor, "*B
     return rows @ values @ columns
 
 
+def blurs(
+    values: Float[Tensor, "*B H W"], deviations: tuple[float, ...]
+) -> Float[Tensor, "L *B H W"]:
+    """Blurs of several deviations, as `blur`; less than `LEAST_DEVIATION` blurs nothing."""
+    height, width = values.shape[-2:]
+    rows, columns = (
+        _blur_matrices(size, deviations, values.device)
+        .view(-1, *[1] * (values.ndim - 2), size, size)
+        .to(values)
+        for size in (height, width)
+    )
+    return rows @ values.expand(len(deviations), *values.shape) @ columns
+
+
+@lru_cache(maxsize=SIMILARITY_KEPT)
+@torch.inference_mode(False)
+def _blur_matrices(
+    size: int, deviations: tuple[float, ...], device: torch.device
+) -> Float[Tensor, "L S S"]:
+    nothing = torch.eye(size, device=device)
+    matrices = [
+        nothing if each < LEAST_DEVIATION else blur_matrix(size, each, device)
+        for each in deviations
+    ]
+    return torch.stack(matrices)
+
+
 @lru_cache(maxsize=SIMILARITY_KEPT)
 @torch.inference_mode(False)  # else training could not use them later
 def blur_matrix(size: int, deviation: float, device: torch.device) -> Float[Tensor, "S S"]:

@@ -108,12 +108,15 @@ class FeatureNetwork:
         strides = [self.cells(block).stride for block in blocks]
         x = ((image - self.mean) / self.std).permute(2, 0, 1)[None]  # channels-last in memory
         found = zip(self.features(x.to(self.dtype), blocks), strides, strict=True)
-        return tuple(f[0, :, : height // s, : width // s].permute(1, 2, 0) for f, s in found)
+        return tuple(
+            f.squeeze(0)[:, : height // s, : width // s].permute(1, 2, 0) for f, s in found
+        )
 
     def features(self, x: Float[Tensor, "B _ H W"], blocks: Sequence[int]) -> list[Tensor]:
         """The features [B,D,_,_] of images whose colours are normalised already."""
         if self.heads:
-            x = F.pad(x, (0, x.shape[3] % NETWORK_FOLD, 0, x.shape[2] % NETWORK_FOLD))
+            odd = x.shape[3] % NETWORK_FOLD, x.shape[2] % NETWORK_FOLD
+            x = F.pad(x, (0, odd[0], 0, odd[1])) if any(odd) else x
             x = F.pixel_unshuffle(x, NETWORK_FOLD).contiguous(memory_format=torch.channels_last)
         outputs = {}
         for number, block in enumerate(self.blocks[: max(blocks)], start=1):

@@ -9,7 +9,6 @@ luminance. What differs in hue alone, as hair and skin of a doll do, becomes lum
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -18,7 +17,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.imaging.color import luma_weights
-from stylesplat.imaging.similarity import blur, smooth
+from stylesplat.imaging.similarity import blur, blurs, smooth
 from stylesplat.rendering.render import render
 from stylesplat.rendering.surface import front_depth, points_at
 from stylesplat.rendering.weights import COVERED, colors_and_coverage
@@ -74,15 +73,19 @@ class FormSurvey(NamedTuple):
         return min(max((max(self.variations) - EVEN) / (UNEVEN - EVEN), 0.0), 1.0)
 
 
-class FormBand(NamedTuple):
-    """The form that one view shows in a band of sizes."""
+class Form(NamedTuple):
+    """The form that one view shows, by bands of sizes."""
 
-    detail: Float[Tensor, "H W"]
+    detail: Float[Tensor, "B H W"]
     """Luminance that stands out, over `MIDDLE_GREY`, relative to what is around."""
-    weight: Float[Tensor, "H W"]
-    """How much each pixel counts; the sum is at most 1."""
-    energy: Float[Tensor, "H W"]
+    weight: Float[Tensor, "B H W"]
+    """How much each pixel counts; the sum of a band is at most 1."""
+    energy: Float[Tensor, "B H W"]
     """The detail's square, blurred."""
+    mask: Float[Tensor, "H W"]
+    """1 where the view shows the object, 0 elsewhere."""
+    inside: Float[Tensor, "L H W"]
+    """See `blurred_mask`."""
 
 
 def survey_detail(
@@ -103,7 +106,7 @@ def measure_detail(
     plain, relative = [], []
     hue = main_hue(torch.cat([i[mask] for i, mask in zip(images, masks, strict=True)]))
     for image, mask in zip(images, masks, strict=True):
-        bands = torch.stack(object_detail(image, mask, length, hue))
+        bands = object_detail(image, mask, length, hue)
         for energies, each in (plain, bands), (relative, bands * weber_gain(image, mask, length)):
             energies.append(smooth(each.square(), mask, ENERGY_DEVIATION * length)[:, mask])
     variations = [
@@ -135,15 +138,14 @@ def object_detail(
     mask: Bool[Tensor, "H W"],
     length: float,
     hue: Float[Tensor, " 3"],
-) -> list[Float[Tensor, "H W"]]:
+) -> Float[Tensor, "B H W"]:
     """The detail of an unpainted object, by bands, as luminance, to whose contrast hues add."""
     near = FORM_NEAR * length
     weights = torch.stack([luma_weights(image.device, image.dtype), FORM_CHROMA * hue.to(image)])
-    details = []
-    for luma, chroma in detail_bands(torch.einsum("hwc,dc->dhw", image, weights), mask, length):
-        together = blur(luma * chroma, near) + _faint_energy(near)
-        details.append(luma + together.sign() * chroma)
-    return details
+    grey = torch.einsum("hwc,dc->dhw", image, weights)
+    luma, chroma = detail_bands(grey, mask, length).unbind(dim=1)
+    together = blur(luma * chroma, near) + _faint_energy(near)
+    return luma + together.sign() * chroma
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,26 +181,25 @@ class PooledMask:
 @torch.no_grad()
 def measure_form(
     image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float, survey: FormSurvey
-) -> list[FormBand]:
+) -> Form:
     """Find the form in a view of the unpainted object, which is so many pixels long."""
-    found = []
-    gain = weber_gain(image, mask, length)
-    bands = [gain * band for band in object_detail(image, mask, length, survey.hue)]
+    bands = weber_gain(image, mask, length) * object_detail(image, mask, length, survey.hue)
     luma = image @ luma_weights(image.device, image.dtype)
     bimodal = bimodality(luma, mask, BAND_DEVIATIONS[-1] * length)
     two = ((bimodal - TWO_FROM) / (TWO - TWO_FROM)).clamp(0, 1)
     even = EVEN + two * (EVEN_OF_TWO - EVEN)
-    energies = smooth(torch.stack(bands).square(), mask, ENERGY_DEVIATION * length)
+    energies = smooth(bands.square(), mask, ENERGY_DEVIATION * length)
     # an object that is even in one band of sizes alone has no pattern all over
     share = ((max(survey.variations) - even) / (UNEVEN - EVEN)).clamp(0, 1)
-    for band, energy, typical in zip(bands, energies, survey.energies, strict=True):
-        least = (1 - two) * SALIENT * typical + FORM_FAINT**2
-        weight = (1 - least / energy.maximum(least)) * mask
-        area = (weight + RARE * mask).sum()
-        detail = share * weight * band
-        around = blur(detail.square(), FORM_NEAR * length)
-        found.append(FormBand(detail, share * weight / area, around))
-    return found
+    pattern = (1 - two) * SALIENT
+    least = torch.stack([pattern * typical for typical in survey.energies]) + FORM_FAINT**2
+    weight = (1 - least / energies.maximum(least)) * mask
+    areas = torch.stack([each.sum() for each in weight + RARE * mask])
+    detail = share * weight * bands
+    around = blur(detail.square(), FORM_NEAR * length)
+    own = mask.to(image)
+    weight = share * weight / areas[:, None, None]
+    return Form(detail, weight, around, own, blurred_mask(own, length))
 
 
 def bimodality(
@@ -214,25 +215,19 @@ def bimodality(
     return ((third**2 + variance**3) / (fourth * variance + FORM_FAINT**6)).to(grey)
 
 
-def form_distance(
-    image: Float[Tensor, "H W 3"],
-    mask: Bool[Tensor, "H W"],
-    length: float,
-    form: Sequence[FormBand],
-) -> Float[Tensor, ""]:
+def form_distance(image: Float[Tensor, "H W 3"], length: float, form: Form) -> Float[Tensor, ""]:
     """1 minus the local correlation of a painted view's luminance with the form, over bands.
 
     Every place that stands out counts by how much it does, whatever its contrast: an eye in the
-    shade as much as one in the light.
+    shade as much as one in the light. All bands are computed at once: painting asks for this in
+    every step, and on a GPU each operation is a kernel to start.
     """
-    total, near = image.new_zeros(()), FORM_NEAR * length
-    faint = _faint_energy(near)
-    bands = detail_bands(image @ luma_weights(image.device, image.dtype), mask, length)
-    for band, (detail, weight, energy) in zip(bands, form, strict=True):
-        norms = blur(band.square(), near) * energy
-        correlation = blur(band * detail, near) / (norms + faint**2).sqrt()
-        total = total + (weight * (1 - correlation)).sum()
-    return total
+    near = FORM_NEAR * length
+    grey = image @ luma_weights(image.device, image.dtype)
+    bands = _bands_inside(grey * form.mask, form.inside, length)
+    energy, shared = blur(torch.stack([bands.square(), bands * form.detail]), near)
+    correlation = shared / (energy * form.energy + _faint_energy(near) ** 2).sqrt()
+    return (form.weight * (1 - correlation)).sum()
 
 
 def _faint_energy(near: float) -> float:
@@ -249,7 +244,7 @@ def shape_detail(
     depths = smooth(depths, mask, HEADLIGHT_BLUR * length)
     points = points_at(depths, camera)
     lit = facing_share(points, mask, camera.positions.to(points))
-    bands = torch.stack(detail_bands(lit, mask, length))
+    bands = detail_bands(lit, mask, length)
     energies = smooth(bands.square(), mask, ENERGY_DEVIATION * length)
     return [*(HEADLIGHT * energies / (energies + HEADLIGHT_HALF**2) * bands)]
 
@@ -280,8 +275,7 @@ def form_detail(
 
     The view shows it so many pixels long, the mask where.
     """
-    form = measure_form(render(before, camera)[0], mask, length, survey)
-    details = [band.detail for band in form]
+    details = [*measure_form(render(before, camera)[0], mask, length, survey).detail]
     if survey.unevenness > 0:
         shape = shape_detail(before, camera, mask, length)
         details = [d + survey.unevenness * s for d, s in zip(details, shape, strict=True)]
@@ -323,7 +317,29 @@ def form_relief(
 
 def detail_bands(
     grey: Float[Tensor, "*B H W"], mask: Bool[Tensor, "H W"], length: float
-) -> list[Float[Tensor, "*B H W"]]:
+) -> Float[Tensor, "_ *B H W"]:
     """Grey images between each two of `BAND_DEVIATIONS`, inside the mask alone; 0 elsewhere."""
-    levels = [smooth(grey * mask, mask, size * length) for size in BAND_DEVIATIONS]
-    return [fine - coarse for fine, coarse in pairwise(levels)]
+    own = mask.to(grey)
+    inside = blurred_mask(own, length)
+    return _bands_inside(grey * own, inside.view(-1, *[1] * (grey.ndim - 2), *own.shape), length)
+
+
+def blurred_mask(mask: Float[Tensor, "H W"], length: float) -> Float[Tensor, "L H W"]:
+    """How much of each blur around a pixel is inside a mask; infinite outside, where means are 0.
+
+    The blurs are those of `BAND_DEVIATIONS`, the widest first.
+    """
+    covered = blurs(mask, _band_pixels(length)).clamp(min=1e-3)
+    return covered.where(mask > 0, math.inf)
+
+
+def _bands_inside(
+    grey: Float[Tensor, "*B H W"], inside: Float[Tensor, "*_ H W"], length: float
+) -> Float[Tensor, "_ *B H W"]:
+    """See `detail_bands`; grey images are 0 outside the mask."""
+    coarse, middle, fine = (blurs(grey, _band_pixels(length)) / inside).unbind()
+    return torch.stack([fine - middle, middle - coarse])
+
+
+def _band_pixels(length: float) -> tuple[float, ...]:
+    return tuple(deviation * length for deviation in reversed(BAND_DEVIATIONS))

@@ -41,8 +41,19 @@ def nnfm_loss(
 
 def cosine_distance(feats: Float[Tensor, "P D"], others: Float[Tensor, "P D"]) -> Float[Tensor, ""]:
     """The mean over rows of 1 minus the cosine, in float32 or more."""
-    dtype = torch.promote_types(feats.dtype, torch.float32)
-    return (1 - F.cosine_similarity(feats.to(dtype), others.to(dtype), dim=1)).mean()
+    return cosine_distance_of_units(unit_rows(feats), unit_rows(others))
+
+
+def cosine_distance_of_units(
+    feats: Float[Tensor, "P D"], others: Float[Tensor, "P D"]
+) -> Float[Tensor, ""]:
+    """The same for rows of length 1."""
+    return (1 - (feats * others).sum(dim=1)).mean()
+
+
+def unit_rows(feats: Float[Tensor, "P D"]) -> Float[Tensor, "P D"]:
+    """The rows with length 1, in float32 or more."""
+    return F.normalize(feats.to(torch.promote_types(feats.dtype, torch.float32)), dim=1, eps=1e-8)
 
 
 class Potentials(NamedTuple):
@@ -66,6 +77,8 @@ class StyleIndex:
 
     directions: Float[Tensor, "Q D"]
     """The features, of length 1."""
+    units: Float[Tensor, "Q D"]
+    """The same in float32, of length 1 however `directions` are rounded."""
     basis: Float[Tensor, "D B"]
     """The principal directions of the features, which keep most of their cosines."""
     compressed: Float[Tensor, "B R"]
@@ -88,7 +101,7 @@ class StyleIndex:
         self, feats: Float[Tensor, "P D"], potentials: Potentials
     ) -> tuple[Int[Tensor, " P"], Potentials]:
         """The rows of (almost always) the most similar style features, and the next potentials."""
-        favour = potentials.favour[self.kinds]
+        favour = potentials.favour.index_select(0, self.kinds)
         if self.directions.device.type == "cpu":
             found = self._search(feats, favour)
         else:
@@ -99,7 +112,7 @@ class StyleIndex:
         if not self.is_balanced or len(found) == 0:
             return potentials
         each = self.shares.new_full((len(found),), 1 / len(found))
-        used = torch.zeros_like(self.shares).index_add_(0, self.kinds[found], each)
+        used = torch.zeros_like(self.shares).index_add_(0, self.kinds.index_select(0, found), each)
         usage = potentials.usage.lerp(used, 1 - REMEMBERED)
         favour = potentials.favour.add(self.shares - usage, alpha=BALANCE).clamp(
             -MATCH_MOST, MATCH_MOST
@@ -138,7 +151,8 @@ def build_index(
     compressed = F.pad((directions @ basis).T, (0, padding)).contiguous()
     kinds = _kinds(directions @ basis, MATCH_KINDS if balanced else 1)
     shares = torch.bincount(kinds) / len(kinds)
-    return StyleIndex(directions.to(dtype), basis, compressed, kinds, shares)
+    directions = directions.to(dtype)
+    return StyleIndex(directions, unit_rows(directions), basis, compressed, kinds, shares)
 
 
 def _kinds(points: Float[Tensor, "Q B"], count: int) -> Int[Tensor, " Q"]:
@@ -169,9 +183,9 @@ def most_similar(
     for chunk in feats.split(rows):
         similar = chunk @ columns
         if favour is not None:
-            similar = similar + chunk.float().norm(dim=1, keepdim=True) * favour
+            similar = torch.addr(similar, chunk.float().norm(dim=1), favour)
         found.append(similar.argmax(dim=1))
-    return torch.cat(found)
+    return found[0] if len(found) == 1 else torch.cat(found)
 
 
 @no_type_check

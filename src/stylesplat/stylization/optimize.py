@@ -20,14 +20,20 @@ from stylesplat.stylization.colors import DARKEST, Colors
 from stylesplat.stylization.config import Stage, StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.form import (
-    FormBand,
+    Form,
     FormSurvey,
     PooledMask,
     form_distance,
     measure_form,
 )
 from stylesplat.stylization.guides import GUIDED_LEAST, Guides, TurnedStyle, turned_style
-from stylesplat.stylization.matching import Potentials, StyleIndex, build_index, cosine_distance
+from stylesplat.stylization.matching import (
+    Potentials,
+    StyleIndex,
+    build_index,
+    cosine_distance_of_units,
+    unit_rows,
+)
 from stylesplat.stylization.painting import PaintSetup
 from stylesplat.stylization.style import style_features, style_parts
 from stylesplat.stylization.views import PaintView, per_view, total_weights
@@ -53,9 +59,11 @@ class ViewTarget:
     """A view to paint in, and what the paint is compared with there; None leaves it free."""
 
     view: PaintView
-    cells: tuple[Int[Tensor, " P"], ...]
-    """The rows and columns of the features that are the object's."""
-    form: tuple[PooledMask, Sequence[FormBand]] | None = None
+    cells: Int[Tensor, " P"]
+    """Which features are the object's, row by row."""
+    area: int
+    """The object's pixels."""
+    form: tuple[PooledMask, Form] | None = None
     """That of the unpainted object, and the pixels in which it is measured."""
     content: Float[Tensor, "P D"] | None = None
     """The features of the unpainted object."""
@@ -94,14 +102,14 @@ class Objective:
         around = self.guides and self.guides.tensors(original.means)
 
         def look(view: PaintView) -> ViewTarget:
-            cells = view.cells.nonzero(as_tuple=True)
+            cells, area = view.cells.flatten().nonzero()[:, 0], int(view.pixels.sum())
             form = content = None
             if self.config.form > 0 or self.config.content > 0:
                 image, _ = render(original, view.camera)
                 if self.config.form > 0:
                     own = PooledMask.of(view.pixels, self.length)
-                    bands = measure_form(own.average(image), own.mask, own.length, self.form)
-                    form = own, bands
+                    found = measure_form(own.average(image), own.mask, own.length, self.form)
+                    form = own, found
                 if self.config.content > 0:
                     content = self._features(image, cells)
             shapes = None if painted is None else _large_shapes(view, view.render(painted))
@@ -109,8 +117,8 @@ class Objective:
             if self.guides is not None and around is not None:
                 pixels = self.guides.flow(original, view.camera, around).permute(2, 0, 1)[None]
                 stride = self.network.cells(self.config.block).stride
-                flow = F.avg_pool2d(pixels, stride)[0].permute(1, 2, 0)[cells]
-            return ViewTarget(view, cells, form, content, shapes, flow)
+                flow = F.avg_pool2d(pixels, stride)[0].flatten(1).T.index_select(0, cells)
+            return ViewTarget(view, cells, area, form, content, shapes, flow)
 
         return [*per_view(look, views, "measuring the form", original.device)]
 
@@ -129,30 +137,33 @@ class Objective:
         if potentials is None:
             potentials = self.style.no_favour()
         matches, potentials = self.style.nearest(feats.detach(), potentials)
-        wanted = self.style.directions.index_select(0, matches)
+        wanted = self.style.units.index_select(0, matches)
         if self.turned is not None and target.flow is not None:
             rows = (target.flow.norm(dim=1) > GUIDED_LEAST).nonzero()[:, 0]
             own = feats.detach()[rows], target.flow[rows]
-            wanted = wanted.index_copy(0, rows, self.turned.nearest(*own, potentials.favour))
-        nnfm = total = cosine_distance(feats, wanted)
+            turned = self.turned.nearest(*own, potentials.favour)
+            wanted = wanted.index_copy(0, rows, unit_rows(turned))
+        nnfm = total = cosine_distance_of_units(unit_rows(feats), wanted)
         if target.form is not None:
-            own, bands = target.form
-            distance = form_distance(own.average(image), own.mask, own.length, bands)
-            total = total + FORM * self.config.form * distance
+            own, form = target.form
+            distance = form_distance(own.average(image), own.length, form)
+            total = total.add(distance, alpha=FORM * self.config.form)
         if target.content is not None:
             before = target.content.float()
             change = (feats.float() - before).square().mean() / before.square().mean()
             total = total + content_weight(self.config.content) * change
         if self.palette is not None:
-            total = total + PULL * self.palette.distance(image, view.pixels)
+            distance = self.palette.distance(image, view.pixels, target.area)
+            total = total.add(distance, alpha=PULL)
         if target.shapes is not None:
             # both hold 0 outside the object
-            change = (_large_shapes(view, image) - target.shapes).square().sum()
-            total = total + HOLD * change * LARGE_SHAPE_SIDE**2 / view.pixels.sum()
+            change = F.mse_loss(_large_shapes(view, image), target.shapes, reduction="sum")
+            total = total + HOLD * LARGE_SHAPE_SIDE**2 * change / target.area
         return nnfm, total, potentials
 
-    def _features(self, image: Tensor, cells: tuple[Tensor, ...]) -> Float[Tensor, "P D"]:
-        return self.network(image, [self.config.block])[0][cells]
+    def _features(self, image: Tensor, cells: Int[Tensor, " P"]) -> Float[Tensor, "P D"]:
+        features = self.network(image, [self.config.block])[0]
+        return features.flatten(0, 1).index_select(0, cells)
 
 
 def content_weight(content: float) -> float:
@@ -164,7 +175,7 @@ def content_weight(content: float) -> float:
 def _large_shapes(view: PaintView, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "3 h w"]:
     """The object's pixels, averaged over squares."""
     own = image * view.pixels[..., None]
-    return F.avg_pool2d(own.permute(2, 0, 1)[None], LARGE_SHAPE_SIDE, ceil_mode=True)[0]
+    return F.avg_pool2d(own.permute(2, 0, 1), LARGE_SHAPE_SIDE, ceil_mode=True)
 
 
 def stage_objective(
@@ -228,14 +239,16 @@ def optimize_colors(
     darkest, brightest = sh0_from_rgb(torch.tensor([[DARKEST], [1.0]]).expand(2, 3)).to(colors)
     leaf = colors.clone().requires_grad_()
     moments, potentials = Moments.zeros({"sh0": leaf}), None
+    everyone = torch.ones(len(colors), dtype=torch.bool, device=colors.device)
+    before = colors
     for number, target in enumerate(shuffled_repeats(targets, steps, generator), start=1):
         with torch.enable_grad():  # the caller may have disabled it
             nnfm, total, potentials = objective(target, target.view.render(leaf), potentials)
             total.backward()
-        before = leaf.detach().clone()
         rate = objective.config.lr * FINAL_RATE ** ((number - 1) / steps)
-        adam_step({"sh0": leaf}, moments, {"sh0": rate}, number)
+        adam_step({"sh0": leaf}, moments, {"sh0": rate}, number, visible=everyone)
         with torch.no_grad():  # Adam's steps are as long for Gaussians that hardly show
-            leaf.copy_(before.lerp(leaf, trust).clamp(darkest, brightest))
+            before = before.lerp(leaf, trust).clamp_(darkest, brightest)
+            leaf.copy_(before)
         leaf.grad = None
-        yield leaf.detach().clone(), nnfm.detach()
+        yield before, nnfm.detach()
