@@ -89,6 +89,8 @@ def _tables(found: dict[str, Any]) -> Iterator[str]:
     yield f"{'memory':11} {system['memory_gib']} GiB"
     for name, gpu in found["gpus"].items():
         yield f"{name:11} {gpu['name']}, {gpu['memory_gib']} GiB"
+    if found["unused_gpu"]:
+        yield f"{'GPU':11} not used: {found['unused_gpu']}"
     yield f"{'device':8}{'  '.join(COLUMNS)}"
     for row in found["self_test"]:
         cells = [f"{row.get(key, '-'):>{len(title)}}" for title, key in COLUMNS.items()]

@@ -3,7 +3,6 @@
 import os
 import platform
 import re
-import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
@@ -20,7 +19,13 @@ from stylesplat.demo.demo_run import STYLES, copy_capture
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.rendering import nvrtc
-from stylesplat.rendering.render import has_nvidia_gpu, pick_device, rasterize, render
+from stylesplat.rendering.render import (
+    has_nvidia_gpu,
+    pick_device,
+    rasterize,
+    render,
+    why_gpu_is_unused,
+)
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import GIB
@@ -53,19 +58,15 @@ class SelfTest:
 def doctor(device: str = "auto", budget: SelfTest | None = None) -> dict[str, Any]:
     """Describe the machine, and render, train and paint on its devices: `auto` is all of them.
 
-    What is wrong is under `problems`. Raises a StyleSplatError if `device` is `cuda` and torch sees
-    no GPU.
+    What is wrong is under `problems`, why a GPU is left out under `unused_gpu`. Raises a
+    StyleSplatError if `device` is `cuda` and torch sees no GPU.
     """
     start = time.perf_counter()
     if device != "auto":
         pick_device(device)
     gpus = [f"cuda:{n}" for n in range(torch.cuda.device_count() if has_nvidia_gpu() else 0)]
-    problems = []
-    if not gpus and (seen := _gpus_of_driver()):
-        problems.append(
-            f"The driver sees {seen}, and torch {torch.__version__} does not: install a CUDA build "
-            "of torch, see https://pytorch.org/get-started/locally/"
-        )
+    unused, driver = None if gpus else why_gpu_is_unused(), nvrtc.driver_state()
+    problems = [unused] if unused and driver and driver.gpus else []
     tested = ["cpu"] if device in ("auto", "cpu") else []
     tested += gpus if device != "cpu" else []
     rows = [*_test_devices(tested, budget or SelfTest())]
@@ -82,6 +83,7 @@ def doctor(device: str = "auto", budget: SelfTest | None = None) -> dict[str, An
             gpu: {"name": card.name, "memory_gib": round(card.total_memory / GIB, 1)}
             for gpu, card in zip(gpus, map(torch.cuda.get_device_properties, gpus), strict=True)
         },
+        "unused_gpu": unused,
         "self_test": rows,
         "seconds": round(time.perf_counter() - start, 1),
         "problems": problems,
@@ -108,16 +110,6 @@ def _processor() -> str:
 def _memory() -> float | None:
     with suppress(AttributeError, OSError, ValueError):  # not on Windows
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / GIB, 1)
-
-
-def _gpus_of_driver() -> str:
-    """The first GPU that NVIDIA's driver lists; empty if there is none, or no driver."""
-    try:
-        done = subprocess.run(["nvidia-smi", "-L"], capture_output=True, text=True, timeout=20)
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    found = done.stdout.partition("\n")[0]
-    return found if done.returncode == 0 and found.startswith("GPU") else ""
 
 
 def _test_devices(devices: list[str], budget: SelfTest) -> Iterator[dict[str, Any]]:

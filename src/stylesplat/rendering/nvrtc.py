@@ -14,7 +14,7 @@ from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -202,9 +202,30 @@ def version() -> str:
     return f"{major.value}.{minor.value}"
 
 
+class DriverState(NamedTuple):
+    """What NVIDIA's driver says of itself, whatever torch can do with it."""
+
+    cuda: tuple[int, int]
+    """The newest CUDA that it supports, as 12, 4."""
+    gpus: int
+
+
+def driver_state() -> DriverState | None:
+    """Ask NVIDIA's driver; None if there is none."""
+    try:
+        driver = _driver()
+    except OSError:
+        return None
+    version, gpus = ctypes.c_int(), ctypes.c_int()
+    driver.cuDriverGetVersion(ctypes.byref(version))
+    if driver.cuInit(0) == 0:  # else it has no GPU, or cannot use it
+        driver.cuDeviceGetCount(ctypes.byref(gpus))
+    return DriverState((version.value // 1000, version.value % 1000 // 10), gpus.value)
+
+
 @cache
 def _driver() -> ctypes.CDLL:
-    """NVIDIA's driver, which torch has loaded."""
+    """NVIDIA's driver. Raises an OSError if there is none."""
     driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     pointer, number = ctypes.c_void_p, ctypes.c_uint
     driver.cuLaunchKernel.argtypes = [pointer, *7 * [number], *3 * [pointer]]

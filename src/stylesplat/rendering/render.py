@@ -8,6 +8,7 @@ the memory of what is in view.
 
 from collections.abc import Iterator
 from functools import cache
+from warnings import catch_warnings, simplefilter
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -18,6 +19,7 @@ from torch.autograd.function import once_differentiable
 from stylesplat.errors import StyleSplatError
 from stylesplat.interrupts import raise_if_interrupted
 from stylesplat.progress import say
+from stylesplat.rendering.nvrtc import driver_state
 from stylesplat.rendering.reference import (
     Backend,
     Projections,
@@ -40,7 +42,7 @@ def pick_device(name: torch.device | str = "auto") -> torch.device:
     if name == "auto":
         if has_nvidia_gpu():
             return torch.device("cuda")
-        _say_unused_gpu()
+        _say_why_gpu_is_unused()
         return torch.device("cpu")
     try:
         device = torch.device(name)
@@ -49,23 +51,47 @@ def pick_device(name: torch.device | str = "auto") -> torch.device:
     if device is None or device.type not in ("cpu", "cuda"):
         raise StyleSplatError(f"There is no device {str(name)!r}. Use auto, cpu or cuda.")
     if device.type == "cuda" and not has_nvidia_gpu():
-        raise StyleSplatError(
-            "Cannot compute on cuda: torch sees no NVIDIA GPU here. Use --device cpu, or install "
-            "a driver and a CUDA build of torch."
-        )
+        why = why_gpu_is_unused() or "torch sees no NVIDIA GPU here"
+        raise StyleSplatError(f"Cannot compute on cuda: {why}. Or use --device cpu.")
     return device
 
 
 def has_nvidia_gpu() -> bool:
     """Whether torch sees one; builds of torch for AMD's GPUs call these `cuda`, too."""
-    return torch.cuda.is_available() and torch.version.hip is None
+    with catch_warnings():
+        simplefilter("ignore")  # `why_gpu_is_unused` says in a line what torch warns of
+        return torch.cuda.is_available() and torch.version.hip is None
+
+
+def why_gpu_is_unused() -> str | None:
+    """Why a GPU of this machine is not used, and what helps; None if there is none."""
+    maker = "AMD" if torch.version.hip else "Apple" if torch.backends.mps.is_available() else None
+    if maker:
+        return f"kernels are for NVIDIA's GPUs, not for {maker}'s"
+    driver, built_for = driver_state(), torch.version.cuda
+    if driver is None or driver.gpus == 0:
+        return None
+    if built_for is None:
+        return (
+            f"there is an NVIDIA GPU, and torch {torch.__version__} is built without CUDA. "
+            "Install a CUDA build of torch, see https://pytorch.org/get-started/locally/"
+        )
+    newest = ".".join(map(str, driver.cuda))
+    if driver.cuda[0] < int(built_for.split(".")[0]):
+        return (
+            f"NVIDIA's driver is too old: it supports CUDA {newest}, and torch "
+            f"{torch.__version__} needs {built_for}. Update the driver"
+        )
+    return (
+        f"NVIDIA's driver finds a GPU, and torch {torch.__version__} does not. Restart the "
+        "machine, as after an update of the driver"
+    )
 
 
 @cache
-def _say_unused_gpu() -> None:
-    maker = "AMD" if torch.version.hip else "Apple" if torch.backends.mps.is_available() else None
-    if maker:
-        say(f"Computing on the CPU: kernels are for NVIDIA's GPUs, not for {maker}'s.")
+def _say_why_gpu_is_unused() -> None:
+    if why := why_gpu_is_unused():
+        say(f"Computing on the CPU: {why}.")
 
 
 def rasterize(
