@@ -1,24 +1,134 @@
 """The backend gsplat, on any machine: see `native_gsplat.py`."""
 
+import builtins
+import sys
+from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 from rendering.native_gsplat import Calls, install
 from scenes import leaf, randn, random_splats, two_cameras, weigh_and_backward
+from stylesplat.errors import StyleSplatError
+from stylesplat.rendering.reference import rasterizer
 from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.rendering.surface import front_depth
 from stylesplat.rendering.weights import backproject, composite
+
+gsplat = pytest.importorskip("gsplat")
 
 # Both sides are float64 and the same formulas; only the order of sums differs.
 ROUNDING = 1e-10
 SPLATS = random_splats(30)
 
 
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
-    return install(monkeypatch)
+@pytest.fixture(params=["1.5.3", "1.6"])
+def calls(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Calls:
+    calls = install(monkeypatch)
+    if request.param == "1.6":
+        install_newer_signatures(monkeypatch)
+    return calls
+
+
+def install_newer_signatures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of gsplat 1.6 that differ, with what 1.5.3 computes; 1.6 is not on PyPI."""
+    harmonics, tiles = gsplat.spherical_harmonics, gsplat.isect_tiles
+
+    def spherical_harmonics(
+        degrees_to_use: int, means: Tensor, viewmats: Tensor, coeffs: Tensor, masks: None = None
+    ) -> Tensor:
+        rotations, moves = viewmats[:, :3, :3], viewmats[:, :3, 3]
+        origins = -(rotations.transpose(1, 2) @ moves[..., None])[..., 0]  # [C, 3]
+        return torch.stack([harmonics(degrees_to_use, means - each, coeffs) for each in origins])
+
+    def isect_tiles(
+        *given: Any, conics: Tensor | None = None, opacities: Tensor | None = None
+    ) -> Any:
+        assert conics is not None and opacities is not None
+        _, radii, depths, *_ = given
+        assert conics.shape[:2] == opacities.shape == depths.shape == radii.shape[:2]
+        return tiles(*given)
+
+    monkeypatch.setattr(gsplat, "spherical_harmonics", spherical_harmonics)
+    monkeypatch.setattr(gsplat, "isect_tiles", isect_tiles)
+
+
+def test_a_gaussian_is_as_opaque_as_the_installed_version_lets_it_get(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    install(monkeypatch)
+    solid, camera = (
+        replace(
+            SPLATS[torch.arange(1)], opacities=torch.full((1,), 20.0), scales=torch.zeros(1, 3)
+        ),
+        two_cameras()[0],
+    )
+    ahead = torch.linalg.inv(camera.viewmats[0])[:3] @ torch.tensor([0.0, 0.0, 3.0, 1.0])
+    solid = leaf(replace(solid, means=ahead[None]), torch.float64)
+    _, covered = front_depth(solid, camera, torch.ones(1, dtype=torch.bool), backend="gsplat")
+    assert float(covered.max()) == pytest.approx(0.999, abs=1e-9)
+    constants = SimpleNamespace(MAX_ALPHA=0.99)
+    monkeypatch.setitem(sys.modules, "gsplat.cuda._constants", constants)  # as in 1.6
+    _, covered = front_depth(solid, camera, torch.ones(1, dtype=torch.bool), backend="gsplat")
+    assert float(covered.max()) == pytest.approx(0.99, abs=1e-9)
+
+
+BUILD_LOG = """Error building extension 'gsplat_cuda': [1/12] nvcc -c Projection.cu
+In file included from Projection.cu:4:
+/usr/include/glm.hpp(12): error: identifier "nothing" is undefined
+1 error detected in the compilation of "Projection.cu"."""
+
+
+def failing_import(error: Exception) -> Callable[..., Any]:
+    """Importing gsplat fails, all else does not."""
+    real = builtins.__import__
+
+    def load(name: str, *rest: Any, **more: Any) -> Any:
+        if name == "gsplat":
+            raise error
+        return real(name, *rest, **more)
+
+    return load
+
+
+@pytest.mark.parametrize("compiles_at_import", [False, True], ids=["1.5.3", "1.6"])
+@pytest.mark.parametrize(
+    ("error", "fact"),
+    [
+        (None, "gsplat finds no CUDA toolkit"),
+        (RuntimeError(BUILD_LOG), r"kernels: /usr/include/glm.hpp\(12\): error: .* undefined"),
+        (OSError("csrc.so: undefined symbol"), "kernels: csrc.so: undefined symbol"),
+        (ImportError(), "Cannot compile gsplat's kernels"),
+    ],
+    ids=["no toolkit", "no build", "no library", "nothing said"],
+)
+def test_without_its_kernels_a_line_says_why_and_what_helps(
+    monkeypatch: pytest.MonkeyPatch,
+    error: Exception | None,
+    fact: str,
+    compiles_at_import: bool,
+):
+    class Backend(ModuleType):
+        @property
+        def _C(self) -> None:
+            if error:
+                raise error
+
+    monkeypatch.setitem(sys.modules, "gsplat.cuda._backend", Backend("gsplat.cuda._backend"))
+    adapter = "stylesplat.rendering.through_gsplat"
+    import_module(adapter).require_kernels.cache_clear()
+    if compiles_at_import and error:
+        monkeypatch.delitem(sys.modules, adapter)
+        monkeypatch.setattr("builtins.__import__", failing_import(error))
+    with pytest.raises(StyleSplatError, match=fact) as caught:
+        rasterizer("gsplat", torch.device("cuda"))
+    assert "backend cuda, which needs neither" in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.usefixtures("calls")

@@ -120,8 +120,11 @@ def rasterizer(backend: Backend, device: torch.device) -> "Rasterizer":
             "The backend gsplat is not installed. Run `pip install 'stylesplat[gsplat]'`, or take "
             "the backend cuda."
         )
-    module, name = RASTERIZERS[backend]
-    return getattr(import_module(f"stylesplat.rendering.{module}"), name)()
+    name, of_class = RASTERIZERS[backend]
+    module = import_module(f"stylesplat.rendering.{name}")
+    if backend == "gsplat" and device.type == "cuda":
+        module.require_kernels()
+    return getattr(module, of_class)()
 
 
 def rotation_matrices(quats: Float[Tensor, "N 4"]) -> Float[Tensor, "N 3 3"]:
@@ -249,13 +252,16 @@ def _blend_weights(pixels: Tensor, means2d: Tensor, conics: Tensor, opacities: T
 
 
 def alphas_at(
-    offsets: Float[Tensor, "*B 2"], conics: Float[Tensor, "*#B 3"], opacities: Float[Tensor, "*#B"]
+    offsets: Float[Tensor, "*B 2"],
+    conics: Float[Tensor, "*#B 3"],
+    opacities: Float[Tensor, "*#B"],
+    most: float = MAX_ALPHA,
 ) -> Float[Tensor, "*B"]:
     """What Gaussians hide at pixels so far from their centres; 0 if they are too faint there."""
     dx, dy = offsets.unbind(-1)
     a, b, c = conics.unbind(-1)
     sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
-    alphas = (opacities * torch.exp(-sigma)).clamp(max=MAX_ALPHA)
+    alphas = (opacities * torch.exp(-sigma)).clamp(max=most)
     return torch.where((sigma >= 0) & (alphas >= MIN_ALPHA), alphas, 0)
 
 

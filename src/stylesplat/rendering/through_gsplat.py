@@ -1,19 +1,24 @@
-"""Rendering on NVIDIA GPUs through gsplat 1.5.3, where it is installed.
+"""Rendering on NVIDIA GPUs through gsplat 1.5.3 or 1.6, where it is installed.
 
-Of no Gaussians gsplat divides whole numbers by 0, which ends the process: it is not asked then.
+The two differ in a few signatures, which are looked at, and in how opaque a Gaussian may get. Of no
+Gaussians gsplat divides whole numbers by 0, which ends the process: it is not asked then.
 """
 
+from functools import cache
+from importlib import import_module
+from inspect import signature
 from typing import Any
 
-import gsplat
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from stylesplat.errors import StyleSplatError
 from stylesplat.rendering import reference
 from stylesplat.rendering.reference import (
     EPS2D,
     FAR_PLANE,
+    MAX_ALPHA,
     NEAR_PLANE,
     Gaussians,
     Projected,
@@ -29,6 +34,48 @@ from stylesplat.scene.projection import pixel_centres
 CHANNELS_AT_ONCE = 16
 TILE = 16  # pixels of a tile's side, gsplat's default
 EVERY_BATCH = 1 << 30  # as many batches of Gaussians as there are
+
+
+def _no_kernels(error: Exception | None) -> StyleSplatError:
+    """What to say where gsplat's kernels cannot be compiled; None if there is no toolkit."""
+    fact = "gsplat finds no CUDA toolkit to compile its kernels with"
+    if error is not None:  # torch's has the whole log of the compiler
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        first = next((line for line in lines if "error:" in line), lines[0] if lines else error)
+        fact = f"Cannot compile gsplat's kernels: {first}"
+    return StyleSplatError(
+        f"{fact}. Install the toolkit of CUDA {torch.version.cuda} and a C++ compiler, or take the "
+        "backend cuda, which needs neither."
+    )
+
+
+try:
+    import gsplat
+except Exception as error:  # 1.6 compiles its kernels when it is imported
+    raise _no_kernels(error) from error
+
+
+@cache
+def require_kernels() -> None:
+    """Load gsplat's kernels, which 1.5.3 compiles at first use. Raises a StyleSplatError."""
+    try:
+        kernels = import_module("gsplat.cuda._backend")._C
+    except Exception as error:
+        raise _no_kernels(error) from error
+    if kernels is None:
+        raise _no_kernels(None)
+
+
+def _takes(function: Any, name: str) -> bool:
+    return name in signature(function).parameters
+
+
+def _largest_alpha() -> float:
+    """How opaque a Gaussian is at most; version 1.5.3 has the number in its kernels alone."""
+    try:
+        return import_module("gsplat.cuda._constants").MAX_ALPHA
+    except ImportError:
+        return MAX_ALPHA
 
 
 def _blended(colors: Float[Tensor, "C N D"], info: dict[str, Any]) -> Float[Tensor, "C H W D"]:
@@ -60,7 +107,11 @@ class GsplatRasterizer(Rasterizer):
         clamp: bool = True,
     ) -> Float[Tensor, "N 3"]:
         sh = torch.cat([sh0, shN], dim=1)
-        colors = gsplat.spherical_harmonics(degree, dirs, sh) + 0.5
+        if _takes(gsplat.spherical_harmonics, "viewmats"):  # seen from the origin
+            camera = torch.eye(4, dtype=dirs.dtype, device=dirs.device)[None]
+            colors = gsplat.spherical_harmonics(degree, dirs, camera, sh)[0] + 0.5
+        else:
+            colors = gsplat.spherical_harmonics(degree, dirs, sh) + 0.5
         return colors.clamp(min=0) if clamp else colors
 
     @torch.no_grad()
@@ -129,14 +180,19 @@ class GsplatRasterizer(Rasterizer):
             return info
         columns, rows = -(-width // TILE), -(-height // TILE)
         places = projected.means2d[None], projected.radii[None], projected.depths[None]
-        _, tiles, order = gsplat.isect_tiles(*places, TILE, columns, rows)
-        return info | {
-            "means2d": projected.means2d[None],
-            "conics": projected.conics[None],
-            "opacities": projected.opacities[None],
-            "isect_offsets": gsplat.isect_offset_encode(tiles, 1, columns, rows),
-            "flatten_ids": order,
-        }
+        ellipses = {"conics": projected.conics[None], "opacities": projected.opacities[None]}
+        has_exact_tiles = _takes(gsplat.isect_tiles, "conics")
+        exact: dict[str, Any] = ellipses if has_exact_tiles else {}
+        _, tiles, order = gsplat.isect_tiles(*places, TILE, columns, rows, **exact)
+        return (
+            info
+            | ellipses
+            | {
+                "means2d": projected.means2d[None],
+                "isect_offsets": gsplat.isect_offset_encode(tiles, 1, columns, rows),
+                "flatten_ids": order,
+            }
+        )
 
     def composite(
         self, tiled: dict[str, Any], values: Float[Tensor, "N D"]
@@ -173,7 +229,7 @@ class GsplatRasterizer(Rasterizer):
         centres = pixel_centres(width, height).to(planes)
         means2d, conics, opacities, *_ = projected
         offsets = centres[pixels] - means2d[rows]
-        alphas = reference.alphas_at(offsets, conics[rows], opacities[rows])
+        alphas = reference.alphas_at(offsets, conics[rows], opacities[rows], _largest_alpha())
         # The light that is left in front of each, from logarithms: pixels differ in length
         passing = torch.log1p(-alphas.double())
         before = passing.cumsum(dim=0) - passing
