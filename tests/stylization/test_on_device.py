@@ -14,7 +14,7 @@ from balls import STRIPED_SCENE as SCENE
 from fake_cuda import HostTrips, cuda  # noqa: F401  (a fixture)
 from stylesplat.rendering.render import colors_of
 from stylesplat.rendering.visibility import in_view, pixel_bounds, visible
-from stylesplat.rendering.weights import contributions, coverage
+from stylesplat.rendering.weights import backproject, contributions, coverage
 from stylesplat.selection.shares import object_shares
 from stylesplat.stylization import canvas as fitting
 from stylesplat.stylization import painter as cutting
@@ -70,6 +70,19 @@ def test_linear_views(cuda: str):  # noqa: F811
         origin = camera.positions.to(splats.means)
         images.append(each.render(colors_of(splats, each.gaussians, origin)).cpu())
     torch.testing.assert_close(*images, atol=2e-3, rtol=0)
+
+
+def test_a_look_at_a_view_hardly_waits_for_the_device(cuda: str):  # noqa: F811
+    """Where Gaussians are sorted into tiles for their pairs, and for which ones are visible."""
+    splats, mask, camera = SPLATS.to(cuda), RED.to(cuda), CAMERAS[0]
+    image = torch.ones(*camera.size[::-1], 2).to(cuda)
+    with HostTrips() as trips:
+        coverage(splats, camera, mask)
+        backproject(splats, camera, image)
+    assert trips.found in ([], ["__int__"] * 2)  # the stand-in sorts none
+    with HostTrips() as trips:
+        contributions(splats, camera, mask)
+    assert len(trips.found) <= 4
 
 
 def test_own_shares(cuda: str):  # noqa: F811

@@ -106,8 +106,14 @@ def activated(splats: Splats, part: slice = EVERYONE) -> Gaussians:
 
 
 def with_matrices_of(splats: Splats, cameras: Cameras) -> Cameras:
-    """The cameras with matrices of the splats' type and device."""
-    viewmats, Ks = cameras.viewmats.to(splats.means), cameras.Ks.to(splats.means)
+    """The cameras with matrices of the splats' type and device.
+
+    A GPU gets them from pinned memory, for which the host does not wait.
+    """
+    matrices = cameras.viewmats, cameras.Ks
+    if splats.means.is_cuda and not any(each.is_cuda or each.requires_grad for each in matrices):
+        matrices = (each.pin_memory() for each in matrices)
+    viewmats, Ks = (each.to(splats.means, non_blocking=splats.means.is_cuda) for each in matrices)
     return replace(cameras, viewmats=viewmats, Ks=Ks)
 
 

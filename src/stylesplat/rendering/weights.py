@@ -21,6 +21,7 @@ from scipy.sparse import csc_array, csr_array
 from torch import Tensor
 from torch.nn.functional import pad
 
+from stylesplat.interrupts import raise_if_interrupted
 from stylesplat.rendering.reference import Backend, with_matrices_of
 from stylesplat.rendering.render import colors_of, render
 from stylesplat.rendering.visibility import (
@@ -66,6 +67,8 @@ def composite(
 
     Gradients reach the values. With `pixels` others need not be right.
     """
+    if _is_taken_whole(splats):
+        return _whole_view(splats, camera, backend).composite(values)
     near = in_view(splats, camera, pixels, backend)
     if len(near.rows) > VISIBLE_MANY:
         near = visible(near, camera)
@@ -82,10 +85,25 @@ def backproject(
     backend: Backend = "auto",
 ) -> Float[Tensor, "N K"]:
     """Sum an image over its pixels, times the weights of each Gaussian: adjoint to `composite`."""
+    if _is_taken_whole(splats):
+        return _whole_view(splats, camera, backend).backproject(image)
     counted = (image != 0).any(dim=-1)
     near = in_view(splats, camera, None if counted.all() else counted, backend)
     sums = tiled(near.projected, camera.size, backend).backproject(image)
     return sums.new_zeros(len(splats), sums.shape[1]).index_copy_(0, near.rows, sums)
+
+
+def _is_taken_whole(splats: Splats) -> bool:
+    """Whether all Gaussians are sorted into tiles, in view or not.
+
+    A GPU takes less time for that than the host waits to hear which ones are in view.
+    """
+    return splats.device.type != "cpu" and len(splats) < VISIBLE_LARGE
+
+
+def _whole_view(splats: Splats, camera: Cameras, backend: Backend) -> TiledView:
+    raise_if_interrupted()
+    return tiled(project_splats(splats, camera, backend=backend), camera.size, backend)
 
 
 def pixels_in(
@@ -363,7 +381,11 @@ def contributions(
         max_bytes: Weights that take more are not stored.
     """
     camera = with_matrices_of(splats, camera)  # once, not in every step
-    near = in_view(splats, camera, pixels)
+    if _is_taken_whole(splats):
+        everyone = torch.arange(len(splats), device=splats.device)
+        near = InView(everyone, project_splats(splats, camera))
+    else:
+        near = in_view(splats, camera, pixels)
     if splats.device.type != "cpu":
         return _tiled_contributions(splats, camera, mask, near)
     mine = mask[near.rows]
@@ -385,11 +407,13 @@ def contributions(
 def _tiled_contributions(
     splats: Splats, camera: Cameras, mask: Bool[Tensor, " N"], near: InView
 ) -> TiledContributions:
-    mine = mask[near.rows]
-    near = near.some(torch.cat([each.nonzero()[:, 0] for each in (mine, ~mine)]))
-    colors = _colors_of_others(splats, camera, near, mask[near.rows])
+    raise_if_interrupted()
+    mine, order = mask[near.rows].sort(descending=True, stable=True)
+    near = near.some(order)
+    colors = colors_of(splats, near.rows, camera.positions).masked_fill(mine[:, None], 0)
     view = tiled(near.projected, camera.size)
-    image, near = view.composite(colors), visible(near, camera, view)
+    image = view.composite(torch.cat([colors, mine[:, None].to(colors)], dim=1))
+    near = visible(near, camera, view)
     rows = near.rows[mask[near.rows]]
     view = tiled(near.projected, camera.size)
     return TiledContributions(len(splats), rows, *_split(image), view, len(near.rows) - len(rows))

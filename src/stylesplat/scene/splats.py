@@ -111,6 +111,8 @@ class Splats:
         return self.means.shape[0]
 
     def __getitem__(self, index: slice | Bool[Tensor, " N"] | Int[Tensor, " M"]) -> "Splats":
+        if isinstance(index, Tensor) and index.dtype == torch.bool:
+            index = index.nonzero()[:, 0]  # once, as a GPU's host waits to hear their number
         return self.map(lambda tensor: tensor[index])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> "Splats":
