@@ -3,13 +3,14 @@
 import ast
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeGuard
 
 import pytest
 
 TESTS = Path(__file__).parent
 
 
-def is_mark(node: ast.AST) -> bool:
+def is_mark(node: ast.AST) -> TypeGuard[ast.Attribute]:
     return isinstance(node, ast.Attribute) and ast.unparse(node) == "pytest.mark.cuda"
 
 
