@@ -408,8 +408,8 @@ def _tiled_contributions(
     splats: Splats, camera: Cameras, mask: Bool[Tensor, " N"], near: InView
 ) -> TiledContributions:
     raise_if_interrupted()
-    mine, order = mask[near.rows].sort(descending=True, stable=True)
-    near = near.some(order)
+    near = near.some(mask[near.rows].byte().argsort(descending=True, stable=True))
+    mine = mask[near.rows]
     colors = colors_of(splats, near.rows, camera.positions).masked_fill(mine[:, None], 0)
     view = tiled(near.projected, camera.size)
     image = view.composite(torch.cat([colors, mine[:, None].to(colors)], dim=1))
