@@ -57,6 +57,16 @@ def test_boxes_become_label_maps_with_names(balls: Capture):
     assert masked.photos is balls.photos and masked.cameras is balls.cameras
 
 
+def test_a_dropped_box_teaches_the_colours_of_a_box_given_with_it(balls: Capture):
+    """A box holds the red ball and the blue one behind it; the dropped one a part of the blue."""
+    given: dict[str, Any] = {"boxes": {"vase": ("0001.jpg", (26.0, 17.0, 93.0, 96.0))}}
+    both = mask(balls, **given, scene=BALLS, device="cpu")
+    assert max(agreement(both, 1, 300)) > 0.5, "the box alone takes the blue ball, too"
+    given["drop"] = {"vase": ("0001.jpg", (50.0, 20.0, 75.0, 35.0))}
+    red = mask(balls, **given, scene=BALLS, device="cpu")
+    assert min(agreement(red, 1, 3)) > 0.75 and max(agreement(red, 1, 300)) < 0.1
+
+
 @pytest.mark.parametrize("flat", [False, True])
 def test_boxes_are_in_pixels_of_the_photos_themselves(photos: Path, flat: bool):
     """Whatever size they are loaded at; written like the boxes of `select`, too."""
