@@ -120,7 +120,7 @@ def test_all_photos_of_one_place_are_posed_as_they_were_taken(result: Reconstruc
 @pytest.mark.parametrize(
     ("shared", "reason"),
     [
-        (12, "more than 12 features with it, usually 30 are needed"),
+        (12, "more than 12 features with it, and a reliable pose takes 30"),
         (852, "no camera position fits"),
     ],
 )

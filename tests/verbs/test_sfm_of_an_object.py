@@ -110,7 +110,7 @@ def test_what_moves_and_is_not_posed_is_told_with_the_remedy(tmp_path: Path):
 
 
 @pytest.mark.parametrize("options", [{}, {"box": ("04.jpg", 25, 22, 175, 158)}])
-def test_photos_of_a_turntable_that_were_cut_in_their_own_ways_are_cut_alike(
+def test_photos_of_a_turntable_that_were_cropped_in_their_own_ways_are_cropped_alike(
     tmp_path: Path, said: list[str], options: dict[str, Any]
 ):
     begin = dict(zip(turning(ROOM), (np.arange(COUNT) * 17) % 41, strict=True))
@@ -118,7 +118,7 @@ def test_photos_of_a_turntable_that_were_cut_in_their_own_ways_are_cut_alike(
     write_photos(tmp_path / "photos", images)
     capture = sfm(tmp_path / "photos", tmp_path / "capture", **options)
     assert_posed(capture)
-    assert any("cut to the 162x178" in line for line in said)
+    assert any("cropped to the 162x178" in line for line in said)
     labels = capture.labels(0)
     assert labels is not None
     truth = resize_labels(torch.from_numpy(OBJECT[:, 37:199]), labels.shape)

@@ -359,7 +359,8 @@ def why_unregistered(
         if shared < MIN_INLIERS:
             return (
                 "too far from the others: no photo with a pose shares more than "
-                f"{count_noun(shared, 'feature')} with it, usually {MIN_INLIERS} are needed"
+                f"{count_noun(shared, 'feature')} with it, and a reliable pose takes "
+                f"{MIN_INLIERS}. Take photos between it and the others"
             )
         return (
             f"no camera position fits, though it shares {shared} features with a photo that has a "

@@ -37,9 +37,11 @@ PhotoBox = tuple[float, float, float, float]
 MaskReaders = Mapping[str, Callable[[], Bool[np.ndarray, "_ _"]]]
 """By photo."""
 Matches = Mapping[tuple[int, int], Integer[np.ndarray, "M 2"]]
+Features = tuple[list[Float[np.ndarray, "_ 2"]], Matches]
+"""The places of each photo's features, and their matches."""
 
 
-def read_matches(workspace: Workspace) -> tuple[list[Float[np.ndarray, "_ 2"]], Matches]:
+def read_matches(workspace: Workspace) -> Features:
     """The features of each photo, and the matches of each pair by row, wrong ones included."""
     with workspace.open_database() as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
@@ -73,7 +75,7 @@ def find_two_motions(
 ) -> TwoMotions:
     """Look for pairs in which much stays at its pixel while the rest moves as one.
 
-    Where photos were cut in their own ways, what stays shifts by the same pixels.
+    Where photos were cropped in their own ways, what stays shifts by the same pixels.
     """
     pairs = [pair for pair, each in matches.items() if len(each) >= 2 * MIN_MATCHES]
     pairs = pairs[:: -(-len(pairs) // FEATURE_MAX_PAIRS) or 1]
@@ -94,11 +96,12 @@ def _moving_as_one(
 ) -> Float[np.ndarray, "N 2"]:
     """Where the first photo shows what moves; nowhere if nothing does or nothing stays."""
     here, there = (places[photo][rows[:, side]] for side, photo in enumerate(pair))
-    error = STILL_MATCH * sides[pair[0]]
-    for shift in (np.zeros(2), common_shift(here, there, error)):
-        moved = np.linalg.norm(there - here - shift, axis=1)
-        still, moving = moved < error, moved > MOVED_MATCH * sides[pair[0]]
-        if min(still.sum(), moving.sum()) < MIN_MATCHES or not is_wide(here[still], sides[pair[0]]):
+    side = sides[pair[0]]
+    error = STILL_MATCH * side
+    for shift in (np.zeros(2), common_shift(here, there, side)):
+        still = still_matches(here, there, shift, side)
+        moving = np.linalg.norm(there - here - shift, axis=1) > MOVED_MATCH * side
+        if not still.any() or moving.sum() < MIN_MATCHES:
             continue
         cv2.setRNGSeed(0)
         geometry, fits = cv2.findFundamentalMat(here[moving], there[moving], cv2.FM_RANSAC, error)
@@ -111,17 +114,27 @@ def _moving_as_one(
 
 
 def common_shift(
-    here: Float[np.ndarray, "M 2"], there: Float[np.ndarray, "M 2"], error: float
+    here: Float[np.ndarray, "M 2"], there: Float[np.ndarray, "M 2"], side: int
 ) -> Float[np.ndarray, "2"]:
     """The displacement that most matches have, but for an error."""
-    shifts = there - here
+    shifts, error = there - here, STILL_MATCH * side
     alike = KDTree(shifts).query_ball_point(shifts, error, return_length=True)
     return shifts[np.linalg.norm(shifts - shifts[alike.argmax()], axis=1) < error].mean(axis=0)
 
 
-def is_wide(places: Float[np.ndarray, "M 2"], side: int) -> bool:
-    """Whether places lie as far apart as those of a room: the centre of an orbit is smaller."""
-    return bool(places.std(axis=0).max() >= FEATURE_SPREAD * side)
+def still_matches(
+    here: Float[np.ndarray, "M 2"],
+    there: Float[np.ndarray, "M 2"],
+    shift: Float[np.ndarray, "2"],
+    side: int,
+) -> Bool[np.ndarray, " M"]:
+    """Which matches show a room that shifts by so much; none if they are few or lie close together.
+
+    A room's lie far apart: the centre of an orbit, which stays as well, is smaller.
+    """
+    still = np.linalg.norm(there - here - shift, axis=1) < STILL_MATCH * side
+    is_room = still.sum() >= MIN_MATCHES and here[still].std(axis=0).max() >= FEATURE_SPREAD * side
+    return still & is_room
 
 
 def _fit(

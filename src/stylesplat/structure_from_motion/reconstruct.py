@@ -24,7 +24,7 @@ from stylesplat.io.images import image_sizes, straight_alpha, write_image
 from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import say
 from stylesplat.structure_from_motion.config import MIN_PHOTOS, SfmConfig
-from stylesplat.structure_from_motion.cut_alike import cut_alike, find_offsets
+from stylesplat.structure_from_motion.crop_alike import crop_alike, find_offsets
 from stylesplat.structure_from_motion.diagnostics import (
     MANY_MOTIONS,
     are_apart,
@@ -43,6 +43,7 @@ from stylesplat.structure_from_motion.matching import (
 )
 from stylesplat.structure_from_motion.object_features import (
     NO_MOTION,
+    Features,
     MaskReaders,
     PhotoBox,
     TwoMotions,
@@ -174,9 +175,10 @@ def reconstruct(
     with locked_folder(work):
         if box is not None:
             apart = _match(work / "object", photos, prepared, config)
-            motions = find_two_motions(*read_matches(apart), _sides(photos, names))
-            first = names.index(box[0])
-            photos, masks = _object_alone(apart, photos, replace(motions, photo=first, box=box[1]))
+            features = read_matches(apart)
+            motions = find_two_motions(*features, _sides(photos, names))
+            shown = replace(motions, photo=names.index(box[0]), box=box[1])
+            photos, masks = _object_alone(apart, photos, features, shown)
             turntable |= motions.share >= MANY_MOTIONS
         folder = None if masks is None else write_masks(masks, photos, names, work / "masks")
         workspace = open_workspace(work, photos, names, config, folder)
@@ -196,9 +198,11 @@ def reconstruct(
             table = match_pairs(workspace, choose_pairs(workspace, ordered=prepared.ordered))
             check_matches(table)
             if folder is None:
-                motions = find_two_motions(*read_matches(workspace), _sides(photos, names))
+                features = read_matches(workspace)
+                motions = find_two_motions(*features, _sides(photos, names))
                 if motions.share >= MANY_MOTIONS:
-                    return _pose_what_moves(workspace, photos, prepared, motions, config)
+                    return _pose_what_moves(workspace, photos, features, prepared, motions, config)
+                del features  # mapping needs the memory
             matched = time.perf_counter()
             models = _map_photos(workspace)
             turned = turntable and bool(models) and turn_on_one_axis(models[0], names)
@@ -232,6 +236,7 @@ def reconstruct(
 def _pose_what_moves(
     workspace: Workspace,
     photos: Path,
+    features: Features,
     prepared: PreparedPhotos,
     motions: TwoMotions,
     config: SfmConfig,
@@ -242,10 +247,9 @@ def _pose_what_moves(
         "moves is posed."
     )
     try:
-        cut, masks = _object_alone(workspace, photos, motions)
-        found = reconstruct(
-            cut, prepared, workspace.folder / "moving", config=config, masks=masks, turntable=True
-        )
+        cropped, masks = _object_alone(workspace, photos, features, motions)
+        work = workspace.folder / "moving"
+        found = reconstruct(cropped, prepared, work, config=config, masks=masks, turntable=True)
         count, total = found.model.num_reg_images(), len(prepared.names)
         if count >= MIN_POSED * total:
             share = {"pairs_with_two_motions": round(motions.share, 3)}
@@ -268,10 +272,11 @@ def _look_closer(
 
     Returns what poses most, or what there is.
     """
-    names, tries = workspace.names, [(models, counts, table)]
+    names, mapped, tries = workspace.names, models, [(models, counts, table)]
     if use_simple_lenses(workspace):
         say(f"{_fit_together(models, names)}: trying a simpler lens.")
-        models = max(models, _map_photos(workspace), key=_posed)
+        mapped = _map_photos(workspace)
+        models = max(models, mapped, key=_posed)
         tries.append((models, counts, table))
         if _posed(models) >= MOSTLY_POSED * len(names):
             return tries[-1]
@@ -279,9 +284,9 @@ def _look_closer(
     if table.compared < len(every) <= ALL_PAIRS and workspace.config.matching == "auto":
         say(f"{_fit_together(models, names)}: comparing all pairs of photos.")
         table = match_pairs(workspace, every)
-        models = _map_photos(workspace)  # poses from the similar pairs alone may be wrong
+        models = mapped = _map_photos(workspace)  # poses from similar pairs alone may be wrong
         tries.append((models, counts, table))
-    tries += [(each, counts, table) for each in _map_both_ways(workspace, models)]
+    tries += [(each, counts, table) for each in _map_both_ways(workspace, models, mapped)]
     best = max(tries, key=lambda each: _posed(each[0]))
     grouped = sum(each.num_reg_images() for each in best[0])
     if _posed(best[0]) >= MOSTLY_POSED * len(names) or (
@@ -304,22 +309,24 @@ def _fit_together(models: list[pycolmap.Reconstruction], names: Sequence[str]) -
 
 
 def _map_both_ways(
-    workspace: Workspace, known: list[pycolmap.Reconstruction]
+    workspace: Workspace,
+    known: list[pycolmap.Reconstruction],
+    mapped: list[pycolmap.Reconstruction] | None = None,
 ) -> list[list[pycolmap.Reconstruction]]:
     """The models by COLMAP's incremental mapper, and by its global one if they are to be trusted.
 
     The first needs only `FEW_POINTS` for a pose, and is trusted where photos are turned as in the
-    largest model that is known. If it leaves out more than a tenth of them, the second is tried,
-    which joins photos that are far apart (of 29 of a golden cape, whose highlights wander, 22
-    instead of 8; of all 56 the whole circle instead of 45; with 30 points for a pose). It is
-    trusted where its poses are those of the first and of the known model, or those of an object
-    alone that turns on one axis.
+    largest model that is known; else the models by 30 points count, which are `mapped` or are made
+    here. If it leaves out more than a tenth of the photos, the second is tried, which joins photos
+    that are far apart (of 29 of a golden cape, whose highlights wander, 22 instead of 8; of all 56
+    the whole circle instead of 45; with 30 points for a pose). It is trusted where its poses are
+    those of the first and of the known model, or those of an object alone that turns on one axis.
     """
     in_turn = _map_photos(workspace, points=FEW_POINTS)
     if not in_turn or not (
         has_one_scale(in_turn[0]) and all(turned_alike(in_turn[0], each) for each in known[:1])
     ):
-        in_turn = _map_photos(workspace)
+        in_turn = _map_photos(workspace) if mapped is None else mapped
     if _posed(in_turn) >= MIN_POSED * len(workspace.names):
         return [in_turn]
     others = (*in_turn[:1], *known[:1])
@@ -397,22 +404,21 @@ def _match(work: Path, photos: Path, prepared: PreparedPhotos, config: SfmConfig
 
 
 def _object_alone(
-    workspace: Workspace, photos: Path, shown: TwoMotions
+    workspace: Workspace, photos: Path, features: Features, shown: TwoMotions
 ) -> tuple[Path, MaskReaders]:
-    """The photos, cut alike if they were not, and masks of the object that a box is around."""
-    names, first, box = workspace.names, shown.photo, shown.box
-    places, matches = read_matches(workspace)
+    """The photos, cropped alike if they were not, and masks of the object that a box is around."""
+    names, first, box, (places, matches) = workspace.names, shown.photo, shown.box, features
     sizes = [image_sizes(resolve_within(photos, name))[0] for name in names]
     sides = [max(size) for size in sizes]
     if shown.share >= MANY_MOTIONS:
         offsets = find_offsets(places, matches, sides)
         if offsets.any():
             most = np.ptp(offsets, axis=0).max()
-            folder = workspace.folder / "cut"
-            corners, size = cut_alike(photos, names, offsets, folder)
+            folder = workspace.folder / "cropped"
+            corners, size = crop_alike(photos, names, offsets, folder)
             say(
-                f"The photos were cut in their own ways, by up to {most:.0f} pixels: they are cut "
-                f"to the {size[0]}x{size[1]} that all show of the room."
+                f"The photos were cropped in their own ways, by up to {most:.0f} pixels: they are "
+                f"cropped to the {size[0]}x{size[1]} that all show of the room."
             )
             photos, sizes = folder, [size] * len(names)
             places = [each - corner for each, corner in zip(places, corners, strict=True)]

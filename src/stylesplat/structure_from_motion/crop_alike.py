@@ -1,6 +1,6 @@
-"""Photos from a camera that stood still, each of which was cut in its own way: cut alike.
+"""Photos from a camera that stood still, each of which was cropped in its own way.
 
-Programs for photos of products and finds cut each photo around the object. Then the room shifts
+Programs for photos of products and finds crop each photo around the object. Then the room shifts
 from photo to photo, and the middle of the lens lies elsewhere in each. What all photos show of the
 room is what one camera took.
 """
@@ -15,11 +15,10 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.files import resolve_within
 from stylesplat.io.images import image_sizes, read_image, write_image
 from stylesplat.structure_from_motion.object_features import (
-    MIN_MATCHES,
     STILL_MATCH,
     Matches,
     common_shift,
-    is_wide,
+    still_matches,
 )
 from stylesplat.structure_from_motion.photos import color_profile, lens_exif, map_photos
 
@@ -38,10 +37,8 @@ def find_offsets(
     pairs, shifts = list[tuple[int, int]](), list[Float[np.ndarray, "2"]]()
     for pair, rows in matches.items():
         here, there = (places[photo][rows[:, side]] for side, photo in enumerate(pair))
-        error = STILL_MATCH * sides[pair[0]]
-        shift = common_shift(here, there, error)
-        still = np.linalg.norm(there - here - shift, axis=1) < error
-        if still.sum() >= MIN_MATCHES and is_wide(here[still], sides[pair[0]]):
+        shift = common_shift(here, there, sides[pair[0]])
+        if still_matches(here, there, shift, sides[pair[0]]).any():
             pairs.append(pair)
             shifts.append(shift)
     nowhere = np.zeros((len(places), 2))
@@ -61,7 +58,7 @@ def find_offsets(
     return offsets if np.abs(offsets).max() > STILL_MATCH * min(sides) else nowhere
 
 
-def cut_alike(
+def crop_alike(
     photos: Path, names: Sequence[str], offsets: Float[np.ndarray, "P 2"], folder: Path
 ) -> tuple[Int[np.ndarray, "P 2"], tuple[int, int]]:
     """Write of each photo what all show of the room; return where it begins there, and its size."""
@@ -84,5 +81,5 @@ def cut_alike(
             icc_profile=color_profile(source),
         )
 
-    map_photos(lambda each: write(*each), [*zip(names, corners, strict=True)], "cutting photos")
+    map_photos(lambda each: write(*each), [*zip(names, corners, strict=True)], "cropping photos")
     return corners, (width, height)
