@@ -35,7 +35,10 @@ from stylesplat.stylization.colors import (
     SHADING,
     VARIATION,
     add_hue_noise,
+    away_from_outlines,
     blur_colors,
+    hue_bands,
+    limit_hue_detail,
     low_pass_colors,
     object_colors,
     project_to_palette,
@@ -141,6 +144,32 @@ def test_settling_brings_pixels_to_the_painting(views: list[ObjectView]):
     after = off_palette(object_colors(settled, views), GREY)
     assert before > 0.9 and after < 0.5 * before
     assert off_palette(rgb_from_sh0(settled[beneath]).clamp(0, 1), GREY) == 0
+
+
+def test_hues_have_no_more_detail_than_the_style(dense_views: list[ObjectView]):
+    noise = 0.1 * randn(COUNT, 3)
+    noise = noise - (noise @ torch.tensor(LUMA))[:, None]
+    noisy = sh0_from_rgb(LIGHT + noise)
+
+    def detail(colors: torch.Tensor) -> torch.Tensor:
+        """Deviation of hues in the size of a pixel, well inside the object."""
+        bands = []
+        for view in dense_views:
+            inside = away_from_outlines(view.pixels)
+            image = view.render(colors)
+            hues = image - (image @ torch.tensor(LUMA))[..., None]
+            bands.append(hue_bands(hues, inside)[1][:, inside])
+        return torch.cat(bands, dim=1).std()
+
+    flat, colorful = torch.full((40, 40, 3), 0.5), rand(40, 40, 3)
+    limited = limit_hue_detail(noisy, dense_views, [flat], 1.0)
+    assert detail(limited) < 0.6 * detail(noisy)
+    half = limit_hue_detail(noisy, dense_views, [flat], 0.5)
+    assert detail(limited) < detail(half) < detail(noisy)
+    before, after = (object_colors(c, dense_views) @ torch.tensor(LUMA) for c in (noisy, limited))
+    torch.testing.assert_close(before, after, atol=1e-3, rtol=0)
+    unlimited = limit_hue_detail(noisy, dense_views, [colorful], 1.0)
+    torch.testing.assert_close(unlimited, noisy, atol=1e-4, rtol=0)
 
 
 def test_the_pattern_goes_and_a_part_of_the_light_stays(dense_views: list[ObjectView]):

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import reduce
+from itertools import pairwise
 
 import torch
 from jaxtyping import Bool, Float
@@ -38,6 +39,10 @@ SHADING = 0.7  # of the object's light to keep: with all of it the dark side sho
 # Of an object with parts: deviation of the windows, in lengths, in which one is told from another
 # by more than this contrast
 PARTS_WINDOW, PARTS = 0.04, 0.12
+# Pixels: deviations of the blurs that tell detail of hues by its size
+HUE_BANDS = 0.7, 1.4, 2.8
+HUE_RIM = 3  # pixels from an outline, where an image has hues of what is behind
+HUE_ROUNDS = 4  # of `limit_hue_detail`, which leave a third of the excess at .7 to 1.4 pixels
 PAINT_HIDDEN = 1e-3  # pixels that a Gaussian contributes to all views: fewer tell no colour
 PAINT_ROUNDS = 4  # of `project_to_palette`; further ones hardly change anything
 PAINT_STRIDE = 1.5  # of its steps: more than 1 is sooner there, from 2 on it would diverge
@@ -150,6 +155,68 @@ def blur_colors(
         weights += view.backproject(own.expand_as(image).to(image))
     mean = sh0_from_rgb(total / weights.clamp(min=PAINT_HIDDEN))
     return torch.where(weights > PAINT_HIDDEN, mean, colors)
+
+
+@torch.no_grad()
+def limit_hue_detail(
+    colors: Colors,
+    views: Sequence[PaintView],
+    pictures: Sequence[Float[Tensor, "_ _ 3"]],
+    share: float,
+) -> Colors:
+    """Bring a share of the detail that hues have, and the pictures have not, down to theirs.
+
+    Features hardly tell hues of neighbouring pixels, so that these vary by chance: as coloured
+    noise, up to three times as much as in a painting. Luminance stays. The pictures are as large
+    as they are beside the object in the views. Rounds are those of `project_to_palette`.
+    """
+    masks = [away_from_outlines(view.pixels) for view in views]
+    images = [_hues(view.render(colors)) for view in views]
+    own = [hue_bands(*each) for each in zip(images, masks, strict=True)]
+    whole = [torch.ones_like(each[..., 0], dtype=torch.bool) for each in pictures]
+    theirs = [hue_bands(_hues(each), mask) for each, mask in zip(pictures, whole, strict=True)]
+    ratios = (_energies(theirs, whole) / _energies(own, masks).clamp(min=1e-12)).sqrt()
+    excess = share * (1 - ratios).clamp(min=0)
+    targets = [
+        image - torch.einsum("b,bchw->hwc", excess, bands)
+        for image, bands in zip(images, own, strict=True)
+    ]
+    weights = total_weights(views)
+    weights = (weights + PAINT_FAINT * weights[weights > 0].median())[:, None]
+    rgb = rgb_from_sh0(colors)
+    for _ in range(HUE_ROUNDS):
+        offsets = torch.zeros_like(rgb)
+        for view, target, mask in zip(views, targets, masks, strict=True):
+            off = target - _hues(view.render(sh0_from_rgb(rgb)))
+            offsets += view.backproject(off * mask[..., None])
+        rgb = rgb + PAINT_STRIDE * offsets / weights
+    return sh0_from_rgb(rgb)
+
+
+def hue_bands(hues: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "B 3 H W"]:
+    """The detail of hues inside a mask, by its size, the finest first."""
+    hues = hues.permute(2, 0, 1)
+    blurs = [hues * mask, *(smooth(hues, mask, deviation) for deviation in HUE_BANDS)]
+    return torch.stack([finer - coarser for finer, coarser in pairwise(blurs)])
+
+
+def _energies(
+    bands: Sequence[Float[Tensor, "B 3 _ _"]], masks: Sequence[Bool[Tensor, "_ _"]]
+) -> Float[Tensor, " B"]:
+    """The mean square of each band in all pixels inside the masks."""
+    total = torch.stack([each.square().sum(dim=(1, 2, 3)) for each in bands]).sum(dim=0)
+    return total / torch.stack([mask.sum() for mask in masks]).sum().clamp(min=1)
+
+
+def away_from_outlines(mask: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
+    """What of a mask is more than `HUE_RIM` pixels inside; its image's border is no outline."""
+    outside = F.max_pool2d((~mask)[None].float(), 2 * HUE_RIM + 1, stride=1, padding=HUE_RIM)
+    return outside[0] == 0
+
+
+def _hues(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
+    """Colours less their luminance."""
+    return image - (image @ image.new_tensor(LUMA))[..., None]
 
 
 @torch.no_grad()

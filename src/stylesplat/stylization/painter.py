@@ -36,6 +36,7 @@ from stylesplat.stylization.colors import (
     add_hue_noise,
     add_luminance,
     blur_colors,
+    limit_hue_detail,
     low_pass_colors,
     object_colors,
     project_to_palette,
@@ -59,7 +60,13 @@ from stylesplat.stylization.painting import (
     with_relief_form,
 )
 from stylesplat.stylization.paper import paint_as_published
-from stylesplat.stylization.style import KEPT_HUES, all_colors, large_shapes, style_pictures
+from stylesplat.stylization.style import (
+    KEPT_HUES,
+    all_colors,
+    large_shapes,
+    sized_styles,
+    style_pictures,
+)
 from stylesplat.stylization.trim import reveal, split_large, trim_surfels
 from stylesplat.stylization.views import (
     WHOLE_VIEWS,
@@ -223,7 +230,7 @@ def paint_object(subject: Subject) -> Iterator[PaintState]:
     for stage in fine:
         finish = partial(match_style, goal, whole)
         colors = yield from paint_stage(subject, stage, colors, goal, generator, finish)
-    finish = partial(settle_colors, goal, subject.canvas.is_disc[subject.rows], whole)
+    finish = partial(settle_colors, goal, subject, last, whole)
     yield from paint_stage(subject, last, colors, goal, generator, finish)
 
 
@@ -338,14 +345,18 @@ def match_style(
 
 def settle_colors(
     goal: Goal,
-    is_disc: Bool[Tensor, " P"],
+    subject: Subject,
+    stage: Stage,
     whole: Sequence[ObjectView],
     colors: Colors,
     views: Sequence[ObjectView],
 ) -> Colors:
-    """Bring the colours of the last stage near to the palette."""
+    """Bring the colours of the last stage near to the palette, and their detail to the style's."""
     assert goal.palette is not None
+    config, is_disc = subject.painting.config, subject.canvas.is_disc[subject.rows]
     colors = match_style(goal, whole, colors, views)
+    pictures = sized_styles(goal.images, config, stage.length)
+    colors = limit_hue_detail(colors, views, pictures, config.pattern_removed)
     return project_to_palette(colors, whole, goal.palette, ~is_disc & is_disc.any())
 
 

@@ -136,6 +136,18 @@ def style_pictures(
     return [image.lerp(transform_rgb(image, to_own).clamp(0, 1), share) for image in images]
 
 
+def sized_styles(
+    images: Sequence[Tensor], config: StyleConfig, length: float
+) -> list[Float[Tensor, "_ _ 3"]]:
+    """Style images, or parts of large ones, as large as they are beside an object so long."""
+    size, generator = config.scale * length, torch.Generator().manual_seed(config.seed)
+    return [
+        resize(part, size * share)
+        for image in images
+        for part, share in style_parts(image, size, generator)
+    ]
+
+
 def style_parts(
     picture: Float[Tensor, "H W 3"], length: float, generator: torch.Generator
 ) -> list[tuple[Float[Tensor, "_ _ 3"], float]]:
