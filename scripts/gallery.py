@@ -33,7 +33,12 @@ those of noname0310/snowmiku2023plush-splat (MIT). The still life of the vase an
 `make demo` trains, and the sign are ray-traced by this project. The rider is a splat of
 playcanvas/engine, the brooch one of davidmhart/FastSplatStyler (both MIT). The tankard of the Mary
 Rose is trained on the photos of vork/maryRose, published by Daniel Pett
-([CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)), and painted here. The fox and the desk
+([CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)), and painted here. The bananas' photos are
+those of pierotofy/dataset_banana (MIT). The socketed axe of MicroPasts (access and photography:
+Andy Bevan, Chiara Bonacchi, Adi Keinan-Schoonbaert, Dan Pett, Neil Wilkin) and the skull
+(["Photogrammetry Test Set: Skull - Cameramoves - Flash - No Background"](https://github.com/AlansCodeLog/photogrammetry-test-sets)
+by [alansartlog](https://alansartlog.com)) are both
+[CC BY 4.0](https://creativecommons.org/licenses/by/4.0/), trained and painted here. The fox and the desk
 of [other pages](paper.md) are not here: the fox's photos are for non-commercial use, the desk's
 state no licence.
 """
@@ -69,6 +74,21 @@ TANKARD = (
     "stylesplat mask tankard_capture --box tankard=IMG_9678.JPG:104,696,3400,2960",
     "stylesplat train tankard_capture -o tankard --steps 3000",
 )
+BANANAS = (
+    "stylesplat sfm BananaPhotos -o bananas_capture",
+    "stylesplat mask bananas_capture --box bananas=DSC_0426.JPG:270,400,2220,1670",
+    "stylesplat train bananas_capture -o bananas --steps 1500 --downscale 4",
+)
+AXE = (
+    "stylesplat sfm AxePhotos -o axe_capture --masks AxeMasks",
+    "stylesplat mask axe_capture --from AxeMasks",
+    "stylesplat train axe_capture -o axe --steps 1500 --downscale 6 --max-gaussians 40000",
+)
+SKULL = (
+    "stylesplat sfm SkullPhotos -o skull_capture",
+    "stylesplat mask skull_capture --box skull=21.JPG:1170,490,3420,2330",
+    "stylesplat train skull_capture -o skull --steps 1500 --downscale 5 --max-gaussians 40000",
+)
 SIGN = (
     "python benchmarks/traced_objects.py --shape sign --folder sign_capture",
     "stylesplat train sign_capture -o sign --steps 3000",
@@ -90,6 +110,11 @@ PAINTINGS = (
     Painting("doll", {"doll": "van_gogh"}, "The same doll in another style", DOLL),
     Painting("tankard", {"tankard": "hassam"}, "A tankard of 1545, from 69 photos", TANKARD),
     Painting("tankard", {"tankard": "monet"}, "The tankard in another style", TANKARD),
+    Painting("bananas", {"bananas": "van_gogh"}, "Bananas on a carpet, from 16 photos", BANANAS),
+    Painting("bananas", {"bananas": "kandinsky"}, "The bananas in another style", BANANAS),
+    Painting("axe", {"1": "kandinsky"}, "A bronze axe, from 52 photos with masks", AXE),
+    Painting("skull", {"skull": "van_gogh"}, "A skull, from 66 photos without a room", SKULL),
+    Painting("skull", {"skull": "hassam"}, "The skull in another style", SKULL),
     Painting("rider", {"rider": "hassam"}, "A rider, a splat of somebody else", RIDER),
     Painting("rider", {"rider": "kandinsky"}, "The rider in another style", RIDER),
     Painting("brooch", {"brooch": "ukiyo_e"}, "A brooch of open-work, from a .splat file", BROOCH),
