@@ -33,14 +33,17 @@ those of noname0310/snowmiku2023plush-splat (MIT). The still life of the vase an
 `make demo` trains, and the sign are ray-traced by this project. The rider is a splat of
 playcanvas/engine, the brooch one of davidmhart/FastSplatStyler (both MIT). The tankard of the Mary
 Rose is trained on the photos of vork/maryRose, published by Daniel Pett
-([CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)), and painted here. The bananas' photos are
-those of pierotofy/dataset_banana (MIT). The socketed axe of MicroPasts (access and photography:
-Andy Bevan, Chiara Bonacchi, Adi Keinan-Schoonbaert, Dan Pett, Neil Wilkin) and the skull
-(["Photogrammetry Test Set: Skull - Cameramoves - Flash - No Background"](https://github.com/AlansCodeLog/photogrammetry-test-sets)
-by [alansartlog](https://alansartlog.com)) are both
-[CC BY 4.0](https://creativecommons.org/licenses/by/4.0/), trained and painted here. The fox and the desk
-of [other pages](paper.md) are not here: the fox's photos are for non-commercial use, the desk's
-state no licence.
+([CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)), and painted here. The bananas' photos
+are those of pierotofy/dataset_banana (MIT). Those of the socketed axe are MicroPasts' (access and
+photography: Andy Bevan, Chiara Bonacchi, Adi Keinan-Schoonbaert, Dan Pett, Neil Wilkin), those of
+the skull are
+["Photogrammetry Test Set: Skull - Cameramoves - Flash - No Background"][skull] by
+[alansartlog](https://alansartlog.com); both are
+[CC BY 4.0](https://creativecommons.org/licenses/by/4.0/), trained and painted here. The fox and the
+desk of [other pages](paper.md) are not here: the fox's photos are for non-commercial use, the
+desk's state no licence.
+
+[skull]: https://github.com/AlansCodeLog/photogrammetry-test-sets
 """
 
 
