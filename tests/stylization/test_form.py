@@ -15,8 +15,8 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.form import (
-    Form,
     FormSurvey,
+    FormTarget,
     PooledMask,
     detail_bands,
     form_distance,
@@ -56,15 +56,15 @@ NEAR_EYE = spot(*EYE, RADIUS + 2) > 0
 FAR = MASK & (spot(*EYE, 5 * RADIUS) == 0) & (XS.square() + YS.square() < (0.4 * LENGTH) ** 2)
 
 
-def form_of(image: Tensor) -> Form:
+def form_of(image: Tensor) -> FormTarget:
     return measure_form(image, MASK, LENGTH, measure_detail([image], [MASK], LENGTH))
 
 
-def shares(form: Form) -> list[float]:
+def shares(form: FormTarget) -> list[float]:
     return form.weight.sum(dim=(1, 2)).tolist()
 
 
-def distance(image: Tensor, form: Form) -> float:
+def distance(image: Tensor, form: FormTarget) -> float:
     return float(form_distance(image, LENGTH, form))
 
 

@@ -37,11 +37,11 @@ PhotoBox = tuple[float, float, float, float]
 MaskReaders = Mapping[str, Callable[[], Bool[np.ndarray, "_ _"]]]
 """By photo."""
 Matches = Mapping[tuple[int, int], Integer[np.ndarray, "M 2"]]
-Features = tuple[list[Float[np.ndarray, "_ 2"]], Matches]
+MatchedFeatures = tuple[list[Float[np.ndarray, "_ 2"]], Matches]
 """The places of each photo's features, and their matches."""
 
 
-def read_matches(workspace: Workspace) -> Features:
+def read_matches(workspace: Workspace) -> MatchedFeatures:
     """The features of each photo, and the matches of each pair by row, wrong ones included."""
     with workspace.open_database() as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}

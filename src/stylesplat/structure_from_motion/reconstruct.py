@@ -43,8 +43,8 @@ from stylesplat.structure_from_motion.matching import (
 )
 from stylesplat.structure_from_motion.object_features import (
     NO_MOTION,
-    Features,
     MaskReaders,
+    MatchedFeatures,
     PhotoBox,
     TwoMotions,
     find_two_motions,
@@ -186,8 +186,7 @@ def reconstruct(
         counts = feature_counts(workspace)
         check_features(counts, len(names))
         times.append(time.perf_counter())
-        models, table, turned = list[pycolmap.Reconstruction](), None, False
-        matched = 0.0
+        models, table, turned, matched = list[pycolmap.Reconstruction](), None, False, 0.0
         may_turn = turntable or prepared.cut_outs
         if may_turn and prepared.ordered and config.matching == "auto":
             table, matched = match_pairs(workspace, orbit_pairs(len(names))), time.perf_counter()
@@ -236,7 +235,7 @@ def reconstruct(
 def _pose_what_moves(
     workspace: Workspace,
     photos: Path,
-    features: Features,
+    features: MatchedFeatures,
     prepared: PreparedPhotos,
     motions: TwoMotions,
     config: SfmConfig,
@@ -404,7 +403,7 @@ def _match(work: Path, photos: Path, prepared: PreparedPhotos, config: SfmConfig
 
 
 def _object_alone(
-    workspace: Workspace, photos: Path, features: Features, shown: TwoMotions
+    workspace: Workspace, photos: Path, features: MatchedFeatures, shown: TwoMotions
 ) -> tuple[Path, MaskReaders]:
     """The photos, cropped alike if they were not, and masks of the object that a box is around."""
     names, first, box, (places, matches) = workspace.names, shown.photo, shown.box, features

@@ -73,7 +73,7 @@ class FormSurvey(NamedTuple):
         return min(max((max(self.variations) - EVEN) / (UNEVEN - EVEN), 0.0), 1.0)
 
 
-class Form(NamedTuple):
+class FormTarget(NamedTuple):
     """The form that one view shows, by bands of sizes."""
 
     detail: Float[Tensor, "B H W"]
@@ -181,7 +181,7 @@ class PooledMask:
 @torch.no_grad()
 def measure_form(
     image: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"], length: float, survey: FormSurvey
-) -> Form:
+) -> FormTarget:
     """Find the form in a view of the unpainted object, which is so many pixels long."""
     bands = weber_gain(image, mask, length) * object_detail(image, mask, length, survey.hue)
     luma = image @ luma_weights(image.device, image.dtype)
@@ -199,7 +199,7 @@ def measure_form(
     around = blur(detail.square(), FORM_NEAR * length)
     own = mask.to(image)
     weight = share * weight / areas[:, None, None]
-    return Form(detail, weight, around, own, blurred_mask(own, length))
+    return FormTarget(detail, weight, around, own, blurred_mask(own, length))
 
 
 def bimodality(
@@ -215,7 +215,9 @@ def bimodality(
     return ((third**2 + variance**3) / (fourth * variance + FORM_FAINT**6)).to(grey)
 
 
-def form_distance(image: Float[Tensor, "H W 3"], length: float, form: Form) -> Float[Tensor, ""]:
+def form_distance(
+    image: Float[Tensor, "H W 3"], length: float, form: FormTarget
+) -> Float[Tensor, ""]:
     """1 minus the local correlation of a painted view's luminance with the form, over bands.
 
     Every place that stands out counts by how much it does, whatever its contrast: an eye in the

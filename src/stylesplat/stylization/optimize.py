@@ -20,8 +20,8 @@ from stylesplat.stylization.colors import DARKEST, Colors
 from stylesplat.stylization.config import Stage, StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.form import (
-    Form,
     FormSurvey,
+    FormTarget,
     PooledMask,
     form_distance,
     measure_form,
@@ -63,7 +63,7 @@ class ViewTarget:
     """Which features are the object's, row by row."""
     area: int
     """The object's pixels."""
-    form: tuple[PooledMask, Form] | None = None
+    form: tuple[PooledMask, FormTarget] | None = None
     """That of the unpainted object, and the pixels in which it is measured."""
     content: Float[Tensor, "P D"] | None = None
     """The features of the unpainted object."""

@@ -42,12 +42,7 @@ from stylesplat.stylization.colors import (
     project_to_palette,
     transfer_colors,
 )
-from stylesplat.stylization.config import (
-    DEFAULT_NETWORK,
-    FINEST,
-    Stage,
-    StyleConfig,
-)
+from stylesplat.stylization.config import DEFAULT_NETWORK, FINEST, Stage, StyleConfig
 from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.form import FormSurvey, form_relief, survey_detail
 from stylesplat.stylization.guides import Guides
