@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from scenes import rand
-from stylesplat.stylization.config import USUAL_SCALE
+from stylesplat.stylization.config import USUAL_SCALE, StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.style import coarsen_style, style_features, style_parts
 
@@ -41,8 +41,10 @@ def test_large_strokes_are_crisp_and_have_no_bristles():
 
 def test_random_parts_stand_for_a_very_large_style_image():
     whole = torch.rand(300, 500, 3)
-    assert style_parts(whole, 1000.0, torch.Generator())[0][0] is whole
-    parts = style_parts(whole, 4000.0, torch.Generator().manual_seed(0))
+    config = StyleConfig(scale=1.0)
+    (small,) = style_parts([whole], config, 1000.0)
+    assert small[0] is whole and small[1] == 1000
+    parts = [*style_parts([whole], config, 4000.0)]
     area = sum(part.shape[0] * part.shape[1] for part, _ in parts) * (4000 / 500) ** 2
     assert 0.5e6 < area < 2e6
-    assert all(share * 500 == max(part.shape[:2]) for part, share in parts)
+    assert all(longer == pytest.approx(8 * max(part.shape[:2])) for part, longer in parts)

@@ -1,9 +1,8 @@
 """Colours of an object: initial ones of paint, transfer, blurs, palettes; recolouring."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import reduce
-from itertools import pairwise
 
 import torch
 from jaxtyping import Bool, Float
@@ -21,7 +20,7 @@ from stylesplat.imaging.color import (
     tone_curve,
     transform_rgb,
 )
-from stylesplat.imaging.similarity import smooth
+from stylesplat.imaging.similarity import blurs, smooth
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.cameras import Cameras
@@ -170,6 +169,8 @@ def limit_hue_detail(
     noise, up to three times as much as in a painting. Luminance stays. The pictures are as large
     as they are beside the object in the views. Rounds are those of `project_to_palette`.
     """
+    if share == 0:
+        return colors
     masks = [away_from_outlines(view.pixels) for view in views]
     images = [_hues(view.render(colors)) for view in views]
     own = [hue_bands(*each) for each in zip(images, masks, strict=True)]
@@ -177,27 +178,50 @@ def limit_hue_detail(
     theirs = [hue_bands(_hues(each), mask) for each, mask in zip(pictures, whole, strict=True)]
     ratios = (_energies(theirs, whole) / _energies(own, masks).clamp(min=1e-12)).sqrt()
     excess = share * (1 - ratios).clamp(min=0)
+    if not excess.any():
+        return colors
     targets = [
         image - torch.einsum("b,bchw->hwc", excess, bands)
         for image, bands in zip(images, own, strict=True)
     ]
-    weights = total_weights(views)
-    weights = (weights + PAINT_FAINT * weights[weights > 0].median())[:, None]
-    rgb = rgb_from_sh0(colors)
+    weights, rgb = _settling_weights(views), rgb_from_sh0(colors)
     for _ in range(HUE_ROUNDS):
-        offsets = torch.zeros_like(rgb)
-        for view, target, mask in zip(views, targets, masks, strict=True):
-            off = target - _hues(view.render(sh0_from_rgb(rgb)))
-            offsets += view.backproject(off * mask[..., None])
-        rgb = rgb + PAINT_STRIDE * offsets / weights
+        off = (
+            (target - _hues(view.render(sh0_from_rgb(rgb)))) * mask[..., None]
+            for view, target, mask in zip(views, targets, masks, strict=True)
+        )
+        rgb = rgb + _mean_offsets(views, off, weights)
     return sh0_from_rgb(rgb)
+
+
+def _settling_weights(views: Sequence[PaintView]) -> Float[Tensor, "P 1"]:
+    """What the offsets of the object's pixels are divided by: what shows less moves less."""
+    weights = total_weights(views)
+    return (weights + PAINT_FAINT * weights[weights > 0].median())[:, None]
+
+
+def _mean_offsets(
+    views: Sequence[PaintView],
+    offsets: Iterable[Float[Tensor, "H W 3"]],
+    weights: Float[Tensor, "P 1"],
+) -> Float[Tensor, "P 3"]:
+    """How far to move each colour for the pixels of all views to move by these offsets.
+
+    One round of simultaneous algebraic reconstruction (Gilbert 1972): every pixel's offset is
+    backprojected to the Gaussians by their weights.
+    """
+    pairs = zip(views, offsets, strict=True)
+    total = sum((view.backproject(off) for view, off in pairs), torch.zeros(()))
+    return PAINT_STRIDE * total / weights
 
 
 def hue_bands(hues: Float[Tensor, "H W 3"], mask: Bool[Tensor, "H W"]) -> Float[Tensor, "B 3 H W"]:
     """The detail of hues inside a mask, by its size, the finest first."""
     hues = hues.permute(2, 0, 1)
-    blurs = [hues * mask, *(smooth(hues, mask, deviation) for deviation in HUE_BANDS)]
-    return torch.stack([finer - coarser for finer, coarser in pairwise(blurs)])
+    own = mask.to(hues)
+    means = blurs(hues * own, HUE_BANDS) / blurs(own, HUE_BANDS)[:, None].clamp(min=1e-3)
+    levels = torch.cat([hues[None], means]) * own
+    return levels[:-1] - levels[1:]
 
 
 def _energies(
@@ -229,21 +253,18 @@ def project_to_palette(
     """Move an object's colours until its pixels are near the palette.
 
     Of Gaussians beneath the strokes the colours themselves are near it: other views may show them
-    bare. Each round backprojects every pixel's offset to the Gaussians by their weights, and
-    averages (simultaneous algebraic reconstruction, Gilbert 1972).
+    bare.
     """
-    weights = total_weights(views)
-    weights = (weights + PAINT_FAINT * weights[weights > 0].median())[:, None]
-    rgb = colors * SH_C0 + 0.5
+    weights, rgb = _settling_weights(views), rgb_from_sh0(colors)
     brightest = rgb.clamp(min=1)  # Gaussians that show in part need colours beyond white
     for _ in range(PAINT_ROUNDS):
         # below black nothing shows, and nothing can be asked for
         rgb = rgb.clamp(min=DARKEST)
-        offsets = torch.zeros_like(rgb)
-        for view in views:
-            wanted = palette.offset(view.render(sh0_from_rgb(rgb))) * view.pixels[..., None]
-            offsets += view.backproject(wanted)
-        rgb = (rgb + PAINT_STRIDE * offsets / weights).minimum(brightest)
+        off = (
+            palette.offset(view.render(sh0_from_rgb(rgb))) * view.pixels[..., None]
+            for view in views
+        )
+        rgb = (rgb + _mean_offsets(views, off, weights)).minimum(brightest)
         rgb = torch.where(beneath[:, None], rgb + palette.offset(rgb), rgb)
     return sh0_from_rgb(rgb.clamp(min=0))
 

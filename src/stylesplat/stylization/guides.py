@@ -135,16 +135,14 @@ def turned_style(
     index: StyleIndex,
 ) -> TurnedStyle:
     """The features of style images turned by several angles, beside an object so long."""
-    size, generator = config.scale * length, torch.Generator().manual_seed(config.seed)
-    features, flows = list[Tensor](), list[Tensor]()
-    for image in images:
-        for part, share in style_parts(image, size, generator):
-            for number in range(GUIDE_TURNS):
-                turned = _turned(part, 180 * number / GUIDE_TURNS)
-                found = _features_and_flows(turned, network, config.block, size * share)
-                features.append(found[0])
-                flows.append(found[1])
-    every, flow = torch.cat(features), torch.cat(flows)
+    turns = [180 * number / GUIDE_TURNS for number in range(GUIDE_TURNS)]
+    found = [
+        _features_and_flows(_turned(part, degrees), network, config.block, longer)
+        for part, longer in style_parts(images, config, length)
+        for degrees in turns
+    ]
+    every, flow = (torch.cat(each) for each in zip(*found, strict=True))
+    generator = torch.Generator().manual_seed(config.seed)
     some = torch.randperm(len(every), generator=generator)[:TURNED_FEATURES].to(every.device)
     directions = F.normalize(every[some].float(), dim=1)
     kinds = index.kinds[most_similar(directions, index.directions.float())]

@@ -215,14 +215,8 @@ def target_features(
     network: FeatureNetwork, config: StyleConfig, images: Sequence[Tensor], length: float
 ) -> Float[Tensor, "Q D"]:
     """The features of all style images together, beside an object so long."""
-    size = config.scale * length
-    generator = torch.Generator().manual_seed(config.seed)
-    features = [
-        style_features(part, network, config.block, length=size * share)
-        for image in images
-        for part, share in style_parts(image, size, generator)
-    ]
-    return torch.cat(features)
+    parts = style_parts(images, config, length)
+    return torch.cat([style_features(part, network, config.block, length=n) for part, n in parts])
 
 
 def optimize_colors(

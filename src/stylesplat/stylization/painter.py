@@ -13,7 +13,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import Palette, build_palette
-from stylesplat.io.style_pictures import Picture, read_style
+from stylesplat.io.style_pictures import Picture, read_style, resize
 from stylesplat.progress import say, task
 from stylesplat.rendering.visibility import VISIBLE_LARGE, in_view, visible
 from stylesplat.rendering.weights import coverage, geometry_only
@@ -59,7 +59,7 @@ from stylesplat.stylization.style import (
     KEPT_HUES,
     all_colors,
     large_shapes,
-    sized_styles,
+    style_parts,
     style_pictures,
 )
 from stylesplat.stylization.trim import reveal, split_large, trim_surfels
@@ -350,7 +350,8 @@ def settle_colors(
     assert goal.palette is not None
     config, is_disc = subject.painting.config, subject.canvas.is_disc[subject.rows]
     colors = match_style(goal, whole, colors, views)
-    pictures = sized_styles(goal.images, config, stage.length)
+    parts = style_parts(goal.images, config, stage.length)
+    pictures = [resize(part, longer) for part, longer in parts]
     colors = limit_hue_detail(colors, views, pictures, config.pattern_removed)
     return project_to_palette(colors, whole, goal.palette, ~is_disc & is_disc.any())
 

@@ -1,6 +1,6 @@
 """What an object is to look like: style pictures, their sizes by strokes, and their features."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -136,33 +136,24 @@ def style_pictures(
     return [image.lerp(transform_rgb(image, to_own).clamp(0, 1), share) for image in images]
 
 
-def sized_styles(
-    images: Sequence[Tensor], config: StyleConfig, length: float
-) -> list[Float[Tensor, "_ _ 3"]]:
-    """Style images, or parts of large ones, as large as they are beside an object so long."""
-    size, generator = config.scale * length, torch.Generator().manual_seed(config.seed)
-    return [
-        resize(part, size * share)
-        for image in images
-        for part, share in style_parts(image, size, generator)
-    ]
-
-
 def style_parts(
-    picture: Float[Tensor, "H W 3"], length: float, generator: torch.Generator
-) -> list[tuple[Float[Tensor, "_ _ 3"], float]]:
-    """A style image, or random parts of one whose longer side is to have very many pixels.
+    images: Sequence[Float[Tensor, "_ _ 3"]], config: StyleConfig, length: float
+) -> Iterator[tuple[Float[Tensor, "_ _ 3"], float]]:
+    """Style images, or random parts of those that would be very large, beside an object so long.
 
-    With each comes its share of that side.
+    With each comes the longer side that it is to have, in pixels.
     """
-    if length <= STYLE_LARGEST:
-        return [(picture, 1.0)]
-    longer = max(picture.shape[:2])
-    side = longer * STYLE_LARGEST / length / 3
-    down, across = (max(1, int(size / side)) for size in picture.shape[:2])
-    parts = [part for rows in picture.chunk(down) for part in rows.chunk(across, dim=1)]
-    chosen = torch.randperm(len(parts), generator=generator)[:STYLE_PARTS].tolist()
-    return [(parts[i], max(parts[i].shape[:2]) / longer) for i in chosen]
+    size, generator = config.scale * length, torch.Generator().manual_seed(config.seed)
+    for image in images:
+        if size <= STYLE_LARGEST:
+            yield image, size
+            continue
+        longer = max(image.shape[:2])
+        side = longer * STYLE_LARGEST / size / 3
+        down, across = (max(1, int(each / side)) for each in image.shape[:2])
+        parts = [part for rows in image.chunk(down) for part in rows.chunk(across, dim=1)]
+        for i in torch.randperm(len(parts), generator=generator)[:STYLE_PARTS].tolist():
+            yield parts[i], size * (max(parts[i].shape[:2]) / longer)
 
 
 @dataclass(frozen=True, init=False, eq=False)
