@@ -313,7 +313,7 @@ def reveal(
     is_gone, is_back = torch.zeros_like(canvas.is_disc), torch.zeros_like(canvas.own)
     for left in reversed(range(REVEAL_ROUNDS)):
         own, discs = _weights_in_faults(canvas, cameras, length, has_parts=has_parts)
-        is_open, is_unlike, _, everywhere = discs.unbind(dim=1)
+        is_open, is_unlike, everywhere = discs.unbind(dim=1)
         weights = everywhere if weights is None else weights
         gone = (is_open > DISC_OPEN * everywhere) | (is_unlike > DISC_UNLIKE * everywhere)
         is_gone |= gone & canvas.is_disc
@@ -322,7 +322,7 @@ def reveal(
             is_gone = _follow_neighbours(canvas, is_gone)
         opacities = first.splats.opacities.masked_fill(is_gone, UNSEEN)
         canvas = fade_covered(canvas.changed(opacities=opacities))
-        _, unlike, lost, everywhere = own.unbind(dim=1)
+        lost, unlike, everywhere = own.unbind(dim=1)
         back = (lost > OWN_LOST * everywhere) | (unlike + lost > OWN_UNLIKE * everywhere)
         is_back |= back & canvas.own
         canvas = _with_own(canvas, is_back)
@@ -345,8 +345,9 @@ def _with_own(canvas: Canvas, back: Bool[Tensor, " B"]) -> Canvas:
 
 def _weights_in_faults(
     canvas: Canvas, cameras: Sequence[Cameras], length: float, *, has_parts: bool
-) -> tuple[Float[Tensor, "B 4"], Float[Tensor, "M 4"]]:
-    """Pixels of each Gaussian before, and of the canvas, that are open, unlike, lost, and all."""
+) -> tuple[Float[Tensor, "B 3"], Float[Tensor, "M 3"]]:
+    """Pixels of each Gaussian before that are lost, unlike, and all; of the canvas's, open ones
+    in place of lost ones."""
     before, after = canvas.before, canvas.splats
     near = JUST_BEHIND * robust_diameter(before.means[canvas.own])
 
@@ -368,8 +369,9 @@ def _weights_in_faults(
             change = change - smooth(change, everywhere, UNLIKE_MEAN * length)
             strength = smooth(change.abs().mean(dim=0), everywhere, UNLIKE_BLUR)
             is_unlike = (strength > UNLIKE) & (was.coverage > REVEAL_SOLID)
-        faults = torch.stack([is_open, is_unlike, is_lost, torch.ones_like(is_open)], dim=-1)
-        return was.pixels_in(faults), now.pixels_in(faults)
+        both = [is_unlike, torch.ones_like(is_open)]
+        own, discs = (torch.stack([each, *both], dim=-1) for each in (is_lost, is_open))
+        return was.pixels_in(own), now.pixels_in(discs)
 
     found = per_view(look, cameras, "comparing the canvas", before.device)
     own, discs = zip(*found, strict=True)
