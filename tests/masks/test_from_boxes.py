@@ -67,6 +67,16 @@ def test_a_dropped_box_teaches_the_colours_of_a_box_given_with_it(balls: Capture
     assert min(agreement(red, 1, 3)) > 0.75 and max(agreement(red, 1, 300)) < 0.1
 
 
+def test_a_mark_that_means_nothing_elsewhere_is_told(balls: Capture, said: list[str]):
+    masked = mask(balls, boxes={"vase": VASE}, scene=BALLS, device="cpu")
+    given: dict[str, Any] = {"scene": BALLS, "device": "cpu"}
+    mask(masked, drop={"vase": ("0001.jpg", (30.0, 40.0, 90.0, 60.0))}, **given)
+    assert not said
+    mask(masked, drop={"vase": ("0001.jpg", (50.0, 20.0, 54.0, 23.0))}, **given)
+    (line,) = said
+    assert "0001.jpg is smaller than anything" in line and "Mark more" in line
+
+
 @pytest.mark.parametrize("flat", [False, True])
 def test_boxes_are_in_pixels_of_the_photos_themselves(photos: Path, flat: bool):
     """Whatever size they are loaded at; written like the boxes of `select`, too."""

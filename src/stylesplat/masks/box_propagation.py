@@ -32,7 +32,7 @@ from stylesplat.masks.grabcut import (
     pixels_inside,
     refine_mask,
 )
-from stylesplat.progress import task
+from stylesplat.progress import say, task
 from stylesplat.rendering.weights import COVERED, PRIOR, composite, coverage, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, Mask
@@ -314,14 +314,22 @@ def propagate_marks(
 ) -> list[tuple[Mask, Mask]]:
     """The pixels of every view that belong to an object, and that do not, from those of some.
 
-    What lies mostly within a mark there is marked in all views.
+    What lies mostly within a mark there is marked in all views. A line says which marks are smaller
+    than any Gaussian, so that they count in their own view alone.
     """
     is_marked = splats.means.new_zeros(len(splats), 2)
     for row, *given in marks:
         masks = torch.stack([*given, torch.ones_like(given[0])], dim=-1)
         pixels = pixels_in(splats, cameras[row], [masks])
         shows = pixels[:, 2:] > MIN_SHOWN
-        is_marked[(pixels[:, :2] > 0.5 * pixels[:, 2:]) & shows] = 1
+        meant = (pixels[:, :2] > 0.5 * pixels[:, 2:]) & shows
+        is_marked[meant] = 1
+        for drawn, of in zip(given, meant.unbind(dim=1), strict=True):
+            if drawn.any() and not of.any():
+                say(
+                    f"A mark in {cameras.names[row]} is smaller than anything that the splat shows "
+                    "there, so that it changes that photo alone. Mark more around it."
+                )
     views = list[tuple[Mask, Mask]]()
     for camera in cameras:
         kept, dropped = (composite(splats, camera, is_marked) > COVERED).cpu().unbind(dim=2)
