@@ -53,14 +53,14 @@ def verdicts(results: Mapping[str, Results]) -> tuple[Table, Table]:
 def _word(finding: Finding | None) -> str:
     if finding is None:
         return ""
-    return "holds" if finding.holds else "**does not**"
+    return "holds" if finding.holds else "**does not hold**"
 
 
 def _leaks(results: Results) -> Finding | None:
     masked, lifted = _far(results, figure2.MASKED, 1), _far(results, figure2.LIFTED, 1)
     if masked is None or lifted is None:
         return None
-    said = f"beyond 2 px {percent(masked)} of the pixels change, {percent(lifted)} in 3D"
+    said = f"{percent(masked)} of the pixels beyond 2 px change, {percent(lifted)} in 3D"
     return Finding(lifted < LESS * masked, said)
 
 
@@ -93,7 +93,7 @@ def _corrected(results: Results) -> Finding | None:
     if found is None or found[0]["miou"] == 1:  # no exact maps: the given ones count as true
         return None
     given, trained = found[0]["miou"], found[1]["rendered labels"]["miou"]
-    said = f"mIoU {digits(given)} of the label maps, {digits(trained)} of those rendered"
+    said = f"mIoU {digits(given)} of the given label maps, {digits(trained)} of rendered ones"
     return Finding(trained > given, said)
 
 
@@ -131,7 +131,7 @@ def _confined(results: Results) -> Finding | None:
     ]
     if not shares:
         return None
-    said = f"beyond 2 px {percent(max(shares))} of the pixels change at most"
+    said = f"at most {percent(max(shares))} of the pixels beyond 2 px change"
     return Finding(max(shares) <= CONFINED, said)
 
 
@@ -151,7 +151,9 @@ def _together(results: Results) -> Finding | None:
         return None
     other = sum(sum(n["differing"].values()) for n in found)
     elsewhere = sum(n["changed_elsewhere"] for n in found)
-    said = f"{other:,} of their Gaussians differ from alone, {elsewhere:,} others change"
+    said = (
+        f"{other:,} of their Gaussians differ from those painted alone, {elsewhere:,} others change"
+    )
     return Finding(other == elsewhere == 0, said)
 
 
@@ -182,7 +184,9 @@ def _formula(results: Results) -> Finding | None:
     if found is None:
         return None
     printed, meant = (n["nnfm"] for n in found)
-    return Finding(printed <= meant, f"NNFM {digits(printed)} by it, {digits(meant)} by ARF's")
+    return Finding(
+        printed <= meant, f"NNFM {digits(printed)} with it, {digits(meant)} with ARF's formula"
+    )
 
 
 def _neighbours(results: Results) -> Finding | None:
@@ -210,20 +214,24 @@ def _numbers(results: Results, figure: str, *keys: str) -> list[Any] | None:
 
 CLAIMS: Sequence[Claim] = (
     Claim(
-        "A loss masked in 2D changes other parts of the scene, a selection in 3D does not.", _leaks
+        "A loss masked in 2D changes other parts of the scene; a selection in 3D does not.", _leaks
     ),
-    Claim("It does so because masks err.", _masks_are_to_blame),
-    Claim("The same, with a larger epsilon in Adam (Figure 2 says which).", _damped),
-    Claim("Learned from many noisy label maps, identities correct these.", _corrected),
-    Claim("Gaussians are chosen by a threshold (its code: 0.95).", _threshold),
-    Claim("Removing statistical outliers makes the selection better.", _outliers),
-    Claim("Style is confined to the selected object.", _confined),
-    Claim("It keeps more content than a loss masked in 2D.", _content),
-    Claim("Objects take their styles together as alone, and nothing else changes.", _together),
-    Claim("A smaller style repeats its pattern more.", _by_scale),
-    Claim("Deeper layers act like a smaller style.", _by_layers),
-    Claim("A larger learning rate gives stronger style.", _by_rate),
-    Claim("The style loss is the least product of features (its formula).", _formula),
-    Claim("A term that holds neighbours together makes for right objects.", _neighbours),
-    Claim("Identities are learned along with the colours, rather than lifted.", _lifting),
+    Claim("The loss does so because masks have errors.", _masks_are_to_blame),
+    Claim("The same claim, with a larger epsilon in Adam (see Figure 2).", _damped),
+    Claim("Identities learned from many noisy label maps correct their errors.", _corrected),
+    Claim("A threshold of 0.95 (in its code) chooses the object's Gaussians.", _threshold),
+    Claim("Removing statistical outliers improves the selection.", _outliers),
+    Claim("The style stays on the selected object.", _confined),
+    Claim("A selection in 3D keeps more content than a loss masked in 2D.", _content),
+    Claim(
+        "Two objects painted together equal those painted alone; nothing else changes.", _together
+    ),
+    Claim("A smaller style picture repeats its pattern more often.", _by_scale),
+    Claim("Deeper layers act like a smaller style picture.", _by_layers),
+    Claim("A larger learning rate gives a stronger style.", _by_rate),
+    Claim(
+        "Minimising its formula, the smallest product of features, transfers the style.", _formula
+    ),
+    Claim("A term that keeps neighbours together makes objects more exact.", _neighbours),
+    Claim("Identities learned with the colours are no worse than lifted ones.", _lifting),
 )

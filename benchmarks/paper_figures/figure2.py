@@ -53,8 +53,8 @@ MARGIN = 20  # pixels around a mask: what a feature of block 3 sees
 WHOLE = 10**6  # pixels around it, to the frame's end
 REACH = 2.0  # pixels from the object's true border that are not counted as far
 CLAIM = (
-    "a loss masked in 2D changes wrong Gaussians where masks err, while identities learned from "
-    "many noisy masks correct these errors and avoid leakage."
+    "a loss masked in 2D changes the wrong Gaussians where masks have errors; identities learned "
+    "from many noisy masks correct these errors and avoid leakage."
 )
 
 
@@ -276,8 +276,8 @@ def _conclusion(found: Any, way: str) -> str | None:
     more = sum(masked > selected for masked, selected in pairs)
     largest = [percent(max(column)) for column in zip(*pairs, strict=True)]
     return (
-        f"{way} changes more pixels beyond 2 px from the object than a lifted selection does at "
-        f"{more} of {len(pairs)} levels of error: at most {largest[0]} of them, against "
+        f'"{way}" changes more pixels farther than 2 px from the object than a lifted selection '
+        f"does, at {more} of {len(pairs)} levels of error: at most {largest[0]}, against "
         f"{largest[1]}."
     )
 
@@ -294,9 +294,9 @@ def _adam(found: Any) -> str | None:
         if key.startswith(f"{DAMPED} at")
     ]
     return (
-        f"With exact masks, {usual} of the pixels beyond 2 px change with Adam's epsilon of "
-        f"{EPS:g}, and {damped} with one of {DAMPING:g}: so much is the optimiser's "
-        f"doing, not the masks'. By level of error, the latter changes {', '.join(levels)}."
+        f"With exact masks, {usual} of the pixels beyond 2 px change if Adam's epsilon is {EPS:g}, "
+        f"and {damped} if it is {DAMPING:g}: the optimiser causes the difference, not the masks. "
+        f"With the larger epsilon {', '.join(levels)} change, by level of error."
     )
 
 

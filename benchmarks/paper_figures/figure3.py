@@ -26,7 +26,7 @@ NAME = "figure3"
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 CLAIM = (
     "16 numbers per Gaussian, learned from label maps, separate objects; Gaussians below a "
-    "threshold and statistical outliers are left out (its code: 0.95)."
+    "threshold (0.95 in its code) and statistical outliers are left out."
 )
 
 
@@ -139,9 +139,9 @@ def told(results: Results) -> list[Block]:
             steps = speed.numbers["train_steps"]
             blocks.append(
                 Text(
-                    f"The scene was trained for {steps:,} steps (the paper: 30,000). Identities "
-                    "that are learned with the colours are the less sharp the fewer: a threshold "
-                    "that suits the one need not suit the other."
+                    f"The scene was trained for {steps:,} steps (the paper's for 30,000). "
+                    "Identities that are learned with the colours become sharper with more steps, "
+                    "so another threshold may suit 30,000."
                 )
             )
     return blocks
@@ -158,8 +158,8 @@ def _best(way: str, numbers: Any) -> str:
     paper = f"{0.95:g}, outliers removed"
     ours = f"{THRESHOLD:g}, outliers removed"
     return (
-        f"{way.capitalize()}: best at {best} (mIoU {digits(choices[best]['miou'])}); the default, "
-        f"{ours}, has {digits(choices[ours]['miou'])}; the official code's 0.95 has "
+        f"{way.capitalize()}: the best is {best} (mIoU {digits(choices[best]['miou'])}); our "
+        f"default, {ours}, has {digits(choices[ours]['miou'])}; the official code's 0.95 has "
         f"{digits(choices[paper]['miou'])}."
     )
 

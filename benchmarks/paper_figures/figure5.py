@@ -12,7 +12,7 @@ from paper_figures.subject import Subject, shot
 from stylesplat.scene.layers import Composed, compose
 
 NAME = "figure5"
-CLAIM = "two objects take a style each, alone or together, and nothing else changes."
+CLAIM = "each of two objects takes its own style, alone or together; nothing else changes."
 WAYS = {"paper": paper_config, "ours": default_config}
 
 
@@ -91,7 +91,8 @@ def told(results: Results) -> list[Block]:
         rows.append([*row, str(n["changed_elsewhere"])])
         equal &= n["rows"] == n["expected_rows"] and not any(n["differing"].values())
         equal &= n["changed_elsewhere"] == 0
-    line = "Together is the two alone, to the bit." if equal else "Together is not the two alone."
+    line = "Painted together, the two objects equal those painted alone, to the bit."
+    line = line if equal else "Painted together, the two objects differ from those painted alone."
     return [*blocks, Table(heads, rows), Text(line)]
 
 

@@ -25,10 +25,11 @@ GROUPS = {1: "[1,3]", 2: "[6,8]", 3: "[11,13,15]"}  # the paper's indices into V
 SCALES = (0.25, 0.5, 0.75)  # of the style picture's own size
 RATES = (0.025, 0.05, 0.075)
 MIDDLE = (3, 0.5, 0.05)
+WITH_MIDDLES = "each with the middle values of the other two"
 AXES = {"layers": "group", "scale": "scale", "rate": "rate"}  # and what numbers call them
 CLAIM = (
-    "a smaller style repeats its pattern more; layers [1,3] cannot learn patterns, deeper ones act "
-    "like a smaller style; a larger learning rate gives stronger style."
+    "a smaller style picture repeats its pattern more often; layers [1,3] cannot learn patterns, "
+    "deeper ones act like a smaller style picture; a larger learning rate gives a stronger style."
 )
 
 Setting = tuple[int, float, float]
@@ -95,8 +96,8 @@ def told(results: Results) -> list[Block]:
     blocks.append(Table(heads, rows))
     lines = {axis: along(results, axis) for axis in AXES}
     blocks.append(Table(("by", *heads[1:]), [row for a in lines.values() for row in _lines(a)]))
-    how = "averaged over the other two" if _whole(found) else "with the other two in the middle"
-    blocks += [Text(f"Layers, scale and rate, each {how}."), *_fineness(results)]
+    how = "each averaged over the other two" if _whole(found) else WITH_MIDDLES
+    blocks += [Text(f"Layers, scale and rate, {how}."), *_fineness(results)]
     trends = (("scale", "stroke"), ("layers", "stroke"), ("rate", "strength"))
     return [*blocks, *(Text(follows(lines[axis], axis, measure)) for axis, measure in trends)]
 
@@ -109,8 +110,8 @@ def _fineness(results: Results) -> list[Text]:
     count = counted.numbers["gaussians"][initial.numbers["object"]]
     return [
         Text(
-            f"The object has {count:,} Gaussians, which the paper's settings do not split: no "
-            "stroke is finer than they are."
+            f"The paper's settings do not split the object's {count:,} Gaussians, so no stroke is "
+            "finer than a Gaussian."
         )
     ]
 
@@ -145,7 +146,7 @@ def _grids(found: Mapping[str, Any]) -> list[Grid]:
     axes = {"layers": [(g, *MIDDLE[1:]) for g in GROUPS]}
     axes |= {"scale": [(MIDDLE[0], s, MIDDLE[2]) for s in SCALES]}
     axes |= {"rate": [(*MIDDLE[:2], r) for r in RATES]}
-    lines = _grid(found, "Layers, scale and rate, the other two in the middle", axes)
+    lines = _grid(found, f"Layers, scale and rate, {WITH_MIDDLES}", axes)
     return [lines] if lines.rows else []
 
 
@@ -202,7 +203,7 @@ def follows(line: Mapping[str, Numbers], axis: str, measure: str) -> str:
     values = [numbers[measure] for numbers in line.values()]
     shown = ", ".join(digits(value, 2) for value in values)
     what, unit = {"stroke": ("Stroke length", "px"), "strength": ("Strength", "in Lab")}[measure]
-    verdict = {1: "grows", -1: "shrinks", 0: "neither grows nor shrinks throughout"}[trend(values)]
+    verdict = {1: "grows", -1: "shrinks", 0: "neither grows nor shrinks steadily"}[trend(values)]
     return f"{what} by {axis}: {shown} {unit}; it {verdict}."
 
 

@@ -17,9 +17,9 @@ from paper_figures.subject import Subject, shot
 
 NAME = "figure7"
 CLAIM = (
-    "S2RF discolours what is not the target and loses shapes; it renders 15 frames a second and "
-    "StyleSplat more than 100, on an A100; stylising takes less than a minute, after 30,000 steps "
-    "of training."
+    "S2RF discolours other things than the target and loses shapes; on an A100 it renders 15 "
+    "frames a second and StyleSplat more than 100; stylising takes less than a minute, after "
+    "30,000 steps of training."
 )
 FAST = "more than 100 a second"
 SIDES = (None, 960)  # pixels of the longer side; None is as it was trained
@@ -91,7 +91,7 @@ def told(results: Results) -> list[Block]:
         ]
         blocks.append(Table(heads, lines))
     blocks.append(
-        Text("No GPU and no NeRF of S2RF's kind were run: the loss is S2RF's, the scene is not.")
+        Text("We ran neither S2RF nor a GPU: the loss in 2D is S2RF's, the scene is a splat.")
     )
     return blocks
 

@@ -13,35 +13,39 @@ from paper_figures.story import Block, Heading, Table, Text
 from paper_figures.subject import EFFORTS, Subject
 
 ABOUT = (
-    "Which claims of the StyleSplat paper (Jain et al. 2024) hold in our own scenes, by numbers "
-    "that it does not give, and its figures made again. The appendices at the end have the "
-    "numbers of each claim, and say how all of it was made."
+    "This page tests the claims of the StyleSplat paper (Jain et al. 2024) on our own scenes, with "
+    "numbers that the paper does not give, and makes its figures again. The appendices list the "
+    "numbers for each claim and say how everything was made. The [glossary](glossary.md) explains "
+    "*identity*, *label map* and *lift*."
 )
 DEFINED = (
-    "A pixel has changed if a channel differs by more than 0.05; strength is the mean distance of "
-    "the object's colours in Lab; a stroke is as long as the distance at which the added detail "
-    "goes half with itself. LPIPS is not measured: its weights ship neither with this package nor "
-    "with anything that it needs."
+    "A pixel counts as changed if a channel differs by more than 0.05. Strength is the mean "
+    "distance in Lab between the object's colours before and after. The length of a stroke is the "
+    "distance at which the autocorrelation of the added detail falls to a half. We do not measure "
+    "LPIPS, because neither this package nor its requirements ship the weights."
 )
 NOT_RUN = (
-    "Not run: the scenes of NeRF, MipNeRF360 and LERF, which are not on the machines that build "
-    "this, S2RF itself, and an A100. Train a scene with `stylesplat train CAPTURE -o SCENE` and "
-    "pass `--scene SCENE`."
+    "We did not run the scenes of NeRF, MipNeRF360 and LERF, which the machines that build this "
+    "page do not have, nor S2RF itself, nor an A100. To add a scene, train it with `stylesplat "
+    "train CAPTURE -o SCENE` and pass `--scene SCENE`."
 )
 
 CREDITS = (
-    "The photos of fox are those of instant-ngp (NVIDIA Source Code License, for non-commercial "
-    "use only); those of desk are from a public repository that states no licence for them. "
-    "Neither ships with the package: do not use their pictures commercially."
+    "The photos of fox are instant-ngp's (NVIDIA Source Code License, for non-commercial use "
+    "only); those of desk come from a public repository that states no licence for them. Neither "
+    "ships with the package: do not use their pictures commercially."
 )
 RELATED = (
-    "Closest to what we compute in closed form are Instant Colorization of Gaussian Splats "
-    "(arXiv 2604.17155), which solves a least-squares problem for each Gaussian where we lift "
-    "labels by the adjoint of rendering; SGSST (arXiv 2412.03371), which matches statistics at "
-    "several scales at once where we match neighbours coarse to fine; SceneStyler (arXiv "
-    "2606.26754), which balances matches by optimal transport where we balance kinds of strokes; "
-    "and Style Brush (arXiv 2510.03433), which paints meshes along contours that the user draws. "
-    "None of them was run here: [beside other methods](related.md) compares what they do."
+    "Four methods are closest to our closed forms. Instant Colorization of Gaussian Splats ([arXiv "
+    "2604.17155](https://arxiv.org/abs/2604.17155)) solves a least-squares problem for each "
+    "Gaussian; we lift labels by the adjoint of rendering. SGSST ([arXiv "
+    "2412.03371](https://arxiv.org/abs/2412.03371)) matches statistics at several scales at once; "
+    "we match neighbours, from coarse to fine. SceneStyler ([arXiv "
+    "2606.26754](https://arxiv.org/abs/2606.26754)) balances matches by optimal transport; we "
+    "balance kinds of strokes. Style Brush ([arXiv "
+    "2510.03433](https://arxiv.org/abs/2510.03433)) paints meshes along contours that the user "
+    "draws; our discs turn along the strokes that appear. We ran none of them: [Beside other "
+    "methods](related.md) compares what they do."
 )
 
 
@@ -80,10 +84,10 @@ def appendix(runs: Sequence[Run]) -> list[Block]:
     where = runs[0].book.settings["machine"]
     bare = [run.subject.name for run in runs if run.subject.exact is None]
     lines = [
-        "Made by `benchmarks/paper.py -o DIR --scene SCENE --effort EFFORT`, EFFORT as below, on "
-        f"{where}, torch {torch.__version__}. All numbers and pictures come from files that it "
-        "wrote.",
-        *(f"{name} has no exact label maps: given ones count as true there." for name in bare),
+        "`benchmarks/paper.py -o DIR --scene SCENE --effort EFFORT` made this page, with the "
+        f"efforts below, on {where}, torch {torch.__version__}. All numbers and pictures come from "
+        "files that it wrote.",
+        *(f"{name} has no exact label maps, so given ones count as the truth." for name in bare),
     ]
     heads = (
         "scene",
@@ -144,9 +148,10 @@ def _made(run: Run) -> list[str]:
 
 def _steps(runs: Sequence[Run]) -> str:
     drafts = [run.subject.name for run in runs if run.subject.effort.draft]
-    ours = f"the default, drafts (`--quality draft`) for {', '.join(drafts)}"
+    ours = f"the default ones, for {', '.join(drafts)} those of drafts (`--quality draft`)"
     return (
-        "Paintings by the paper's settings take so many steps (the paper: 500 to 1,000); ours are "
-        f"{ours if drafts else 'the default'}. Figure 2's loops and Figure 6 see frames of so many "
-        "pixels at most; of more than 4,096 style features Figure 6 matches as many at random."
+        "Painting steps are those of paintings with the paper's settings (the paper takes 500 to "
+        f"1,000); the settings of ours are {ours if drafts else 'the default ones'}. Frames says "
+        "how large Figures 2 and 6 render the object at most. Figure 6 matches at most 4,096 style "
+        "features, chosen at random."
     )

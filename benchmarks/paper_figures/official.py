@@ -41,7 +41,7 @@ FAULTS = {
 }
 PRINTED = "the formula as printed"
 RIM = 3.0  # pixels inside the object's contour
-CLAIM = "its loss is masked by the label maps; what its code does besides is in no text."
+CLAIM = "label maps mask its loss; it does not mention what else its code does."
 
 
 def cells(subject: Subject) -> list[Cell]:

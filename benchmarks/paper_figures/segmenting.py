@@ -38,8 +38,8 @@ PACE_STEPS, PACE_REFINE = 30, 3  # schedules follow the run, so a short one has 
 ROUNDS = 2  # of short runs in turn
 ANIMAL = 1  # label id of what is outlined by hand
 CLAIM = (
-    "identities are learned along with the colours, with a term that holds neighbours in 3D "
-    "together; in Gaussian Grouping's code their gradients reach geometry too."
+    "identities are learned along with the colours, with a term that keeps neighbours in 3D "
+    "together; in Gaussian Grouping's code their gradients also reach the geometry."
 )
 
 
@@ -147,7 +147,7 @@ def told(results: Results) -> list[Block]:
     if not found:
         return []
     heads = ["way", "steps", "processor seconds", "held-out PSNR", "mIoU", "boundary"]
-    heads += ["mIoU of picks", "boundary of picks", "fox by hand"]
+    heads += ["mIoU of selections", "their boundary", "fox by hand"]
     rows = [_row(name, result.numbers) for name, result in found.items()]
     if not any(row[-1] for row in rows):
         heads, rows = heads[:-1], [row[:-1] for row in rows]
@@ -156,10 +156,8 @@ def told(results: Results) -> list[Block]:
     both = [found[name].numbers for name in (LIFTED, JOINT) if name in found]
     if JOINT in found:
         steps = found[JOINT].numbers["steps"]
-        line = (
-            f"{steps:,} steps of joint training are few next to the paper's 30,000: how far it is "
-        )
-        blocks.append(Text(line + "behind after so many is not measured."))
+        line = f"{steps:,} steps of joint training are few beside the paper's 30,000. "
+        blocks.append(Text(line + "We did not measure how far it is behind after 30,000."))
     return [*blocks, Text(_verdict(*both))] if len(both) > 1 else blocks
 
 
@@ -179,8 +177,8 @@ def _verdict(lifted: Any, joint: Any) -> str:
     """By how much lifting is ahead."""
     gains = [lifted[key] - joint[key] for key in ("psnr", "miou", "boundary_miou")]
     gains.append(lifted["picked"]["miou"] - joint["picked"]["miou"])
-    line = "In equal time, lifting gains {:+.2f} dB, {:+.3f} of mIoU, {:+.3f} along boundaries and "
-    return f"{line}{{:+.3f}} of the picks' mIoU over joint training.".format(*gains)
+    line = "In equal time, lifting differs from joint training by {:+.2f} dB, {:+.3f} in mIoU, "
+    return f"{line}{{:+.3f}} along boundaries and {{:+.3f}} in the selections' mIoU.".format(*gains)
 
 
 FIGURE = Figure(NAME, "Identities: learned or lifted", CLAIM, cells, told)

@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 import torch
-from paper_figures import figure2, figure5, official, segmenting
+from paper import FIGURES
+from paper_figures import figure2, figure5, foreword, official, segmenting
 from paper_figures.book import Book, Cell, Result, work_through
-from paper_figures.claims import verdicts
+from paper_figures.claims import CLAIMS, verdicts
 from paper_figures.masked_change import changed_share, masked_psnr, strength
 from paper_figures.subject import Effort, Subject
 
@@ -116,3 +117,11 @@ def test_faults_of_the_official_code_are_what_they_are_called(subject: Subject, 
     found = measured(official.cells(subject), ["none", official.BLACK], tmp_path)
     plain, black = found["none"], found[official.BLACK]
     assert plain["mask_iou"] == black["mask_iou"] and plain["strength"] != black["strength"]
+
+
+def test_the_page_says_what_is_written_here():
+    page = (Path(__file__).parents[2] / "docs/paper.md").read_text(encoding="utf-8")
+    said = (foreword.ABOUT, foreword.RELATED, foreword.DEFINED, foreword.NOT_RUN, foreword.CREDITS)
+    figures = [f"The paper: {figure.claim}" for figure in FIGURES.values()]
+    assert not [text for text in (*said, *figures) if text not in page]
+    assert not [claim.text for claim in CLAIMS if page.count(f"| {claim.text} |") != 2]
