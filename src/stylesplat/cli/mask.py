@@ -82,7 +82,7 @@ class MaskCommand(MakingCommand):
     """Folder or hub name of another checkpoint of the method."""
     scene: Path | None = None
     """A scene of these photos, on which masks of different photos meet; by default a splat is
-    trained for about a minute."""
+    trained for a minute or more."""
     device: Device = "auto"
     output: OptionalOutput = None
     """Folder of the scene to make, where a scene is masked; by default it is changed itself."""

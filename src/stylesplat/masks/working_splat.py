@@ -39,7 +39,7 @@ class WorkingSplat:
 
 
 def working_splat(capture: Capture, scene: Scene | None, device: str) -> WorkingSplat:
-    """The splat of a scene of these photos, or one that is trained for about a minute."""
+    """The splat of a scene of these photos, or one that is trained for a minute or more."""
     torch_device = pick_device(device)
     capture = replace(capture, label_maps=None, object_names={})
     if scene is None:

@@ -140,7 +140,7 @@ def mask(
             default what is given; the others find all objects with a model of that family.
         model: Folder or hub name of a checkpoint; by default a small one of the family.
         scene: A scene of these photos, on which the masks of different photos meet; by default a
-            splat is trained for about a minute. Renders of a scene meet on that scene.
+            splat is trained for a minute or more. Renders of a scene meet on that scene.
         device: Where to compute: `auto`, `cpu` or `cuda`.
         progress: A folder for what a model has found so far, from where an interrupted run goes
             on. It stays until its owner removes it.

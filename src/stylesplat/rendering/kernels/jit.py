@@ -27,7 +27,7 @@ from numba.core import event
 from stylesplat.progress import say, uncounted
 
 COMPILING = (
-    "Compiling the CPU kernels for this processor. It takes up to half a minute, once: later "
+    "Compiling the CPU kernels for this processor. It takes up to a minute, once: later "
     "starts find them in the cache."
 )
 NO_CACHE = (
