@@ -71,6 +71,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         if picture and page in gallery_pages():
             return f"{match[0]}\n\n[Turn it in the browser]({page})"
         path = normpath(join(folder, path))
+        if path.startswith(".."):
+            return ""  # of the page that hosts the repository: badges
         site = OUTSIDE.get(path, path.removeprefix("docs/"))
         if site != path:
             return (

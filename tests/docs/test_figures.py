@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import yaml
 
 from stylesplat.training.photo_size import ACCEPTED_SECONDS
 
@@ -296,3 +297,13 @@ def test_sizes_without_higher_bands_and_of_other_versions():
     assert "spz-version 3` | of nearly the same size" in text(MANUAL) and 0.95 < least < most < 1.05
     assert "a third larger, in one file" in text(MANUAL)
     assert figures(BENCHMARKS, r"and a `.gltf` ([\d.]+) times") == [round(4 / 3, 2)]
+
+
+def test_systems_and_versions_are_those_of_ci():
+    ci = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+    matrix = ci["jobs"]["test"]["strategy"]["matrix"]
+    first, last = re.findall(r"Python (\S+) to (\S+) · Linux, macOS, Windows · Apache-2.0", README)[
+        0
+    ]
+    assert (first, last) == (matrix["python"][0], matrix["python"][-1])
+    assert matrix["os"] == [f"{each}-latest" for each in ("ubuntu", "macos", "windows")]
