@@ -239,7 +239,7 @@ def test_sizes_of_packages():
     for where, pattern in (
         ("README.md", r"\*\*([\d.]+) GB instead of ([\d.]+)\*\*"),
         (page, r"\*\*([\d.]+) gigabytes instead of ([\d.]+)\."),
-        (FAQ, r"How do I have ([\d.]+) GB of packages instead of ([\d.]+)\?"),
+        (FAQ, r"How do I install ([\d.]+) GB of packages instead of ([\d.]+)\?"),
     ):
         assert figures(where, pattern) == [round(cpu / 1000, 1), round(both / 1000, 1)]
     assert figures("README.md", r"`photos` \((\d+) MB\)") == [round(photos, -2)]
