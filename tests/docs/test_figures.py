@@ -252,6 +252,10 @@ def test_the_compact_network():
     ways = [float(each) for each in re.findall(r"\| (\d+) % \|$", card, re.MULTILINE)]
     low_high = figures(MANUAL, r"come (\d+) to (\d+) % of the way that 300")
     assert low_high == [min(ways), max(ways)]
+    compact, vgg19 = numbers(row("src/stylesplat/stylization/compact.md", "stylize fox"))[1:3]
+    assert (
+        "VGG19 come, in two thirds of the time" in text(MANUAL) and round(3 * compact / vgg19) == 2
+    )
 
 
 def test_how_long_it_takes():
@@ -265,6 +269,9 @@ def test_how_long_it_takes():
     assert "takes about five minutes" in text(FAQ) and ACCEPTED_SECONDS == 300
     minutes = [(ACCEPTED_SECONDS + sum(seconds) / cores) / 60 for cores in (2, 1)]
     assert figures(FAQ, r"so that is (\d+ to \d+) minutes") == [round(each) for each in minutes]
+    compiling, compiled = figures(BENCHMARKS, r"to compile, without \| (\d+), (\d+) \|")
+    assert "once, for up to a minute in all" in text("docs/guide/install.md")
+    assert compiling - compiled < 60
     first, all_objects = figures(
         BENCHMARKS, r"command to the first picture \| (\S+) s.*?a click takes \| (\S+) s"
     )
