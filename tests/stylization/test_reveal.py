@@ -68,6 +68,20 @@ def test_a_solid_object_keeps_its_canvas():
     assert shares(shown.splats, splats, VIEWS[1])[1] > 0.95
 
 
+def test_no_hole_is_left_in_what_was_solid():
+    """Small ones between discs, before Gaussians that are far wider."""
+    axis = torch.linspace(-0.8, 0.8, 17)
+    x, z = (each.flatten() for each in torch.meshgrid(axis, axis, indexing="ij"))
+    splats = cloud(torch.stack([x, 0 * x, z], dim=1), 0.1, opacity=2.0)
+    splats.scales[:, 1] = -6.0  # flat, in the plane of the plate
+    canvas, boxes, length = laid(splats)
+    holes = torch.tensor([[-0.3, 0.0, 0.2], [0.1, 0.0, -0.3], [0.4, 0.0, 0.3]])
+    far = torch.cdist(canvas.splats.means, holes).amin(dim=1) > 0.05
+    shown, _ = reveal(canvas.select(far | ~canvas.is_disc), boxes, length, has_parts=False)
+    was, now = (coverage(each, VIEWS[1]) for each in (splats, shown.splats))
+    assert now[was > 0.9].min() > 0.6
+
+
 @pytest.mark.parametrize("has_parts", [True, False])
 def test_what_looks_otherwise_comes_back_where_an_object_has_parts(has_parts: bool):
     """A letter on a sign, over which discs have the colour of the sign."""

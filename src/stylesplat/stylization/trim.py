@@ -67,7 +67,7 @@ LONG, NARROW = 1.8, 0.6  # factors on scales along and across a stroke; 2.5 spik
 SHINES = 0.1  # pixels of a disc that shine through what is protected, if that lies before it
 CANVAS_LOST = 0.2  # coverage: where the object would lose more, the canvas has a hole
 CANVAS_RIM = 3  # pixels along the object's outline that are no holes
-IN_HOLES = 0.05  # part of a Gaussian's contribution to a view that has to lie in holes
+IN_HOLES = 0.02  # part of a Gaussian's contribution to a view that has to lie in holes
 
 
 class ForbiddenPixels(NamedTuple):
@@ -113,8 +113,7 @@ def trim_surfels(
         rows, outside = _overflow(canvas, outside)
         kept[rows] = False
         canvas = canvas.changed(opacities=canvas.splats.opacities.index_fill(0, rows, UNSEEN))
-    # what removed discs hid comes back; thin parts are all rim, in which no holes are looked for
-    return restore_in_holes(fade_covered(canvas.select(kept))), kept
+    return fade_covered(canvas.select(kept)), kept  # what removed discs hid comes back
 
 
 def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
@@ -305,8 +304,9 @@ def reveal(
 ) -> tuple[Canvas, Bool[Tensor, " M"]]:
     """Take discs away where they close holes, or hide what they do not show.
 
-    The Gaussians that they hid come back. An object without parts has a pattern, which is to be
-    hidden. The views show the object so many pixels long. Returns also which Gaussians are left.
+    The Gaussians that they hid come back, and so do those in holes of what was solid. An object
+    without parts has a pattern, which is to be hidden. The views show the object so many pixels
+    long. Returns also which Gaussians are left.
     """
     cameras = box_cameras(boxes, length, REVEAL_VIEWS)
     first, weights = canvas, None
@@ -332,7 +332,8 @@ def reveal(
     needed = is_gone & (_lost_pixels(first, canvas, cameras) > DISC_LOST * weights)
     is_gone &= ~needed
     opacities = canvas.splats.opacities.where(~needed, first.splats.opacities)
-    return canvas.changed(opacities=opacities).select(~is_gone), ~is_gone
+    canvas = canvas.changed(opacities=opacities).select(~is_gone)
+    return restore_in_holes(canvas), ~is_gone
 
 
 def _with_own(canvas: Canvas, back: Bool[Tensor, " B"]) -> Canvas:
