@@ -26,7 +26,6 @@ from stylesplat.stylization.style import all_colors, fit_style, style_features
 from stylesplat.stylization.views import (
     ObjectBox,
     PaintView,
-    find_boxes,
     object_views,
     require_boxes,
     typical_length,
@@ -50,41 +49,39 @@ def measure_painted(
     paintings: Sequence[Painting],
     styled: Splats,
     *,
+    surveys: Mapping[str, Sequence[ObjectBox]],
     held_out: Cameras | None = None,
-    surveys: Mapping[str, Sequence[ObjectBox]] | None = None,
 ) -> dict[str, Any]:
     """Measure how painting some objects changed them and the rest of the scene.
 
     Of each object a setup has the scene before and the views that were optimised on, `surveys` its
-    boxes in them if they are known; `held_out` are views to measure on instead. Returns the result
-    of `measure_changes`, and `objects`, by name the results of `measure_style`, which are empty
-    where the style is too small to be compared.
+    boxes in all views; `held_out` are views to measure on instead. Returns the result of
+    `measure_changes`, and by object that of `measure_style`, which is empty where the style is too
+    small to be compared.
     """
     base, cameras = setups[0].splats, held_out or setups[0].cameras
     paintings = [painting.to(base) for painting in paintings]
     names, objects = {*cameras.names}, {}
     for setup, painting in zip(setups, paintings, strict=True):
-        if surveys is None:
-            survey = find_boxes(base, setup.all_cameras, painting.mask)
-        else:
-            survey = surveys[painting.name]
+        survey = surveys[painting.name]
         boxes = [box for box in survey if box.camera.names[0] in names] or survey
         try:
             objects[painting.name] = measure_style(setup, painting, styled, boxes=boxes)
         except StyleSplatError as error:  # the object is painted all the same
             say(f"{painting.name} is not compared with its style: {error}")
             objects[painting.name] = {}
+    numbers = numbers_by_object(objects)
     picked = torch.stack([painting.mask for painting in paintings]).any(dim=0)
-    return measure_changes(base, styled, cameras, picked) | {"objects": objects}
+    return measure_changes(base, styled, cameras, picked) | numbers
 
 
-def flat_metrics(measured: Mapping[str, Any]) -> dict[str, Any]:
-    """Metrics with one entry per number, and in it one per object."""
-    metrics = {name: value for name, value in measured.items() if name != "objects"}
-    for each, numbers in measured["objects"].items():
+def numbers_by_object(objects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """The numbers of some objects with one entry per number, and in it one per object."""
+    found = dict[str, dict[str, float]]()
+    for each, numbers in objects.items():
         for name, value in numbers.items():
-            metrics.setdefault(name, {})[each] = value
-    return metrics
+            found.setdefault(name, {})[each] = value
+    return found
 
 
 @torch.no_grad()

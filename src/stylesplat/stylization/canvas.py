@@ -36,7 +36,7 @@ from stylesplat.scene.layers import Layer, appearance_only, split_name
 from stylesplat.scene.projection import project
 from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
-from stylesplat.stylization.config import plain_settings
+from stylesplat.stylization.config import Precision, plain_settings
 from stylesplat.stylization.painting import Painting, with_relief_form
 from stylesplat.stylization.views import ObjectBox, Surface, box_cameras, per_view
 from stylesplat.training.adam import Moments, adam_step
@@ -440,8 +440,13 @@ def fit_surfels(canvas: Canvas, *, seed: int) -> Canvas:
 LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
 
 
-def layer_of(state: PaintState, painting: Painting, parents: Int[Tensor, " M"]) -> Layer:
-    """The layer of an object that is being painted.
+def layer_of(
+    state: PaintState,
+    painting: Painting,
+    parents: Int[Tensor, " M"],
+    precision: Precision | None = None,
+) -> Layer:
+    """The layer of an object that is being painted, with features of this precision.
 
     A row of the base stands for all Gaussians below that belong to it: its paint is their mean.
     """
@@ -468,6 +473,8 @@ def layer_of(state: PaintState, painting: Painting, parents: Int[Tensor, " M"]) 
         strength=painting.config.intensity,
         form=painting.config.form,
         settings=plain_settings(with_relief_form(painting.config)),
+        precision=precision,
+        **painting.sources(),
     )
 
 

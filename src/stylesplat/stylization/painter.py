@@ -439,7 +439,7 @@ def paint_layer(
             if state.step % REPORT_EVERY == 0:
                 bar.note(f"NNFM {state.nnfm:.3f}")
     assert state is not None  # there is at least one step
-    layer = layer_of(state, own, parents[rows])
+    layer = layer_of(state, own, parents[rows], setup.precision_name)
     held_out = part.all_cameras[len(part.cameras) :]
     boxes = [*state.boxes, *find_boxes(part.splats, held_out, own.mask)]
     tidy_heap()  # copies of the whole scene follow

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.layers import RELIEF_FORM, Layer, Source, check_layer_name, split_name
+from stylesplat.scene.layers import RELIEF_FORM, Source, check_layer_name, split_name
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import GIB
 from stylesplat.scene.splats import Splats
@@ -55,19 +55,14 @@ class Painting:
         protected = self.protected if self.protected is None else self.protected[rows]
         return replace(self, mask=self.mask[rows], protected=protected)
 
-    def record(self, layer: Layer, precision: Precision) -> Layer:
-        """The layer on the CPU, with all that it takes to paint it again."""
+    def sources(self) -> dict[str, Any]:
+        """What a layer records of where its paint comes from, to paint it again."""
         weights = self.weights
         if weights is not None and weights.path is not None:
             path = weights.path.resolve()
             weights = Source(path, weights.sha256 or digest(path))
-        return replace(
-            layer.to("cpu"),
-            styles=self.style.sources() if self.style else (),
-            features=self.features,
-            weights=weights,
-            precision=precision,
-        )
+        styles = self.style.sources() if self.style else ()
+        return {"styles": styles, "features": self.features, "weights": weights}
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +185,7 @@ def check_paintings(paintings: Sequence[Painting]) -> None:
 
 def with_relief_form(config: StyleConfig) -> StyleConfig:
     """The settings to paint with: a form above 1 changes the finished paint alone; see `sculpt`."""
-    return replace(config, form=min(config.form, RELIEF_FORM))
+    return config if config.form <= RELIEF_FORM else replace(config, form=RELIEF_FORM)
 
 
 def load_network(
@@ -208,30 +203,29 @@ def load_network(
 
 
 def setup_maker(
-    paintings: Sequence[Painting],
-    cameras: Cameras,
-    held_out: Cameras | None,
-    max_memory: float,
-    device: torch.device,
-) -> Callable[[Splats, Painting], PaintSetup]:
-    """Returns a function that makes what painting on some splats needs.
+    paintings: Sequence[Painting], scene: Scene, max_memory: float, device: torch.device
+) -> Callable[[Scene, Painting], tuple[PaintSetup, Painting]]:
+    """Returns a function that makes what painting needs on some layers of a scene.
 
-    Each network is loaded once, as deep as the paintings need it.
+    With it comes the painting among the Gaussians there. Each network is loaded once, as deep as
+    the paintings need it.
     """
     depths = dict[tuple[Network, Source | None], int]()
     for each in paintings:
         kind = each.features, each.weights
         depths[kind] = max(each.config.block, depths.get(kind, 0))
     networks = {kind: load_network(*kind, depth=depth) for kind, depth in depths.items()}
+    cameras, held_out = scene.working_views()
 
-    def setup_of(splats: Splats, painting: Painting) -> PaintSetup:
-        return paint_setup(
-            splats.to(device),
+    def setup_on(below: Scene, painting: Painting) -> tuple[PaintSetup, Painting]:
+        setup = paint_setup(
+            below.splats.to(device),
             cameras,
             networks[painting.features, painting.weights],
             held_out=held_out,
             max_memory=max_memory,
             precision=painting.precision,
         )
+        return setup, painting.at(below.parents).to(setup.splats)
 
-    return setup_of
+    return setup_on

@@ -13,7 +13,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, count_noun, noun_repr
 from stylesplat.evaluation.changes import largest_stain, measure_changes
 from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
-from stylesplat.evaluation.style import flat_metrics, measure_look, measure_style
+from stylesplat.evaluation.style import measure_look, measure_style, numbers_by_object
 from stylesplat.evaluation.summary import metric_differences
 from stylesplat.figures.html_page import SceneColumn
 from stylesplat.figures.pictures import render_pictures
@@ -225,7 +225,7 @@ def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
             **measure_look(base, styled, views, picked, boxes=boxes),
         }
     every: Bool[Tensor, " N"] = torch.stack([*picks.values()]).any(dim=0)
-    return flat_metrics(measure_changes(base, styled, cameras, every) | {"objects": objects})
+    return measure_changes(base, styled, cameras, every) | numbers_by_object(objects)
 
 
 def _closeness(

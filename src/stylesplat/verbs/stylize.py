@@ -3,13 +3,14 @@
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.evaluation.style import flat_metrics, measure_painted
+from stylesplat.evaluation.style import measure_painted
 from stylesplat.io.layers import read_edit, read_layer_mask
 from stylesplat.io.style_pictures import Picture
 from stylesplat.options import check_arguments
@@ -98,15 +99,13 @@ def stylize(
             "Nothing is painted: the recipe recolors only, for which --features, --weights and "
             "--protect mean nothing. Leave them out."
         )
-    recipe = recipe.protecting((protect,) if isinstance(protect, str) else tuple(protect))
+    if protect:
+        recipe = recipe.protecting((protect,) if isinstance(protect, str) else tuple(protect))
     paintings = plan_paintings(recipe, scene, features, weights)
-    training, held_out = scene.working_views()
-    setup_of = setup_maker(paintings, training, held_out, max_memory, pick_device(device))
+    setup_on = setup_maker(paintings, scene, max_memory, pick_device(device))
     if len(paintings) > 1:  # so that no object is painted in vain
         for painting in paintings:
-            below = scene.below(painting.name)
-            setup = setup_of(below.splats, painting)
-            check_visible(setup, painting.at(below.parents).to(setup.splats))
+            check_visible(*setup_on(scene.below(painting.name), painting))
     shown = {layer.name for layer in scene.layers if layer.is_shown}
     anew = [painting.name for painting in paintings if painting.name in shown]
     if anew:
@@ -115,18 +114,18 @@ def stylize(
     entries = {each.name: each for each in recipe.objects}
     surveys = dict[str, Sequence[ObjectBox]]()
     for number, painting in enumerate(paintings):
-        scene = _recolored(scene, recipe, number)
+        edits = [each for each in recipe.recolors if each.place == number]
+        scene = reduce(_recolored, edits, scene)
         began = time.perf_counter()
         below = scene.below(painting.name)
-        setup = setup_of(below.splats, painting)
-        own = painting.at(below.parents).to(setup.splats)
+        setup, own = setup_on(below, painting)
         layer, surveys[painting.name] = paint_layer(setup, own, below.parents.to(own.mask.device))
         precision = setup.precision_name
-        layer = painting.record(layer, precision)
-        layer = shown_like(layer, scene.layer(painting.name), len(scene.base))
-        scene = _as_in(scene.with_layer(layer), painting.name, entries[painting.name])
+        layer = shown_like(layer.to("cpu"), scene.layer(painting.name), len(scene.base))
+        scene = scene.with_layer(_as_in(layer, entries[painting.name], len(scene.base)))
         seconds[painting.name] = time.perf_counter() - began
-    scene = _recolored(scene, recipe, len(paintings))
+    edits = [each for each in recipe.recolors if each.place == len(paintings)]
+    scene = reduce(_recolored, edits, scene)
     strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
     forms = {each.name: each.form for each in recipe.objects if each.form is not None}
     scene = with_sculptures(scene.with_strengths(strengths, forms))
@@ -142,40 +141,34 @@ def stylize(
         on_painted(scene)
     if not (measured and paintings):  # a recipe may hold recolourings alone
         return scene
-    found = _measure(setup_of, paintings, scene, surveys)
+    found = _measure(setup_on, paintings, scene, surveys)
     return replace(scene, metrics=metrics | found)
 
 
 stylise = stylize
 
 
-def _recolored(scene: Scene, recipe: Recipe, place: int) -> Scene:
-    """The scene after the recolourings of a recipe that follow so many paintings."""
-    for each in recipe.recolors:
-        if each.place != place:
-            continue
-        if isinstance(each, StoredLayer):
-            count = len(scene.base)
-            layer = read_edit(each.path, each.name, count, each.strength, each.blend)
-            scene = scene.with_layer(layer)
-        else:
-            scene = recolor(scene, each.name, strength=each.strength, **each.config.changed)
-            scene = _as_in(scene, f"{each.name}{RECOLOR}", each)
-    return scene
-
-
-def _as_in(scene: Scene, name: str, entry: StyledObject | RecoloredObject) -> Scene:
-    """The scene whose layer of a name has the blend and the mask of a recipe."""
-    if entry.blend == "normal" and entry.mask is None:
-        return scene
-    layer = scene.layer(name)
+def _recolored(scene: Scene, entry: RecoloredObject | StoredLayer) -> Scene:
+    """The scene with a recolouring, or a stored layer, of a recipe."""
+    count, strength = len(scene.base), entry.strength
+    if isinstance(entry, StoredLayer):
+        return scene.with_layer(read_edit(entry.path, entry.name, count, strength, entry.blend))
+    scene = recolor(scene, entry.name, strength=strength, **entry.config.changed)
+    layer = scene.layer(f"{entry.name}{RECOLOR}")
     assert layer is not None  # it was made just now
-    mask = entry.mask and read_layer_mask(entry.mask, len(scene.base), layer.kind)[layer.rows]
-    return scene.with_layer(replace(layer, blend=entry.blend, mask=mask))
+    return scene.with_layer(_as_in(layer, entry, count))
+
+
+def _as_in(layer: Layer, entry: StyledObject | RecoloredObject, count: int) -> Layer:
+    """A layer on a base of `count` Gaussians with the blend and the mask of a recipe."""
+    if entry.blend == "normal" and entry.mask is None:
+        return layer
+    mask = entry.mask and read_layer_mask(entry.mask, count, layer.kind)[layer.rows]
+    return replace(layer, blend=entry.blend, mask=mask)
 
 
 def _measure(
-    setup_of: Callable[[Splats, Painting], PaintSetup],
+    setup_on: Callable[[Scene, Painting], tuple[PaintSetup, Painting]],
     paintings: Sequence[Painting],
     scene: Scene,
     surveys: Mapping[str, Sequence[ObjectBox]],
@@ -183,15 +176,14 @@ def _measure(
     """Compare the painted objects with the scene before, as flat metrics."""
     names = [painting.name for painting in paintings]
     before = scene.without_layers(names)
-    setups = [setup_of(before.splats, painting) for painting in paintings]
-    own = [painting.at(before.parents) for painting in paintings]
+    setups, own = zip(*(setup_on(before, painting) for painting in paintings), strict=True)
     shown = [each for each in scene.layers if each.is_shown]
     is_new = [torch.zeros(len(scene.base), dtype=torch.bool)]
     is_new += [torch.full_like(each.parents, each.name in names).bool() for each in shown]
     styled = scene.splats[torch.cat(is_new).byte().argsort(stable=True)]  # those of `names` last
     styled = styled.to(setups[0].splats.device)
     _, held_out = scene.working_views()
-    return flat_metrics(measure_painted(setups, own, styled, held_out=held_out, surveys=surveys))
+    return measure_painted(setups, own, styled, held_out=held_out, surveys=surveys)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,8 +209,7 @@ class Live:
         if self.finished is not None:
             return self.finished
         parents = self.below.parents.to(self.state.splats.device)
-        layer = layer_of(self.state, self.painting, parents)
-        layer = self.painting.record(layer, self.precision)
+        layer = layer_of(self.state, self.painting, parents, self.precision).to("cpu")
         return shown_like(layer, self.before.layer(self.painting.name), len(self.before.base))
 
     @property
@@ -271,10 +262,8 @@ def stylize_live(
     """
     (painting,) = paintings = plan_paintings(as_recipe({name: style}), scene, features, weights)
     below = scene.below(name)
-    training, held_out = scene.working_views()
-    setup_of = setup_maker(paintings, training, held_out, max_memory, pick_device(device))
-    setup = setup_of(below.splats, painting)
-    painting = painting.at(below.parents).to(setup.splats)
+    setup_on = setup_maker(paintings, scene, max_memory, pick_device(device))
+    setup, painting = setup_on(below, painting)
     if survey is None and not painting.config.published:
         survey = survey_object(setup, painting)
     for state in paint_steps(setup, painting, preview=True, survey=survey):
