@@ -22,9 +22,10 @@ from stylesplat.meshes.repaint import repaint
 from stylesplat.meshes.surface import face_areas, mesh_views
 from stylesplat.meshes.texture import TexturedMesh, bake, baked_length
 from stylesplat.meshes.unwrap import unwrap_faces
+from stylesplat.rendering.surface import poisson_disk_sample
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.splats import Splats, sh0_from_rgb
-from stylesplat.stylization.canvas import discs_at, poisson_disk_sample
+from stylesplat.stylization.canvas import discs_at
 from stylesplat.stylization.style import Style
 
 DISCS = 80_000  # on the surface that is painted, at most

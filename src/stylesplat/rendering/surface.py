@@ -1,11 +1,15 @@
 """Where the surface is that a camera sees: depths, normals, and points of it."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn import functional as F
 
 from stylesplat.rendering.reference import (
     Backend,
@@ -162,3 +166,89 @@ def average_in_voxels(
     none = points.new_zeros(len(counts), 3)
     means = [none.index_add(0, index, v) / counts[:, None] for v in (points, *others)]
     return counts, means
+
+
+PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
+HOLE = 6.0  # pixels around a point without any inside the silhouettes: less is no hole
+SURFACE_BESIDE = 2.0  # pixels from its rim, where there are points already
+SURFACE_PLANE = 16  # points that a plane is fitted to
+
+
+def outside_silhouettes(
+    points: Float[Tensor, "P 3"],
+    cameras: Sequence[Cameras],
+    silhouettes: Sequence[Float[Tensor, "_ _"]],
+) -> Bool[Tensor, " P"]:
+    """Which points lie beyond the silhouette of a view; silhouettes are coverages."""
+    found = torch.zeros(len(points), dtype=torch.bool, device=points.device)
+    for camera, silhouette in zip(cameras, silhouettes, strict=True):
+        pixels, depths = project(points, camera)
+        size = torch.tensor(camera.size).to(pixels)
+        inside = ((pixels >= 0) & (pixels < size)).all(dim=1) & (depths > 0)
+        x, y = pixels[inside].long().unbind(1)
+        found |= inside.masked_scatter(inside, silhouette[y, x] < COVERED)
+    return found
+
+
+def project_into_silhouettes(
+    points: Float[Tensor, "P 3"],
+    normals: Float[Tensor, "P 3"],
+    solid: Bool[Tensor, " P"],
+    size: float,
+    outside: Callable[[Float[Tensor, "Q 3"]], Bool[Tensor, " Q"]],
+) -> Bool[Tensor, " P"]:
+    """Find the surface's points; those outside move inwards, in place, where they fill a hole.
+
+    Depths are less exact than silhouettes: of a flat side that some views see along it, no point
+    may lie inside. What is not solid fills holes of what is, too. The size is that of a pixel.
+    """
+    beyond = outside(points)
+    kept = solid & ~beyond
+    if not kept.any():
+        return kept
+    spare, beyond = (~kept).nonzero()[:, 0], beyond.nonzero()[:, 0]
+    for _ in range(PULLS):
+        points[beyond] -= size * normals[beyond]
+        beyond = beyond[outside(points[beyond])]
+    spare = spare[~torch.isin(spare, beyond)]
+    places = points.double().cpu().numpy()
+    spares = places[spare.cpu().numpy()]
+    far, _ = KDTree(places[kept.cpu().numpy()]).query(spares, workers=-1)
+    far = torch.from_numpy(far).to(points) / size
+    amid = (far > HOLE).cpu().numpy()
+    near, _ = KDTree(spares[amid]).query(spares, workers=-1)
+    kept[spare] = (far > SURFACE_BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
+    return kept
+
+
+def project_to_planes(
+    points: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"], rows: Int[Tensor, " L"]
+) -> tuple[Float[Tensor, "L 3"], Float[Tensor, "L 3"]]:
+    """Some points moved onto the planes of their neighbours, and the normals of the planes."""
+    coordinates = points.double().cpu().numpy()
+    count = min(SURFACE_PLANE, len(points))
+    _, near = KDTree(coordinates).query(coordinates[rows.cpu().numpy()], k=count, workers=-1)
+    near = torch.from_numpy(near).to(rows).view(len(rows), -1)
+    smooth = F.normalize(normals[near].mean(dim=1), dim=1)
+    above = ((points[rows] - points[near].mean(dim=1)) * smooth).sum(dim=1, keepdim=True)
+    return points[rows] - above * smooth, smooth
+
+
+def poisson_disk_sample(
+    points: Float[Tensor, "P 3"], distance: float, *, seed: int
+) -> Int[Tensor, " L"]:
+    """Choose points of which no two are closer than a distance, as many as fit, in random order."""
+    places = points.double().cpu().numpy()
+    place_in_order = np.random.default_rng(seed).permutation(len(places))
+    tree = KDTree(places, compact_nodes=False, balanced_tree=False)  # is made sooner
+    pairs = tree.query_pairs(distance, output_type="ndarray")
+    turned = place_in_order[pairs[:, 0]] > place_in_order[pairs[:, 1]]
+    first, later = np.where(turned[:, None], pairs[:, ::-1], pairs).T
+    free = np.ones(len(places), bool)
+    while len(first):  # each round chooses the points that wait for no other
+        waiting = np.zeros_like(free)
+        waiting[later] = True
+        free[later[~waiting[first]]] = False
+        undecided = waiting[first] & free[first] & free[later]
+        first, later = first[undecided], later[undecided]
+    return torch.from_numpy(free.nonzero()[0]).to(points.device)

@@ -22,7 +22,7 @@ from torch import Tensor
 from stylesplat.imaging.morphology import disc
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.reference import rotation_matrices
-from stylesplat.rendering.surface import front_depth
+from stylesplat.rendering.surface import front_depth, poisson_disk_sample
 from stylesplat.rendering.visibility import pixel_bounds, touching
 from stylesplat.rendering.weights import (
     COVERED,
@@ -47,7 +47,6 @@ from stylesplat.stylization.canvas import (
     discs_at,
     fade_covered,
     pixels_shown,
-    poisson_disk_sample,
 )
 from stylesplat.stylization.guides import Guides
 from stylesplat.stylization.views import ObjectBox, box_cameras, per_view, reached_pixels
