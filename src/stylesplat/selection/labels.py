@@ -112,13 +112,6 @@ def label_members(splats: Splats, ids: Sequence[int], threshold: float) -> Membe
     )
 
 
-@torch.no_grad()
-def likeliest(splats: Splats) -> Int[Tensor, " N"]:
-    """The most likely label id of each Gaussian."""
-    identities, classifier = require_identities(splats)
-    return classifier.likeliest(identities.detach())
-
-
 def _probabilities(
     splats: Splats, rows: Int[Tensor, " M"]
 ) -> Iterator[tuple[Int[Tensor, " B"], Float[Tensor, "B K"]]]:

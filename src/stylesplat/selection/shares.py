@@ -21,7 +21,7 @@ from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.projection import crop, overlapping
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import likeliest, render_labels
+from stylesplat.selection.labels import render_labels
 
 SHARE_VIEWS = 16  # more give the same shares
 SHARE_LONGER_SIDE = 320  # pixels of a view; twice as many give the same shares
@@ -51,8 +51,7 @@ def object_shares(
     `labels` are the likeliest label ids, if they are known already.
     """
     bare, alone = geometry_only(splats), geometry_only(splats)[picked.nonzero()[:, 0]]
-    if labels is None and splats.classifier is not None:
-        labels = likeliest(splats)
+    labels = _likeliest(splats) if labels is None else labels
     ids = None if labels is None else _own_ids(labels, picked)
 
     def look(camera: Cameras) -> Float[Tensor, "N 2"]:
@@ -95,6 +94,13 @@ def _labels_around(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"])
     labels = torch.full_like(pixels, BACKGROUND, dtype=torch.int32)
     labels[low[1] : high[1], low[0] : high[0]] = render_labels(splats, cut)
     return labels
+
+
+def _likeliest(splats: Splats) -> Int[Tensor, " N"] | None:
+    """The most likely label id of each Gaussian, if they have identities."""
+    if splats.identities is None or splats.classifier is None:
+        return None
+    return splats.classifier.likeliest(splats.identities.detach())
 
 
 def _own_ids(labels: Int[Tensor, " N"], picked: Bool[Tensor, " N"]) -> Tensor:
@@ -154,9 +160,7 @@ class OwnShares:
     def __init__(self, splats: Splats, cameras: Cameras) -> None:
         self._splats, self._cameras = splats, cameras
         self._survey = survey(splats, small_views(cameras))
-        self._labels = None
-        if self._survey is not None and splats.classifier is not None:
-            self._labels = likeliest(splats)
+        self._labels = None if self._survey is None else _likeliest(splats)
 
     def of(self, picked: Bool[Tensor, " N"]) -> Float[Tensor, " N"]:
         """The shares of an object's Gaussians."""
