@@ -16,6 +16,7 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import LUMA, Splats
 from stylesplat.stylization.features import FeatureNetwork
@@ -45,24 +46,27 @@ SURELY_NEAR = 5.0  # of Lab: no colours in a cube of this size are farther apart
 
 
 def measure_painted(
-    setups: Sequence[PaintSetup],
-    paintings: Sequence[Painting],
-    styled: Splats,
-    *,
+    before: Scene,
+    after: Scene,
+    painted: Sequence[tuple[PaintSetup, Painting]],
     surveys: Mapping[str, Sequence[ObjectBox]],
-    held_out: Cameras | None = None,
 ) -> dict[str, Any]:
-    """Measure how painting some objects changed them and the rest of the scene.
+    """Measure how painting some objects changed them and the rest of a scene, in held-out views.
 
-    Of each object a setup has the scene before and the views that were optimised on, `surveys` its
-    boxes in all views; `held_out` are views to measure on instead. Returns the result of
-    `measure_changes`, and by object that of `measure_style`, which is empty where the style is too
-    small to be compared.
+    The scene before has no layers of these objects, which are given among its Gaussians. By name
+    `surveys` are their boxes in all views. Returns the result of `measure_changes`, and by object
+    that of `measure_style`, which is empty where the style is too small to be compared.
     """
-    base, cameras = setups[0].splats, held_out or setups[0].cameras
-    paintings = [painting.to(base) for painting in paintings]
+    base, kept = painted[0][0].splats, {layer.name for layer in before.layers}
+    training, held_out = after.working_views()
+    cameras = held_out or training
+    shown = [layer for layer in after.layers if layer.is_shown]
+    is_new = [torch.zeros(len(after.base), dtype=torch.bool)]
+    is_new += [torch.full_like(each.parents, each.name not in kept).bool() for each in shown]
+    last = torch.cat(is_new).byte().argsort(stable=True)  # what is new follows all else
+    styled = after.splats[last].to(base.device)
     names, objects = {*cameras.names}, {}
-    for setup, painting in zip(setups, paintings, strict=True):
+    for setup, painting in painted:
         survey = surveys[painting.name]
         boxes = [box for box in survey if box.camera.names[0] in names] or survey
         try:
@@ -71,7 +75,7 @@ def measure_painted(
             say(f"{painting.name} is not compared with its style: {error}")
             objects[painting.name] = {}
     numbers = numbers_by_object(objects)
-    picked = torch.stack([painting.mask for painting in paintings]).any(dim=0)
+    picked = torch.stack([painting.mask for _, painting in painted]).any(dim=0)
     return measure_changes(base, styled, cameras, picked) | numbers
 
 

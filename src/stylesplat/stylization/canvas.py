@@ -45,6 +45,7 @@ from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.config import Precision, plain_settings
 from stylesplat.stylization.painting import Painting, with_relief_form
+from stylesplat.stylization.style import source_of
 from stylesplat.stylization.views import ObjectBox, Surface, box_cameras, per_view
 from stylesplat.training.adam import Moments, adam_step
 
@@ -373,6 +374,7 @@ def layer_of(
     """
     count, own = len(parents), painting.mask.nonzero()[:, 0]
     before, after, canvas = state.canvas.before, state.splats.detach(), state.canvas
+    weights = painting.weights
     opacities = torch.sigmoid(before.opacities[own])
     is_fading = after.opacities[own] != before.opacities[own]
     factors = (torch.sigmoid(after.opacities[own]) / opacities).clamp(0, 1)
@@ -394,8 +396,10 @@ def layer_of(
         strength=painting.config.intensity,
         form=painting.config.form,
         settings=plain_settings(with_relief_form(painting.config)),
+        styles=painting.style.sources() if painting.style else (),
+        features=painting.features,
+        weights=source_of(weights.path) if weights and weights.path else weights,
         precision=precision,
-        **painting.sources(),
     )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import cast, get_args
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -54,15 +54,6 @@ class Painting:
         """The same among other Gaussians, which belong to these rows."""
         protected = self.protected if self.protected is None else self.protected[rows]
         return replace(self, mask=self.mask[rows], protected=protected)
-
-    def sources(self) -> dict[str, Any]:
-        """What a layer records of where its paint comes from, to paint it again."""
-        weights = self.weights
-        if weights is not None and weights.path is not None:
-            path = weights.path.resolve()
-            weights = Source(path, weights.sha256 or digest(path))
-        styles = self.style.sources() if self.style else ()
-        return {"styles": styles, "features": self.features, "weights": weights}
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
-from typing import Any
-
-import torch
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.evaluation.style import measure_painted
@@ -31,7 +28,6 @@ from stylesplat.stylization.painter import (
 from stylesplat.stylization.painting import (
     MAX_MEMORY,
     Painting,
-    PaintSetup,
     plan_paintings,
     setup_maker,
 )
@@ -93,7 +89,8 @@ def stylize(
         >>> stylize(scene, {"vase": "wave.jpg", "pot": Style("night.jpg", scale=2)})
         ... # doctest: +SKIP
     """
-    start, before, recipe = time.perf_counter(), scene, as_recipe(styles)
+    start, before, chosen = time.perf_counter(), scene, pick_device(device)
+    recipe = as_recipe(styles)
     if recipe.recolors and not recipe.objects and (features or weights or protect):
         raise StyleSplatError(
             "Nothing is painted: the recipe recolors only, for which --features, --weights and "
@@ -102,7 +99,7 @@ def stylize(
     if protect:
         recipe = recipe.protecting((protect,) if isinstance(protect, str) else tuple(protect))
     paintings = plan_paintings(recipe, scene, features, weights)
-    setup_on = setup_maker(paintings, scene, max_memory, pick_device(device))
+    setup_on = setup_maker(paintings, scene, max_memory, chosen)
     if len(paintings) > 1:  # so that no object is painted in vain
         for painting in paintings:
             check_visible(*setup_on(scene.below(painting.name), painting))
@@ -141,8 +138,9 @@ def stylize(
         on_painted(scene)
     if not (measured and paintings):  # a recipe may hold recolourings alone
         return scene
-    found = _measure(setup_on, paintings, scene, surveys)
-    return replace(scene, metrics=metrics | found)
+    unpainted = scene.without_layers([painting.name for painting in paintings])
+    objects = [setup_on(unpainted, painting) for painting in paintings]
+    return replace(scene, metrics=metrics | measure_painted(unpainted, scene, objects, surveys))
 
 
 stylise = stylize
@@ -165,25 +163,6 @@ def _as_in(layer: Layer, entry: StyledObject | RecoloredObject, count: int) -> L
         return layer
     mask = entry.mask and read_layer_mask(entry.mask, count, layer.kind)[layer.rows]
     return replace(layer, blend=entry.blend, mask=mask)
-
-
-def _measure(
-    setup_on: Callable[[Scene, Painting], tuple[PaintSetup, Painting]],
-    paintings: Sequence[Painting],
-    scene: Scene,
-    surveys: Mapping[str, Sequence[ObjectBox]],
-) -> dict[str, Any]:
-    """Compare the painted objects with the scene before, as flat metrics."""
-    names = [painting.name for painting in paintings]
-    before = scene.without_layers(names)
-    setups, own = zip(*(setup_on(before, painting) for painting in paintings), strict=True)
-    shown = [each for each in scene.layers if each.is_shown]
-    is_new = [torch.zeros(len(scene.base), dtype=torch.bool)]
-    is_new += [torch.full_like(each.parents, each.name in names).bool() for each in shown]
-    styled = scene.splats[torch.cat(is_new).byte().argsort(stable=True)]  # those of `names` last
-    styled = styled.to(setups[0].splats.device)
-    _, held_out = scene.working_views()
-    return measure_painted(setups, own, styled, held_out=held_out, surveys=surveys)
 
 
 @dataclass(frozen=True, eq=False)
