@@ -30,7 +30,6 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture, resize_labels
-from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import pick
 from stylesplat.stylization.matching import build_index, cosine_distance
@@ -203,7 +202,7 @@ def _cut(camera: Cameras, mask: Tensor | None, margin: int) -> tuple[Cameras, Te
     low = (places.amin(dim=0) - margin).clamp(min=0)
     high = torch.minimum(places.amax(dim=0) + 1 + margin, torch.tensor(mask.shape))
     (top, left), (bottom, right) = low.tolist(), high.tolist()
-    cut = crop(camera, (left, top), (right - left, bottom - top))
+    cut = camera.crop((left, top), (right - left, bottom - top))
     return cut, mask[top:bottom, left:right]
 
 

@@ -12,7 +12,6 @@ from stylesplat.evaluation.summary import style_lines
 from stylesplat.rendering.weights import coverage
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.objects import SceneObject
-from stylesplat.scene.projection import crop
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.selection import Selection
 from stylesplat.scene.splats import SH_C0
@@ -90,7 +89,7 @@ def test_no_label_map_no_word_of_it(clean: Scene, spilt: Scene):
 def test_nothing_changed(everything: bool):
     """Also in a view that shows nothing but the object."""
     picked = torch.full((len(SPLATS),), everything)
-    camera = crop(CAMERAS[0], [22, 15], [24, 17])
+    camera = CAMERAS[0].crop([22, 15], [24, 17])
     found = measure_changes(SPLATS, SPLATS, camera, picked)
     assert (found["changed_gaussians"], found["outside_psnr"]) == (0, 120)
 

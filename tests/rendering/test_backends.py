@@ -10,7 +10,6 @@ from scenes import BACKENDS, device_of, leaf, random_splats, two_cameras, weigh_
 from stylesplat.rendering import cpu
 from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 
 BACKGROUND = torch.tensor([0.2, 0.3, 0.4])
@@ -74,7 +73,7 @@ def test_image_and_gradients_match_the_reference(backend: Backend, options: dict
 
 def view(width: int, height: int) -> Cameras:
     """A part of the second view."""
-    return crop(two_cameras()[1:], (20, 12), (width, height))
+    return two_cameras()[1:].crop((20, 12), (width, height))
 
 
 def near_plane() -> Splats:

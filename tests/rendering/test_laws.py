@@ -11,7 +11,6 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.rendering.reference import Rasterizer, rotation_matrices
 from stylesplat.rendering.render import Backend, rasterize
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats, sh0_from_rgb
 
 ANY = ["reference", *BACKENDS]
@@ -124,7 +123,7 @@ def test_a_crop_is_a_part_of_the_whole(backend: Backend, corner: tuple[int, int]
     splats = random_splats()
     splats = replace(splats, scales=splats.scales - 2.5)
     camera, (left, top) = two_cameras()[1:], corner
-    part = render(splats, backend, crop(camera, corner, (40, 30)))
+    part = render(splats, backend, camera.crop(corner, (40, 30)))
     height = camera.size[1]
     whole = torch.nn.functional.pad(render(splats, backend, camera), (0, 0, 40, 40, 40, 40))
     whole = whole[:, 40 + top :, 40 + left :][:, :30, :40]

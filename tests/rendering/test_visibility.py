@@ -11,7 +11,6 @@ from stylesplat.rendering import visibility
 from stylesplat.rendering.reference import activated
 from stylesplat.rendering.render import rasterize, render, render_row_bands
 from stylesplat.rendering.visibility import in_view, visible
-from stylesplat.scene.projection import crop
 from stylesplat.scene.splats import Splats
 
 CAMERA = two_cameras()[0]
@@ -75,7 +74,7 @@ def test_what_is_seen_is_what_has_a_radius(antialiased: bool):
 
 @pytest.mark.usefixtures("part")
 def test_what_is_hidden_is_not_visible():
-    splats, camera = walled(), crop(CAMERA, (0, 0), (64, 48))  # tiles that lie in the image
+    splats, camera = walled(), CAMERA.crop((0, 0), (64, 48))  # tiles that lie in the image
     rows = visible(in_view(splats, camera), camera).rows
     assert torch.equal(rows, rows.unique()) and rows[0] == 0
     behind = splats.means[:, 2] > 0

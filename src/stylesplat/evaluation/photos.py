@@ -17,7 +17,6 @@ from stylesplat.rendering.render import rasterize, render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, Labels
 from stylesplat.scene.outliers import scene_extent
-from stylesplat.scene.projection import crop
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import render_labels
@@ -201,7 +200,7 @@ def _fit_camera(
 ) -> Cameras:
     """Shift a camera so that the render of some columns matches its photo."""
     target = photo[:, columns]
-    part = crop(camera, (columns.start or 0, 0), (target.shape[1], target.shape[0]))
+    part = camera.crop((columns.start or 0, 0), (target.shape[1], target.shape[0]))
     shift = photo.new_zeros(1, 6).requires_grad_()
     params = {"pose_shifts": shift}
     moments = Moments.zeros(params)

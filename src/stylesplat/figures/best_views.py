@@ -20,7 +20,7 @@ from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.weights import colors_and_coverage, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import opaque_rows
-from stylesplat.scene.projection import crop, share_in_images
+from stylesplat.scene.projection import share_in_images
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import MIN_COVERAGE
@@ -134,16 +134,16 @@ def aim_at(
     step = max(width, height) / SURVEY_SIZE
     left, top = -OVERSCAN * width, -OVERSCAN * height
     wide = (round((1 + 2 * OVERSCAN) * size / step) for size in (width, height))
-    survey = crop(camera, (left, top), tuple(wide), zoom=1 / step)
+    survey = camera.crop((left, top), tuple(wide), zoom=1 / step)
     _, share = colors_and_coverage(splats, survey, picked)
     shown = (share[..., 0] > MIN_COVERAGE).cpu().numpy()
     parts = np.empty(shown.shape, np.int32)
     if not label(shown, np.ones((3, 3)), output=parts):
-        return crop(camera, (0.0, 0.0), (side, side), zoom=side / max(width, height))
+        return camera.crop((0.0, 0.0), (side, side), zoom=side / max(width, height))
     areas = np.bincount(parts.ravel())
     areas[0] = 0  # what does not show
     y, x = np.nonzero((areas >= PART_SHARE * areas.max())[parts])
     x0, y0, x1, y1 = x.min(), y.min(), x.max() + 1, y.max() + 1
     length = max(x1 - x0, y1 - y0) * step * (1 + 2 * padding)
     corner = (left + (x0 + x1) / 2 * step - length / 2, top + (y0 + y1) / 2 * step - length / 2)
-    return crop(camera, corner, (side, side), zoom=side / length)
+    return camera.crop(corner, (side, side), zoom=side / length)

@@ -31,7 +31,6 @@ from stylesplat.rendering.view_pool import map_views
 from stylesplat.rendering.weights import colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, at_most, ids_of
-from stylesplat.scene.projection import crop
 from stylesplat.scene.scene import Scene, require_painted
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
@@ -246,7 +245,7 @@ def _crop_around(camera: Cameras, mask: Bool[Tensor, "h w"]) -> Cameras:
     part = share * size
     corner = torch.minimum(((low + high - part) / 2).clamp(min=0), size - part)
     zoom = SHEET_PANEL / float(part.max())
-    return crop(camera, corner.tolist(), (part * zoom).round().int().tolist(), zoom=zoom)
+    return camera.crop(corner.tolist(), (part * zoom).round().int().tolist(), zoom=zoom)
 
 
 def _panel(

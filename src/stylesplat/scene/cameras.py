@@ -112,6 +112,19 @@ class Cameras:
         Ks[:, :2, 2] += shift
         return replace(self, Ks=Ks, sizes=wanted.to(self.sizes.dtype).repeat(len(self), 1))
 
+    def crop(
+        self, corner: Sequence[int | float], size: Sequence[int], *, zoom: float = 1.0
+    ) -> "Cameras":
+        """The camera of a crop of one camera's image, enlarged by `zoom`.
+
+        `corner` is the left and the top in the camera's pixels, possibly outside its image; `size`
+        the width and height in the crop's own pixels.
+        """
+        Ks = self.Ks.clone()
+        Ks[:, :2, 2] -= Ks.new_tensor(corner)
+        Ks[:, :2] *= zoom
+        return replace(self, Ks=Ks, sizes=torch.tensor([size], dtype=self.sizes.dtype))
+
     def shrink_to(self, length: int) -> float:
         """The factor by which to downscale so that no side is longer than this, in pixels."""
         return max(1.0, float(self.sizes.max()) / length)

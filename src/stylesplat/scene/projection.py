@@ -1,8 +1,5 @@
 """Projection between the world and the pixels of one camera; pixel centres lie at +0.5."""
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor
@@ -62,20 +59,6 @@ def normals_towards(
     normals = F.normalize(torch.linalg.cross(along, down, dim=0), dim=0).permute(1, 2, 0)
     facing = (normals * F.normalize(origin - points, dim=2)).sum(dim=2)
     return normals * facing.sign()[..., None], facing.abs()
-
-
-def crop(
-    camera: Cameras, corner: Sequence[int | float], size: Sequence[int], *, zoom: float = 1.0
-) -> Cameras:
-    """The camera of a crop of its image, enlarged by `zoom`.
-
-    `corner` is the left and the top in the camera's pixels, possibly outside its image; `size` the
-    width and height in the crop's own pixels.
-    """
-    Ks = camera.Ks.clone()
-    Ks[:, :2, 2] -= Ks.new_tensor(corner)
-    Ks[:, :2] *= zoom
-    return replace(camera, Ks=Ks, sizes=torch.tensor([size], dtype=camera.sizes.dtype))
 
 
 def share_in_images(points: Float[Tensor, "M 3"], cameras: Cameras) -> Float[Tensor, " C"]:

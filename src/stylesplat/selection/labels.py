@@ -21,7 +21,7 @@ from stylesplat.rendering.render import render
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.content import EXTENT_FAINT
-from stylesplat.scene.projection import crop, overlapping
+from stylesplat.scene.projection import overlapping
 from stylesplat.scene.selection import THRESHOLD, Point, ViewBox
 from stylesplat.scene.splats import Classifier, Splats
 
@@ -319,7 +319,7 @@ def _known_ids(
 def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | str) -> int:
     check_point(point, camera.size, camera.names[0])
     x, y = point
-    label = int(render_labels(splats, crop(camera, (int(x), int(y)), (1, 1))))
+    label = int(render_labels(splats, camera.crop((int(x), int(y)), (1, 1))))
     if label == BACKGROUND:
         raise StyleSplatError(
             f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
@@ -331,7 +331,7 @@ def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | s
 def _id_in_box(splats: Splats, box: ViewBox, camera: Cameras, folder: Path | str) -> int:
     x0, y0, x1, y1 = check_box(box, camera.size, camera.names[0])
     low, high = (int(x0), int(y0)), (math.ceil(x1), math.ceil(y1))
-    labels = render_labels(splats, crop(camera, low, (high[0] - low[0], high[1] - low[1])))
+    labels = render_labels(splats, camera.crop(low, (high[0] - low[0], high[1] - low[1])))
     ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)
     if not len(ids):
         text = ",".join(f"{edge:g}" for edge in box)

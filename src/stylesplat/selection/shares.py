@@ -18,7 +18,7 @@ from stylesplat.rendering.visibility import VISIBLE_LARGE, bounds, in_view, pixe
 from stylesplat.rendering.weights import COVERED, contributions, geometry_only
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
-from stylesplat.scene.projection import crop, overlapping
+from stylesplat.scene.projection import overlapping
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.labels import render_labels
@@ -90,7 +90,7 @@ def _labels_around(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"])
     """The labels in a box around some pixels; background elsewhere."""
     low = [int(pixels.any(dim=axis).nonzero().min()) for axis in (0, 1)]
     high = [int(pixels.any(dim=axis).nonzero().max()) + 1 for axis in (0, 1)]
-    cut = crop(camera, low, [b - a for a, b in zip(low, high, strict=True)])
+    cut = camera.crop(low, [b - a for a, b in zip(low, high, strict=True)])
     labels = torch.full_like(pixels, BACKGROUND, dtype=torch.int32)
     labels[low[1] : high[1], low[0] : high[0]] = render_labels(splats, cut)
     return labels

@@ -34,7 +34,7 @@ from stylesplat.options import PickSize, check_point
 from stylesplat.rendering.weights import COVERED, TINY_COVERAGE, composite, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Mask
-from stylesplat.scene.projection import crop, depths_of
+from stylesplat.scene.projection import depths_of
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.selection.shapes import robust_diameter
@@ -351,7 +351,7 @@ def _patch_at(
     """The patch that shows most at a pixel."""
     (view,) = camera.names
     check_point(point, camera.size, view)
-    pixel = crop(camera, (int(point[0]), int(point[1])), (1, 1))
+    pixel = camera.crop((int(point[0]), int(point[1])), (1, 1))
     shown = pixels_in(splats, pixel, [torch.ones(1, 1)]).numpy()
     if shown.sum() < COVERED:
         raise NothingToPick(

@@ -23,7 +23,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import opaque_rows
 from stylesplat.scene.layers import split_name
 from stylesplat.scene.objects import SceneObject
-from stylesplat.scene.projection import crop, project
+from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.selection import IN_MEMORY, Selection
 from stylesplat.scene.world_offset import to_world
@@ -69,7 +69,7 @@ def pick_color(
     """Select what has the colour of a place, both as seen from here: all colours are 0 to 1."""
     splats = state.scene.splats
     column, row = map(int, _pixel_of(camera, place))
-    image, _ = render(splats, crop(camera, (column, row), (1, 1)))
+    image, _ = render(splats, camera.crop((column, row), (1, 1)))
     rows = torch.arange(len(splats), device=splats.device)
     colors = colors_of(splats, rows, camera.positions.to(splats.means)).clamp(0, 1)
     alike = (colors - image[0, 0].clamp(0, 1)).norm(dim=1) <= tolerance

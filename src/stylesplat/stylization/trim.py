@@ -35,7 +35,7 @@ from stylesplat.rendering.weights import (
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import UNSEEN
-from stylesplat.scene.projection import crop, depths_of
+from stylesplat.scene.projection import depths_of
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import LUMA, Splats, rgb_from_sh0
 from stylesplat.selection.shapes import robust_diameter
@@ -125,7 +125,7 @@ def _crop_to_gaussians(splats: Splats, cameras: Cameras) -> list[Cameras]:
         reached = (low < high).all(dim=1)
         if reached.any():
             low, high = low[reached].amin(dim=0), high[reached].amax(dim=0)
-            crops.append(crop(camera, low.tolist(), (high - low).tolist()))
+            crops.append(camera.crop(low.tolist(), (high - low).tolist()))
     return crops
 
 

@@ -24,7 +24,7 @@ from stylesplat.rendering.weights import (
     geometry_only,
 )
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.projection import crop, project
+from stylesplat.scene.projection import project
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.stylization.config import Stage
@@ -343,7 +343,7 @@ def crop_to_box(
     inner = (box.low * zoom).floor(), (box.high * zoom).ceil()
     low, high = inner[0] - margins[0], inner[1] + margins[1]
     low, high = low.clamp(min=0).long(), torch.minimum(high, camera.sizes[0]).long()
-    cropped = crop(camera, low.tolist(), (high - low).tolist())
+    cropped = camera.crop(low.tolist(), (high - low).tolist())
     (left, top), (right, bottom) = ((corner - low).long().tolist() for corner in inner)
     inside = torch.zeros(cropped.size[::-1], dtype=torch.bool)
     inside[top:bottom, left:right] = True
