@@ -14,9 +14,8 @@ from torch.nn.functional import normalize
 from stylesplat.errors import StyleSplatError
 from stylesplat.figures.grid import GRID_CELL
 from stylesplat.imaging.color import lab_from_rgb
-from stylesplat.progress import track
 from stylesplat.rendering.render import render
-from stylesplat.rendering.view_pool import map_views
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import colors_and_coverage, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import opaque_rows
@@ -56,7 +55,7 @@ def find_views(
     def mask(row: int) -> Tensor:
         return coverage(splats, survey_view(cameras[row]), picked) > MIN_COVERAGE
 
-    found = track(map_views(mask, rows, splats.device), "looking for the object", total=len(rows))
+    found = per_view(mask, rows, "looking for the object", splats.device)
     masks = dict(zip(rows, found, strict=True))
     scores = {row: visibility(mask) for row, mask in masks.items()}
     return [ObjectMask(row, masks[row]) for row in best_rows(cameras, surface, scores, count)]

@@ -18,9 +18,9 @@ from stylesplat.meshes.rasterize import draw_mesh, pixel_of, projection_of
 from stylesplat.meshes.surface import FusedSurface, MeshViews, face_normals, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import COVERED, geometry_only
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.views import per_view
 
 OFFSETS = (-1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0)  # along the normal, in mean edges
 REFINE_STEPS = (1.0, 1.0, 1.0, 0.5)  # of the offsets, in turn

@@ -28,6 +28,7 @@ from stylesplat.meshes.surface import MeshViews, face_areas
 from stylesplat.meshes.texture import Texels, TexturedMesh, texels_of
 from stylesplat.options import with_settings
 from stylesplat.progress import task
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
@@ -46,7 +47,6 @@ from stylesplat.stylization.views import (
     PaintView,
     crop_to_box,
     find_boxes,
-    per_view,
     typical_length,
     windows,
 )

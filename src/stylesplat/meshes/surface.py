@@ -24,6 +24,7 @@ from stylesplat.meshes.rasterize import pixel_of, projection_of
 from stylesplat.progress import track
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.surface import near_side_depth_map
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import COVERED, geometry_only
 from stylesplat.scene.cameras import Cameras, look_at
 from stylesplat.scene.content import Extent, extent_of
@@ -31,7 +32,6 @@ from stylesplat.scene.projection import share_in_images
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import cameras_of, centred_K
-from stylesplat.stylization.views import per_view
 
 AROUND = 48  # directions all around
 FUSION_PHOTOS = 64  # views from where photos were taken, at most

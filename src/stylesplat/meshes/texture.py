@@ -22,9 +22,9 @@ from stylesplat.meshes.surface import FusedSurface, MeshViews, vertex_normals
 from stylesplat.meshes.unwrap import unwrap_faces
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import TINY_COVERAGE
 from stylesplat.scene.splats import Splats
-from stylesplat.stylization.views import per_view
 
 BAKED = (160, 768)  # pixels of the views that give the texture, at least and at most
 TEXELS = 3  # along the texture's side, by pixel of a view's

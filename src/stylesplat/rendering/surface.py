@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +20,9 @@ from stylesplat.rendering.reference import (
     views_of,
     with_matrices_of,
 )
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.visibility import in_view
-from stylesplat.rendering.weights import COVERED, expected_depth, geometry_only
+from stylesplat.rendering.weights import COVERED, coverage, expected_depth, geometry_only
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import normals_towards, pixel_centres, project, unproject
 from stylesplat.scene.splats import Splats
@@ -168,10 +170,45 @@ def average_in_voxels(
     return counts, means
 
 
+SURFACE_SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
+SURFACE_GRAZING = 0.25  # cosine below which depths are too uncertain
 PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
 HOLE = 6.0  # pixels around a point without any inside the silhouettes: less is no hole
 SURFACE_BESIDE = 2.0  # pixels from its rim, where there are points already
 SURFACE_PLANE = 16  # points that a plane is fitted to
+
+
+@torch.no_grad()
+def find_surface(
+    splats: Splats,
+    mask: Bool[Tensor, " N"],
+    views: Sequence[tuple[Cameras, Float[Tensor, "_ _ 3"]]],
+) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"], Float[Tensor, "P 3"], float]:
+    """Find an object's surface from rendered depths.
+
+    Args:
+        splats: The scene.
+        mask: The object's Gaussians.
+        views: Cameras that show all of the object, and their images.
+
+    Returns:
+        The points, one for each pixel that shows it; their normals towards the camera that saw
+        them; their colours; the typical distance of the points of neighbouring pixels.
+    """
+    alone, cameras = geometry_only(splats[mask]), [camera for camera, _ in views]
+
+    def look(view: tuple[Cameras, Tensor]) -> tuple[SurfacePoints, Tensor]:
+        camera, image = view
+        found = surface_points(depth_map(splats, camera, mask), image, grazing=SURFACE_GRAZING)
+        return found, coverage(alone, camera)
+
+    found = per_view(look, views, "looking for the surface", splats.device)
+    parts, silhouettes = zip(*found, strict=True)
+    points, normals, colors, sizes, covered = map(torch.cat, zip(*parts, strict=True))
+    size = float(sizes.median())
+    outside = partial(outside_silhouettes, cameras=cameras, silhouettes=silhouettes)
+    kept = project_into_silhouettes(points, normals, covered > SURFACE_SOLID, size, outside)
+    return points[kept], normals[kept], colors[kept], size
 
 
 def outside_silhouettes(

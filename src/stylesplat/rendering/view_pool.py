@@ -15,6 +15,7 @@ import torch
 from numba import get_num_threads, set_num_threads
 
 from stylesplat.interrupts import raise_if_interrupted
+from stylesplat.progress import track
 from stylesplat.rendering.kernels.jit import SHARED
 
 T = TypeVar("T")
@@ -77,6 +78,13 @@ def map_views(
             yield result
     finally:
         pool.end()
+
+
+def per_view(
+    function: Callable[[T], R], items: Sequence[T], what: str, device: torch.device | str = "cpu"
+) -> Iterator[R]:
+    """The results of a function for each view, in order, with their progress."""
+    return track(map_views(function, items, device), what, total=len(items))
 
 
 def _share(threads: int) -> None:

@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float, Int, Int32
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from stylesplat.progress import track
-from stylesplat.rendering.view_pool import map_views
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.visibility import VISIBLE_LARGE, bounds, in_view, pixel_bounds, visible
 from stylesplat.rendering.weights import COVERED, contributions, geometry_only
 from stylesplat.scene.cameras import Cameras
@@ -63,9 +62,7 @@ def object_shares(
             pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
         return view.pixels_in(torch.stack([pixels, torch.ones_like(pixels)], dim=-1))
 
-    views = small_views(cameras)
-    found = map_views(look, views, splats.device)
-    found = track(found, "finding contours", total=len(views))
+    found = per_view(look, small_views(cameras), "finding contours", splats.device)
     inside, everywhere = sum(found, splats.means.new_zeros(len(splats), 2)).unbind(dim=1)
     parts = inside / everywhere.clamp(min=UNSEEN_PIXELS)
     seen, unseen = picked & (everywhere >= UNSEEN_PIXELS), picked & (everywhere < UNSEEN_PIXELS)
@@ -150,8 +147,7 @@ def survey(splats: Splats, cameras: Sequence[Cameras]) -> Survey | None:
         low, high = bounds(near.projected)
         return camera, near.rows.int(), low.int(), high.int()
 
-    found = map_views(find, cameras)
-    return Survey(splats, [*track(found, "finding visible Gaussians", total=len(cameras))])
+    return Survey(splats, [*per_view(find, cameras, "finding visible Gaussians")])
 
 
 class OwnShares:

@@ -20,16 +20,12 @@ from stylesplat.progress import track
 from stylesplat.rendering.reference import rotation_matrices, with_matrices_of
 from stylesplat.rendering.render import colors_of, rasterize
 from stylesplat.rendering.surface import (
-    SurfacePoints,
     average_in_voxels,
-    depth_map,
-    outside_silhouettes,
+    find_surface,
     poisson_disk_sample,
-    project_into_silhouettes,
     project_to_planes,
-    surface_points,
 )
-from stylesplat.rendering.view_pool import map_views
+from stylesplat.rendering.view_pool import map_views, per_view
 from stylesplat.rendering.visibility import in_view
 from stylesplat.rendering.weights import (
     COVERED,
@@ -46,7 +42,7 @@ from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.config import Precision, plain_settings
 from stylesplat.stylization.painting import Painting, with_relief_form
 from stylesplat.stylization.style import source_of
-from stylesplat.stylization.views import ObjectBox, Surface, box_cameras, per_view
+from stylesplat.stylization.views import ObjectBox, Surface, box_cameras
 from stylesplat.training.adam import Moments, adam_step
 
 SPACING = 1.1  # pixels between discs: what is wider shows soft strokes, what is finer noise
@@ -158,7 +154,8 @@ def build_surfels(
     none.
     """
     views = unpainted_views(splats, mask, boxes)
-    *surface, pixel = find_surface(splats, mask, views)
+    pictures = [(view.camera, view.image) for view in views]
+    *surface, pixel = find_surface(splats, mask, pictures)
     if len(surface[0]) < CANVAS_FEW:
         return None
     cubes, _ = average_in_voxels(CUBE * pixel, surface[0])
@@ -215,8 +212,6 @@ def _facing(normals: Float[Tensor, "D 3"]) -> Float[Tensor, "D 4"]:
 SURFACE_VIEWS = 16  # with 12 places that few of them show stay bare
 SURFACE_LENGTH = 200.0  # longer side of the object in them, in pixels
 SURFACE_MARGIN = 8  # pixels around its box, where nothing is to show
-SURFACE_SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
-SURFACE_GRAZING = 0.25  # cosine below which depths are too uncertain
 POOLED = 0.6  # side of the cubes whose points are averaged, in distances of the samples
 
 
@@ -234,34 +229,6 @@ def unpainted_views(
 
     cameras = box_cameras(boxes, SURFACE_LENGTH, SURFACE_VIEWS, SURFACE_MARGIN)
     return [*per_view(look, cameras, "looking at the object", splats.device)]
-
-
-@torch.no_grad()
-def find_surface(
-    splats: Splats, mask: Bool[Tensor, " N"], views: Sequence[UnpaintedView]
-) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"], Float[Tensor, "P 3"], float]:
-    """Find an object's surface from rendered depths.
-
-    Returns:
-        The points, one for each pixel that shows it; their normals towards the camera that saw
-        them; their colours; the typical size of a pixel if the object is `SURFACE_LENGTH` pixels
-        long.
-    """
-    alone = geometry_only(splats[mask])
-
-    def look(view: UnpaintedView) -> tuple[SurfacePoints, Tensor]:
-        shown = depth_map(splats, view.camera, mask)
-        found = surface_points(shown, view.image, grazing=SURFACE_GRAZING)
-        return found, coverage(alone, view.camera)
-
-    found = per_view(look, views, "looking for the surface", splats.device)
-    parts, silhouettes = zip(*found, strict=True)
-    points, normals, colors, sizes, covered = map(torch.cat, zip(*parts, strict=True))
-    size = float(sizes.median())
-    cameras = [view.camera for view in views]
-    outside = partial(outside_silhouettes, cameras=cameras, silhouettes=silhouettes)
-    kept = project_into_silhouettes(points, normals, covered > SURFACE_SOLID, size, outside)
-    return points[kept], normals[kept], colors[kept], size
 
 
 @torch.no_grad()

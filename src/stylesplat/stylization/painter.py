@@ -15,6 +15,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.color import Palette, build_palette
 from stylesplat.io.style_pictures import Picture, read_style, resize
 from stylesplat.progress import say, task
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.visibility import VISIBLE_LARGE, in_view, visible
 from stylesplat.rendering.weights import coverage, geometry_only
 from stylesplat.runtime import tidy_heap
@@ -69,7 +70,6 @@ from stylesplat.stylization.views import (
     ObjectView,
     find_boxes,
     object_views,
-    per_view,
     reached_pixels,
     require_boxes,
     stage_views,

@@ -23,6 +23,7 @@ from stylesplat.imaging.morphology import disc
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.surface import front_depth, poisson_disk_sample
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.visibility import pixel_bounds, touching
 from stylesplat.rendering.weights import (
     COVERED,
@@ -49,7 +50,7 @@ from stylesplat.stylization.canvas import (
     pixels_shown,
 )
 from stylesplat.stylization.guides import Guides
-from stylesplat.stylization.views import ObjectBox, box_cameras, per_view, reached_pixels
+from stylesplat.stylization.views import ObjectBox, box_cameras, reached_pixels
 
 SPILL_VIEWS = 24  # that are checked: discs lie on the very outline of the object
 SPILL_COARSER = 2.0  # ratio of the photos' size to that of the check: finds the same as full size

@@ -1,10 +1,9 @@
 """Views of an object: cameras cropped to it, and the pixels and features that are its own."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
-from typing import TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,9 +11,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.progress import say, track
+from stylesplat.progress import say
 from stylesplat.rendering.render import rasterize
-from stylesplat.rendering.view_pool import map_views
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import (
     COVERED,
     Contributions,
@@ -45,8 +44,6 @@ MEBIBYTE = 2**20
 
 Surface = tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]]
 """Places all over an object, evenly spread, and the normals there."""
-T = TypeVar("T")
-R = TypeVar("R")
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +113,6 @@ def total_weights(views: Sequence[PaintView]) -> Float[Tensor, " P"]:
     """The contribution of each of the object's points, summed over all views."""
     every = (view.backproject(torch.ones_like(view.pixels[..., None]).float()) for view in views)
     return sum(every, torch.zeros(()))[:, 0]
-
-
-def per_view(
-    function: Callable[[T], R], items: Sequence[T], what: str, device: torch.device | str = "cpu"
-) -> Iterator[R]:
-    """The results of a function for each view, in order, with their progress."""
-    return track(map_views(function, items, device), what, total=len(items))
 
 
 def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[ObjectBox]:

@@ -15,8 +15,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.imaging.color import luma_weights
-from stylesplat.progress import track
-from stylesplat.rendering.view_pool import map_views
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import (
     depths_of,
@@ -76,7 +75,7 @@ def sweep_planes(
         return _sweep_photo(views[row], [views[each] for each in others], probe)
 
     device = views[rows[0]].photo.device
-    found = track(map_views(look, pairs, device), "finding surfaces", total=len(pairs))
+    found = per_view(look, pairs, "finding surfaces", device)
     swept = [each for each in found if each is not None]
     parts = [_confirmed(each, swept) for each in swept]
     empty = probe.new_zeros(0, 3)
