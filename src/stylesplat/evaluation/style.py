@@ -65,27 +65,19 @@ def measure_painted(
     is_new += [torch.full_like(each.parents, each.name not in kept).bool() for each in shown]
     last = torch.cat(is_new).byte().argsort(stable=True)  # what is new follows all else
     styled = after.splats[last].to(base.device)
-    names, objects = {*cameras.names}, {}
+    names, found = {*cameras.names}, dict[str, dict[str, float]]()
     for setup, painting in painted:
         survey = surveys[painting.name]
         boxes = [box for box in survey if box.camera.names[0] in names] or survey
         try:
-            objects[painting.name] = measure_style(setup, painting, styled, boxes=boxes)
+            numbers = measure_style(setup, painting, styled, boxes=boxes)
         except StyleSplatError as error:  # the object is painted all the same
             say(f"{painting.name} is not compared with its style: {error}")
-            objects[painting.name] = {}
-    numbers = numbers_by_object(objects)
-    picked = torch.stack([painting.mask for _, painting in painted]).any(dim=0)
-    return measure_changes(base, styled, cameras, picked) | numbers
-
-
-def numbers_by_object(objects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """The numbers of some objects with one entry per number, and in it one per object."""
-    found = dict[str, dict[str, float]]()
-    for each, numbers in objects.items():
+            continue
         for name, value in numbers.items():
-            found.setdefault(name, {})[each] = value
-    return found
+            found.setdefault(name, {})[painting.name] = value
+    picked = torch.stack([painting.mask for _, painting in painted]).any(dim=0)
+    return measure_changes(base, styled, cameras, picked) | found
 
 
 @torch.no_grad()

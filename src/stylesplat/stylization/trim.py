@@ -57,7 +57,7 @@ SPILL_COARSER = 2.0  # ratio of the photos' size to that of the check: finds the
 LEAST_SIZE = 480  # pixels of the check's longer side, so that small photos are checked in full
 SPILL_MARGIN = 16  # pixels around what the object may reach in them
 SPILL_FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
-SPILL_EDGE = 2  # pixels around what is covered that are its edge
+SPILL_EDGE = disc(5)  # two pixels around what is covered are its edge
 SMALLER = 0.6  # factor on the size of a disc that shows beside the object
 SPILL_NEIGHBOURS = 32  # discs that gradients and structure tensors are averaged over
 GRADIENT_WIDTH = 1.5  # deviation of the weights of a gradient's fit, in distances between discs
@@ -140,7 +140,7 @@ def _find_outside(
     def look(camera: Cameras) -> list[ForbiddenPixels]:
         covered = coverage(bare, camera, mask)
         alone = coverage(own, camera)  # whatever hides it
-        solid = binary_dilation((alone > COVERED).cpu().numpy(), disc(2 * SPILL_EDGE + 1))
+        solid = binary_dilation((alone > COVERED).cpu().numpy(), SPILL_EDGE)
         edge = torch.from_numpy(solid).to(covered.device)
         found = [ForbiddenPixels(camera, (covered == 0) | ((covered < SPILL_FAINT) & ~edge))]
         if protected is not None:

@@ -13,7 +13,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, count_noun, noun_repr
 from stylesplat.evaluation.changes import largest_stain, measure_changes
 from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
-from stylesplat.evaluation.style import measure_look, measure_style, numbers_by_object
+from stylesplat.evaluation.style import measure_look, measure_style
 from stylesplat.evaluation.summary import metric_differences
 from stylesplat.figures.html_page import SceneColumn
 from stylesplat.figures.pictures import render_pictures
@@ -212,7 +212,7 @@ def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
     training, held_out = scene.working_views()
     cameras = held_out or training
     picks = {each.object: each.covered(len(base)).to(base.device) for each in scene.layers}
-    objects = {}
+    found = dict[str, dict[str, float]]()
     for layer in scene.layers:
         if layer.kind != "paint":
             continue
@@ -220,12 +220,12 @@ def _styled_metrics(scene: Scene, styled: Splats) -> dict[str, Any]:
         boxes, views = find_boxes(base, cameras, picked), cameras
         if not boxes and held_out:
             boxes, views = find_boxes(base, training, picked), training
-        objects[layer.name] = {
-            **_closeness(layer, picked, base, styled, views, boxes),
-            **measure_look(base, styled, views, picked, boxes=boxes),
-        }
+        numbers = _closeness(layer, picked, base, styled, views, boxes)
+        numbers |= measure_look(base, styled, views, picked, boxes=boxes)
+        for name, value in numbers.items():
+            found.setdefault(name, {})[layer.name] = value
     every: Bool[Tensor, " N"] = torch.stack([*picks.values()]).any(dim=0)
-    return measure_changes(base, styled, cameras, every) | numbers_by_object(objects)
+    return measure_changes(base, styled, cameras, every) | found
 
 
 def _closeness(
