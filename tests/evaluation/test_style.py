@@ -26,7 +26,6 @@ from stylesplat.imaging.color import COLOR_PIXELS
 from stylesplat.rendering.render import rasterize
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import Composed
-from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.painter import paint_objects, paint_setup
@@ -46,9 +45,7 @@ def measured(
     studio = paint_setup(SCENE, cameras, network, held_out=held_out)
     styled = paint_objects(studio, jobs)
     surveys = {job.name: find_boxes(SCENE, studio.all_cameras, job.mask) for job in jobs}
-    before = Scene(SCENE, studio.all_cameras, held_out.names if held_out else ())
-    after = replace(before, layers=styled.layers)
-    return styled, measure_painted(before, after, [(studio, job) for job in jobs], surveys)
+    return styled, measure_painted([(studio, job) for job in jobs], styled.splats, surveys)
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,6 @@ from stylesplat.progress import say
 from stylesplat.rendering.render import render
 from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.scene import Scene
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import LUMA, Splats
 from stylesplat.stylization.features import FeatureNetwork
@@ -46,27 +45,20 @@ SURELY_NEAR = 5.0  # of Lab: no colours in a cube of this size are farther apart
 
 
 def measure_painted(
-    before: Scene,
-    after: Scene,
-    painted: Sequence[tuple[PaintSetup, Painting]],
+    objects: Sequence[tuple[PaintSetup, Painting]],
+    styled: Splats,
     surveys: Mapping[str, Sequence[ObjectBox]],
 ) -> dict[str, Any]:
     """Measure how painting some objects changed them and the rest of a scene, in held-out views.
 
-    The scene before has no layers of these objects, which are given among its Gaussians. By name
+    The objects are given in the scene before, whose Gaussians come first in `styled`. By name
     `surveys` are their boxes in all views. Returns the result of `measure_changes`, and by object
     that of `measure_style`, which is empty where the style is too small to be compared.
     """
-    base, kept = painted[0][0].splats, {layer.name for layer in before.layers}
-    training, held_out = after.working_views()
-    cameras = held_out or training
-    shown = [layer for layer in after.layers if layer.is_shown]
-    is_new = [torch.zeros(len(after.base), dtype=torch.bool)]
-    is_new += [torch.full_like(each.parents, each.name not in kept).bool() for each in shown]
-    last = torch.cat(is_new).byte().argsort(stable=True)  # what is new follows all else
-    styled = after.splats[last].to(base.device)
-    names, found = {*cameras.names}, dict[str, dict[str, float]]()
-    for setup, painting in painted:
+    first, found = objects[0][0], dict[str, dict[str, float]]()
+    base, cameras = first.splats, first.held_out or first.cameras
+    styled, names = styled.to(base.device), {*cameras.names}
+    for setup, painting in objects:
         survey = surveys[painting.name]
         boxes = [box for box in survey if box.camera.names[0] in names] or survey
         try:
@@ -76,7 +68,7 @@ def measure_painted(
             continue
         for name, value in numbers.items():
             found.setdefault(name, {})[painting.name] = value
-    picked = torch.stack([painting.mask for _, painting in painted]).any(dim=0)
+    picked = torch.stack([painting.mask for _, painting in objects]).any(dim=0)
     return measure_changes(base, styled, cameras, picked) | found
 
 

@@ -86,6 +86,13 @@ class Scene:
             object.__setattr__(self, "composed", known)
         return known
 
+    def splats_with_last(self, names: Collection[str]) -> Splats:
+        """What the scene looks like, with the surfels of some layers behind all other rows."""
+        shown = [layer for layer in self.layers if layer.is_shown]
+        is_last = [torch.zeros(len(self.base), dtype=torch.bool)]
+        is_last += [torch.full_like(each.parents, each.name in names).bool() for each in shown]
+        return self.splats[torch.cat(is_last).byte().argsort(stable=True)]
+
     def to_splats(self, values: Shaped[Tensor, "B *_"]) -> Shaped[Tensor, "N *_"]:
         """Values of the rows of the base, for all rows of `splats`."""
         return values[self.parents.to(values.device)] if self.layers else values

@@ -49,6 +49,18 @@ def object_ids(splats: Splats) -> tuple[int, ...]:
     return tuple(sorted(set(classifier.ids) - {BACKGROUND}))
 
 
+def labels_around(
+    splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]
+) -> Int[Tensor, "H W"]:
+    """The labels in a box around some pixels; background elsewhere."""
+    low = [int(pixels.any(dim=axis).nonzero().min()) for axis in (0, 1)]
+    high = [int(pixels.any(dim=axis).nonzero().max()) + 1 for axis in (0, 1)]
+    cut = camera.crop(low, [b - a for a, b in zip(low, high, strict=True)])
+    labels = torch.full_like(pixels, BACKGROUND, dtype=torch.int32)
+    labels[low[1] : high[1], low[0] : high[0]] = render_labels(splats, cut)
+    return labels
+
+
 @torch.no_grad()
 def render_labels(splats: Splats, camera: Cameras) -> Int[Tensor, "H W"]:
     """The label map of one camera: the label id of each pixel's composited identity.

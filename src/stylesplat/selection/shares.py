@@ -20,7 +20,7 @@ from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.projection import overlapping
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import render_labels
+from stylesplat.selection.labels import labels_around
 
 SHARE_VIEWS = 16  # more give the same shares
 SHARE_LONGER_SIDE = 320  # pixels of a view; twice as many give the same shares
@@ -59,7 +59,7 @@ def object_shares(
         pixels = view.coverage > COVERED
         unsure = (view.coverage > LABELLED) & ~pixels
         if ids is not None and len(ids) and unsure.any():
-            pixels |= unsure & torch.isin(_labels_around(splats, camera, unsure), ids)
+            pixels |= unsure & torch.isin(labels_around(splats, camera, unsure), ids)
         return view.pixels_in(torch.stack([pixels, torch.ones_like(pixels)], dim=-1))
 
     found = per_view(look, small_views(cameras), "finding contours", splats.device)
@@ -81,16 +81,6 @@ def small_views(cameras: Cameras) -> list[Cameras]:
         cameras[row].at_most(SHARE_LONGER_SIDE)
         for row in evenly_spaced(range(len(cameras)), SHARE_VIEWS)
     ]
-
-
-def _labels_around(splats: Splats, camera: Cameras, pixels: Bool[Tensor, "H W"]) -> Tensor:
-    """The labels in a box around some pixels; background elsewhere."""
-    low = [int(pixels.any(dim=axis).nonzero().min()) for axis in (0, 1)]
-    high = [int(pixels.any(dim=axis).nonzero().max()) + 1 for axis in (0, 1)]
-    cut = camera.crop(low, [b - a for a, b in zip(low, high, strict=True)])
-    labels = torch.full_like(pixels, BACKGROUND, dtype=torch.int32)
-    labels[low[1] : high[1], low[0] : high[0]] = render_labels(splats, cut)
-    return labels
 
 
 def _likeliest(splats: Splats) -> Int[Tensor, " N"] | None:

@@ -440,8 +440,7 @@ def paint_layer(
                 bar.note(f"NNFM {state.nnfm:.3f}")
     assert state is not None  # there is at least one step
     layer = layer_of(state, own, parents[rows], setup.precision_name)
-    held_out = part.all_cameras[len(part.cameras) :]
-    boxes = [*state.boxes, *find_boxes(part.splats, held_out, own.mask)]
+    boxes = [*state.boxes, *find_boxes(part.splats, part.held_out, own.mask)]
     tidy_heap()  # copies of the whole scene follow
     return layer, boxes
 

@@ -74,6 +74,11 @@ class PaintSetup:
     """Bytes that linear views may take."""
 
     @property
+    def held_out(self) -> Cameras:
+        """Views that are not optimised on, possibly none."""
+        return self.all_cameras[len(self.cameras) :]
+
+    @property
     def precision_name(self) -> Precision:
         """As recipes record it."""
         return "bfloat16" if self.precision == torch.bfloat16 else "float32"

@@ -138,9 +138,10 @@ def stylize(
         on_painted(scene)
     if not (measured and paintings):  # a recipe may hold recolourings alone
         return scene
-    unpainted = scene.without_layers([painting.name for painting in paintings])
+    unpainted = scene.without_layers(surveys)
     objects = [setup_on(unpainted, painting) for painting in paintings]
-    return replace(scene, metrics=metrics | measure_painted(unpainted, scene, objects, surveys))
+    found = measure_painted(objects, scene.splats_with_last(surveys), surveys)
+    return replace(scene, metrics=metrics | found)
 
 
 stylise = stylize
