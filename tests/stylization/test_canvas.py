@@ -129,7 +129,7 @@ def test_it_fades_in_as_strongly_as_is_wanted(laid: Canvas):
     sh0[count:] = -sh0[count:]  # any other colours
     after = replace(laid.splats, sh0=sh0)
     state = PaintState(1, 1, torch.zeros(()), after, laid, torch.zeros(len(after)))
-    layer = layer_of(state, Painting("ball", PICKED, (), StyleConfig()), ROWS)
+    layer = layer_of(state, Painting("ball", PICKED, (), StyleConfig()))
     for index in (0, 3):
         first, last = (rasterize(s, FINE[index])[0][0] for s in (before, after))
         assert torch.equal(first, rasterize(SOLID, FINE[index])[0][0])

@@ -219,7 +219,7 @@ def test_states_lead_to_the_same(job: Painting, network: FeatureNetwork):
     assert 12 < total <= 12 + PREVIEW_STEPS
     assert [state.step for state in late] == list(range(6, total + 1))
     assert all(state.steps == total and math.isfinite(state.nnfm) for state in early + late)
-    layer = layer_of(late[-1], job, torch.arange(len(SCENE)))
+    layer = layer_of(late[-1], job)
     assert same(compose(SCENE, [layer]).splats, painted([job], network).splats)
     assert torch.equal(early[-1].splats.sh0, kept), "later steps leave earlier states alone"
     assert not torch.equal(early[-2].splats.sh0, kept)

@@ -329,17 +329,15 @@ def fit_surfels(canvas: Canvas, *, seed: int) -> Canvas:
 LEAST_WEIGHT = 1e-6  # of an invisible Gaussian, in means
 
 
-def layer_of(
-    state: PaintState,
-    painting: Painting,
-    parents: Int[Tensor, " M"],
-    precision: Precision | None = None,
-) -> Layer:
+def layer_of(state: PaintState, painting: Painting, precision: Precision | None = None) -> Layer:
     """The layer of an object that is being painted, with features of this precision.
 
     A row of the base stands for all Gaussians below that belong to it: its paint is their mean.
     """
-    count, own = len(parents), painting.mask.nonzero()[:, 0]
+    count, own = len(painting.mask), painting.mask.nonzero()[:, 0]
+    parents = painting.parents
+    if parents is None:
+        parents = torch.arange(count, device=own.device)
     before, after, canvas = state.canvas.before, state.splats.detach(), state.canvas
     weights = painting.weights
     opacities = torch.sigmoid(before.opacities[own])

@@ -418,20 +418,17 @@ def paint_objects(setup: PaintSetup, paintings: Sequence[Painting]) -> Composed:
     for painting in paintings:
         own = painting.to(painted.splats).at(painted.parents)
         below = replace(setup, splats=painted.splats)
-        layer, *_ = paint_layer(below, own, painted.parents)
+        layer, _ = paint_layer(below, own)
         painted = compose(painted.base, (*painted.layers, layer), painted)
     return painted
 
 
-def paint_layer(
-    setup: PaintSetup, painting: Painting, parents: Int[Tensor, " M"]
-) -> tuple[Layer, list[ObjectBox]]:
+def paint_layer(setup: PaintSetup, painting: Painting) -> tuple[Layer, list[ObjectBox]]:
     """Paint an object on what lies below its layer.
 
-    `parents` are the rows of the base that the Gaussians below belong to. Returns the layer, and
-    the boxes of the object in all views, held-out ones included.
+    Returns the layer, and the boxes of the object in all views, held-out ones included.
     """
-    part, own, rows = crop_scene(setup, painting)
+    part, own = crop_scene(setup, painting)
     state = None
     with task(painting.name, painting.config.all_steps) as bar:
         for state in paint_steps(part, own):
@@ -439,7 +436,7 @@ def paint_layer(
             if state.step % REPORT_EVERY == 0:
                 bar.note(f"NNFM {state.nnfm:.3f}")
     assert state is not None  # there is at least one step
-    layer = layer_of(state, own, parents[rows], setup.precision_name)
+    layer = layer_of(state, own, setup.precision_name)
     boxes = [*state.boxes, *find_boxes(part.splats, part.held_out, own.mask)]
     tidy_heap()  # copies of the whole scene follow
     return layer, boxes
@@ -450,21 +447,17 @@ CROP_MARGIN = 24  # pixels around what it may reach: in smaller renders Gaussian
 
 
 @torch.no_grad()
-def crop_scene(
-    setup: PaintSetup, painting: Painting
-) -> tuple[PaintSetup, Painting, Int[Tensor, " M"]]:
+def crop_scene(setup: PaintSetup, painting: Painting) -> tuple[PaintSetup, Painting]:
     """Crop a large scene to the Gaussians and views that matter to an object.
 
     Besides the object's Gaussians these are all that would show near it if it were not there: what
     hides it, and what it hides. In views that hide the object some of these may be missing, so that
-    they are left out. A small scene stays whole, and one of which no view shows the object. The
-    crop's rows of the scene are returned, too.
+    they are left out. A small scene stays whole, and one of which no view shows the object.
     """
     splats, views = setup.splats, [*setup.all_cameras]
-    everything = setup, painting, torch.arange(len(splats), device=splats.device)
     names = {*setup.all_cameras.names}
     if len(splats) < VISIBLE_LARGE or len(names) < len(views):
-        return everything
+        return setup, painting
     bare, own = geometry_only(splats), painting.mask.nonzero()[:, 0]
     others = replace(bare, opacities=bare.opacities.masked_fill(painting.mask, -torch.inf))
     alone = bare[own]
@@ -488,11 +481,11 @@ def crop_scene(
             kept[rows] = True
             shown.update(view.names)
     if shown.isdisjoint(setup.cameras.names):
-        return everything
+        return setup, painting
     rows = kept.nonzero()[:, 0]
     cameras, all_cameras = (
         each[[n for n, name in enumerate(each.names) if name in shown]]
         for each in (setup.cameras, setup.all_cameras)
     )
     part = replace(setup, splats=splats[rows], cameras=cameras, all_cameras=all_cameras)
-    return part, painting.at(rows), rows
+    return part, painting.at(rows)

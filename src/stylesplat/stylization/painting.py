@@ -43,17 +43,21 @@ class Painting:
     """The network's file; None for its own."""
     precision: Precision | None = None
     """Of the features; None takes what is fastest on the machine."""
+    parents: Int[Tensor, " B"] | None = None
+    """The row of the scene's base that each Gaussian without the canvas belongs to; None if these
+    are the base's."""
 
     def to(self, splats: Splats) -> "Painting":
         """The same on the device of the splats."""
         images = tuple(image.to(splats.means) for image in self.images)
-        protected = self.protected if self.protected is None else self.protected.to(splats.device)
-        return replace(self, mask=self.mask.to(splats.device), images=images, protected=protected)
+        moved = {n: t.to(splats.device) for n, t in vars(self).items() if isinstance(t, Tensor)}
+        return replace(self, images=images, **moved)
 
     def at(self, rows: Int[Tensor, " M"]) -> "Painting":
         """The same among other Gaussians, which belong to these rows."""
-        protected = self.protected if self.protected is None else self.protected[rows]
-        return replace(self, mask=self.mask[rows], protected=protected)
+        protected = None if self.protected is None else self.protected[rows]
+        parents = rows if self.parents is None else self.parents[rows]
+        return replace(self, mask=self.mask[rows], protected=protected, parents=parents)
 
 
 @dataclass(frozen=True, eq=False)

@@ -114,9 +114,8 @@ def stylize(
         edits = [each for each in recipe.recolors if each.place == number]
         scene = reduce(_recolored, edits, scene)
         began = time.perf_counter()
-        below = scene.below(painting.name)
-        setup, own = setup_on(below, painting)
-        layer, surveys[painting.name] = paint_layer(setup, own, below.parents.to(own.mask.device))
+        setup, own = setup_on(scene.below(painting.name), painting)
+        layer, surveys[painting.name] = paint_layer(setup, own)
         precision = setup.precision_name
         layer = shown_like(layer.to("cpu"), scene.layer(painting.name), len(scene.base))
         scene = scene.with_layer(_as_in(layer, entries[painting.name], len(scene.base)))
@@ -188,8 +187,7 @@ class Live:
         """The present layer."""
         if self.finished is not None:
             return self.finished
-        parents = self.below.parents.to(self.state.splats.device)
-        layer = layer_of(self.state, self.painting, parents, self.precision).to("cpu")
+        layer = layer_of(self.state, self.painting, self.precision).to("cpu")
         return shown_like(layer, self.before.layer(self.painting.name), len(self.before.base))
 
     @property
