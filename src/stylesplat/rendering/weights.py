@@ -388,9 +388,11 @@ def contributions(
         near = in_view(splats, camera, pixels)
     if splats.device.type != "cpu":
         return _tiled_contributions(splats, camera, mask, near)
-    mine = mask[near.rows]
-    colors = _colors_of_others(splats, camera, near, mine)
-    cpu = _cpu()
+    mine, cpu = mask[near.rows], _cpu()
+    # Black for these Gaussians, the others' colours; and 1 for these, as their coverage
+    others = (~mine).nonzero()[:, 0]
+    colors = mine[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
+    colors[others, :3] = colors_of(splats, near.rows[others], camera.positions)
     lists, image, _ = cpu.rasterize_to_pixels(near.projected, colors, camera.size)
     drawn = cpu.reaching(lists) & mine.numpy()[lists.order]
     numbers = np.where(drawn, np.cumsum(drawn) - 1, -1).astype(np.int32)  # by rank
@@ -417,16 +419,6 @@ def _tiled_contributions(
     rows = near.rows[mask[near.rows]]
     view = tiled(near.projected, camera.size)
     return TiledContributions(len(splats), rows, *_split(image), view, len(near.rows) - len(rows))
-
-
-def _colors_of_others(
-    splats: Splats, camera: Cameras, near: InView, mine: Bool[Tensor, " L"]
-) -> Float[Tensor, "L 4"]:
-    """Black for some Gaussians, the others' colours; and 1 for those, as their coverage."""
-    others = (~mine).nonzero()[:, 0]
-    colors = mine[:, None].to(splats.means) * splats.means.new_tensor([0.0, 0.0, 0.0, 1.0])
-    colors[others, :3] = colors_of(splats, near.rows[others], camera.positions)
-    return colors
 
 
 def _split(image: Float[Tensor, "H W 4"]) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:

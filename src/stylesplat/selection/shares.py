@@ -77,10 +77,8 @@ def object_shares(
 
 def small_views(cameras: Cameras) -> list[Cameras]:
     """The views in which shares are measured, at a small size."""
-    return [
-        cameras[row].at_most(SHARE_LONGER_SIDE)
-        for row in evenly_spaced(range(len(cameras)), SHARE_VIEWS)
-    ]
+    rows = evenly_spaced(range(len(cameras)), SHARE_VIEWS)
+    return [cameras[row].at_most(SHARE_LONGER_SIDE) for row in rows]
 
 
 def _likeliest(splats: Splats) -> Int[Tensor, " N"] | None:
