@@ -88,7 +88,7 @@ def test_an_interrupted_call_goes_on_and_keeps_label_maps(
     assert capture.path is not None
     shutil.copytree(capture.path, output)
     (output / "object_mask").mkdir()
-    Image.new("L", (320, 240), 3).save(output / "object_mask" / "00.png")
+    Image.new("L", capture.cameras[0].size, 3).save(output / "object_mask" / "00.png")
     partial.mkdir()
     (partial / "diary.txt").write_text("dear")
     before = {file: file.read_bytes() for file in output.rglob("*") if file.is_file()}
