@@ -14,6 +14,7 @@ from torch.nn import functional as F
 
 from stylesplat.imaging.color import Palette
 from stylesplat.rendering.render import render
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import Splats, sh0_from_rgb
 from stylesplat.stylization.colors import DARKEST, Colors
@@ -36,7 +37,7 @@ from stylesplat.stylization.matching import (
 )
 from stylesplat.stylization.painting import PaintSetup
 from stylesplat.stylization.style import style_features, style_parts
-from stylesplat.stylization.views import PaintView, per_view, total_weights
+from stylesplat.stylization.views import PaintView, total_weights
 from stylesplat.training.adam import Moments, adam_step
 
 PULL = 10.0  # weight of the squared distance from the palette; more costs style

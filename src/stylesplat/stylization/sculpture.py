@@ -16,6 +16,7 @@ from torch import Tensor
 from stylesplat.imaging.color import luma_weights
 from stylesplat.imaging.similarity import smooth
 from stylesplat.rendering.render import render
+from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import COVERED, Contributions, contributions
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import RELIEF_FORM, Layer
@@ -23,7 +24,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.colors import PAINT_HIDDEN, PAINT_STRIDE
 from stylesplat.stylization.form import form_detail, survey_detail
-from stylesplat.stylization.views import ObjectBox, box_cameras, find_boxes, per_view
+from stylesplat.stylization.views import ObjectBox, box_cameras, find_boxes
 
 SCULPTURE_VIEWS, SCULPTURE_LENGTH = 16, 480.0  # 8 of 240 pixels lose letters and strings
 SCULPTURE_ROUNDS = 6  # 4 are too few
