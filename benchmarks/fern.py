@@ -1,10 +1,11 @@
 """LLFF's fern: how right are masks of the plant by a box, by lines, and by one click?
 
-The masks of other papers could not be had: the plant is outlined by hand in one photo, around the
-tips of its leaflets. Boxes, lines and clicks are in other photos.
+We could not get the masks of other papers: the plant is outlined by hand in one photo, around the
+tips of its leaflets. Boxes, lines and clicks are in other photos. The folder `fern` holds
+`poses_bounds.npy` and `images_4` alone.
 
-    stylesplat train fern -o fern-scene --max-seconds 100 --max-gaussians 150000
-    python benchmarks/fern.py --capture fern --scene fern-scene
+    stylesplat train fern -o fern-quick --max-seconds 100 --max-gaussians 150000
+    python benchmarks/fern.py --capture fern --scene fern-quick
 """
 
 from pathlib import Path

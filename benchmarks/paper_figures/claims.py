@@ -233,5 +233,5 @@ CLAIMS: Sequence[Claim] = (
         "Minimising its formula, the smallest product of features, transfers the style.", _formula
     ),
     Claim("A term that keeps neighbours together makes objects more exact.", _neighbours),
-    Claim("Identities learned with the colours are no worse than lifted ones.", _lifting),
+    Claim("Identities are learned with the colours: lifting them is no better.", _lifting),
 )

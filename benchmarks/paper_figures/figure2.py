@@ -295,7 +295,7 @@ def _adam(found: Any) -> str | None:
     return (
         f"With exact masks, {usual} of the pixels beyond 2 px change if Adam's epsilon is {EPS:g}, "
         f"and {damped} if it is {DAMPING:g}: the optimiser causes the difference, not the masks. "
-        f"With the larger epsilon {', '.join(levels)} change, by level of error."
+        f"With the larger epsilon the shares by level of error are {', '.join(levels)}."
     )
 
 

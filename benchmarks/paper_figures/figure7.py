@@ -91,7 +91,9 @@ def told(results: Results) -> list[Block]:
         ]
         blocks.append(Table(heads, lines))
     blocks.append(
-        Text("We ran neither S2RF nor a GPU: the loss in 2D is S2RF's, the scene is a splat.")
+        Text(
+            "We did not run S2RF, and used no GPU: the loss in 2D is S2RF's, the scene is a splat."
+        )
     )
     return blocks
 

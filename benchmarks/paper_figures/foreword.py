@@ -25,9 +25,9 @@ DEFINED = (
     "LPIPS, because neither this package nor its requirements ship the weights."
 )
 NOT_RUN = (
-    "We did not run the scenes of NeRF, MipNeRF360 and LERF, which the machines that build this "
-    "page do not have, nor S2RF itself, nor an A100. To add a scene, train it with `stylesplat "
-    "train CAPTURE -o SCENE` and pass `--scene SCENE`."
+    "We did not test on the scenes of NeRF, MipNeRF360 and LERF, which the machines that build "
+    "this page do not have. We did not run S2RF, and had no A100. To add a scene, train it with "
+    "`stylesplat train CAPTURE -o SCENE` and pass `--scene SCENE`."
 )
 
 CREDITS = (
@@ -36,7 +36,7 @@ CREDITS = (
     "ships with the package: do not use their pictures commercially."
 )
 RELATED = (
-    "Four methods are closest to our closed forms. Instant Colorization of Gaussian Splats ([arXiv "
+    "Four methods are closest to ours. Instant Colorization of Gaussian Splats ([arXiv "
     "2604.17155](https://arxiv.org/abs/2604.17155)) solves a least-squares problem for each "
     "Gaussian; we lift labels by the adjoint of rendering. SGSST ([arXiv "
     "2412.03371](https://arxiv.org/abs/2412.03371)) matches statistics at several scales at once; "
@@ -148,10 +148,10 @@ def _made(run: Run) -> list[str]:
 
 def _steps(runs: Sequence[Run]) -> str:
     drafts = [run.subject.name for run in runs if run.subject.effort.draft]
-    ours = f"the default ones, for {', '.join(drafts)} those of drafts (`--quality draft`)"
+    ours = f"the default settings, those of {', '.join(drafts)} drafts' (`--quality draft`)"
     return (
         "Painting steps are those of paintings with the paper's settings (the paper takes 500 to "
-        f"1,000); the settings of ours are {ours if drafts else 'the default ones'}. Frames says "
-        "how large Figures 2 and 6 render the object at most. Figure 6 matches at most 4,096 style "
-        "features, chosen at random."
+        f"1,000). Our own paintings have {ours if drafts else 'the default settings'}. The column "
+        "*frames* gives the longest side of the pictures on which Figures 2 and 6 optimise. Figure "
+        "6 matches at most 4,096 style features, chosen at random."
     )

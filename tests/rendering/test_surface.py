@@ -13,9 +13,9 @@ from scenes import BACKENDS, cloud, device_of, leaf, random_splats, shell, two_c
 from stylesplat.rendering.reference import mean_depths
 from stylesplat.rendering.render import Backend
 from stylesplat.rendering.surface import (
-    HOLE,
-    PULLS,
     SURFACE_BESIDE,
+    SURFACE_HOLE,
+    SURFACE_PULLS,
     SURFACE_SHARES,
     DepthMap,
     average_in_voxels,
@@ -200,7 +200,7 @@ def test_a_flat_side_beyond_the_silhouettes_is_moved_inwards():
     def outside(points: Tensor) -> Tensor:
         """In one half of the side silhouettes are two pixels lower, in the last rows more."""
         x = points[:, 0] / (PIXEL * SIDE)
-        lower = torch.where(x > 0.8, PULLS + 1.0, torch.where(x > 0.45, 1.5, -1.0))
+        lower = torch.where(x > 0.8, SURFACE_PULLS + 1.0, torch.where(x > 0.45, 1.5, -1.0))
         return points[:, 2] > -lower * PIXEL
 
     moved = points.clone()
@@ -219,16 +219,16 @@ def test_what_is_less_solid_fills_holes_alone():
     points, normals = flat_side()
     middle = PIXEL * torch.tensor([SIDE / 3, SIDE / 2, 0])
     far = (points - middle).norm(dim=1) / PIXEL
-    beside = points[:, 0] / PIXEL > SIDE - HOLE  # as at a soft edge
+    beside = points[:, 0] / PIXEL > SIDE - SURFACE_HOLE  # as at a soft edge
 
     def kept(solid: Tensor) -> Tensor:
         return project_into_silhouettes(
             points.clone(), normals, solid, PIXEL, lambda points: torch.zeros(len(points)).bool()
         )
 
-    hole = far < 2 * HOLE
+    hole = far < 2 * SURFACE_HOLE
     found = kept(~hole & ~beside)
     assert found[~hole & ~beside].all()
-    assert found[far < 2 * HOLE - SURFACE_BESIDE - 1].all()
+    assert found[far < 2 * SURFACE_HOLE - SURFACE_BESIDE - 1].all()
     assert not found[beside].any()
     assert not kept(torch.zeros(len(points)).bool()).any(), "smoke has no surface"

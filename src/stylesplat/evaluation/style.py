@@ -49,11 +49,14 @@ def measure_painted(
     styled: Splats,
     surveys: Mapping[str, Sequence[ObjectBox]],
 ) -> dict[str, Any]:
-    """Measure how painting some objects changed them and the rest of a scene, in held-out views.
+    """Measure how painting some objects changed them and the rest of a scene.
+
+    Views are the held-out ones, if there are any.
 
     The objects are given in the scene before, whose Gaussians come first in `styled`. By name
-    `surveys` are their boxes in all views. Returns the result of `measure_changes`, and by object
-    that of `measure_style`, which is empty where the style is too small to be compared.
+    `surveys` are their boxes in all views. Returns the result of `measure_changes`, and for each
+    number of `measure_style` a dict by object, without those whose style is too small to be
+    compared.
     """
     first, found = objects[0][0], dict[str, dict[str, float]]()
     base, cameras = first.splats, first.held_out or first.cameras

@@ -314,8 +314,8 @@ def propagate_marks(
 ) -> list[tuple[Mask, Mask]]:
     """The pixels of every view that belong to an object, and that do not, from those of some.
 
-    What lies mostly within a mark there is marked in all views. A line says which marks are smaller
-    than any Gaussian, so that they count in their own view alone.
+    What lies mostly within a mark there is marked in all views. A line names the views with a mark
+    that no Gaussian lies mostly within.
     """
     is_marked = splats.means.new_zeros(len(splats), 2)
     for row, *given in marks:
@@ -327,8 +327,8 @@ def propagate_marks(
         for drawn, of in zip(given, meant.unbind(dim=1), strict=True):
             if drawn.any() and not of.any():
                 say(
-                    f"A mark in {cameras.names[row]} is smaller than anything that the splat shows "
-                    "there, so that it changes that photo alone. Mark more around it."
+                    f"No Gaussian lies mostly within a mark in {cameras.names[row]}, so the mark "
+                    "changes that photo alone. Mark more around it."
                 )
     views = list[tuple[Mask, Mask]]()
     for camera in cameras:

@@ -172,8 +172,8 @@ def average_in_voxels(
 
 SURFACE_SOLID = 0.7  # coverage from which a pixel shows the surface; with less it fills holes alone
 SURFACE_GRAZING = 0.25  # cosine below which depths are too uncertain
-PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
-HOLE = 6.0  # pixels around a point without any inside the silhouettes: less is no hole
+SURFACE_PULLS = 4  # pixels at most by which points beyond a silhouette are moved inwards
+SURFACE_HOLE = 6.0  # pixels around a point without any inside the silhouettes: less is no hole
 SURFACE_BESIDE = 2.0  # pixels from its rim, where there are points already
 SURFACE_PLANE = 16  # points that a plane is fitted to
 
@@ -244,7 +244,7 @@ def project_into_silhouettes(
     if not kept.any():
         return kept
     spare, beyond = (~kept).nonzero()[:, 0], beyond.nonzero()[:, 0]
-    for _ in range(PULLS):
+    for _ in range(SURFACE_PULLS):
         points[beyond] -= size * normals[beyond]
         beyond = beyond[outside(points[beyond])]
     spare = spare[~torch.isin(spare, beyond)]
@@ -252,9 +252,9 @@ def project_into_silhouettes(
     spares = places[spare.cpu().numpy()]
     far, _ = KDTree(places[kept.cpu().numpy()]).query(spares, workers=-1)
     far = torch.from_numpy(far).to(points) / size
-    amid = (far > HOLE).cpu().numpy()
+    amid = (far > SURFACE_HOLE).cpu().numpy()
     near, _ = KDTree(spares[amid]).query(spares, workers=-1)
-    kept[spare] = (far > SURFACE_BESIDE) & (torch.from_numpy(near).to(points) < HOLE * size)
+    kept[spare] = (far > SURFACE_BESIDE) & (torch.from_numpy(near).to(points) < SURFACE_HOLE * size)
     return kept
 
 

@@ -87,7 +87,7 @@ class Scene:
         return known
 
     def splats_with_last(self, names: Collection[str]) -> Splats:
-        """What the scene looks like, with the surfels of some layers behind all other rows."""
+        """What the scene looks like, with the surfels of some layers after all other rows."""
         shown = [layer for layer in self.layers if layer.is_shown]
         is_last = [torch.zeros(len(self.base), dtype=torch.bool)]
         is_last += [torch.full_like(each.parents, each.name in names).bool() for each in shown]

@@ -81,6 +81,7 @@ def small_views(cameras: Cameras) -> list[Cameras]:
     return [cameras[row].at_most(SHARE_LONGER_SIDE) for row in rows]
 
 
+@torch.no_grad()
 def _likeliest(splats: Splats) -> Int[Tensor, " N"] | None:
     """The most likely label id of each Gaussian, if they have identities."""
     if splats.identities is None or splats.classifier is None:

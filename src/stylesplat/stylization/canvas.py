@@ -36,12 +36,12 @@ from stylesplat.rendering.weights import (
     pixels_in,
 )
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.layers import Layer, appearance_only, split_name
+from stylesplat.scene.layers import Layer, Source, appearance_only, split_name
 from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.config import Precision, plain_settings
 from stylesplat.stylization.painting import Painting, with_relief_form
-from stylesplat.stylization.style import source_of
+from stylesplat.stylization.style import digest
 from stylesplat.stylization.views import ObjectBox, Surface, box_cameras
 from stylesplat.training.adam import Moments, adam_step
 
@@ -340,6 +340,8 @@ def layer_of(state: PaintState, painting: Painting, precision: Precision | None 
         parents = torch.arange(count, device=own.device)
     before, after, canvas = state.canvas.before, state.splats.detach(), state.canvas
     weights = painting.weights
+    if weights and weights.path:
+        weights = Source(weights.path.resolve(), weights.sha256 or digest(weights.path))
     opacities = torch.sigmoid(before.opacities[own])
     is_fading = after.opacities[own] != before.opacities[own]
     factors = (torch.sigmoid(after.opacities[own]) / opacities).clamp(0, 1)
@@ -363,7 +365,7 @@ def layer_of(state: PaintState, painting: Painting, precision: Precision | None 
         settings=plain_settings(with_relief_form(painting.config)),
         styles=painting.style.sources() if painting.style else (),
         features=painting.features,
-        weights=source_of(weights.path) if weights and weights.path else weights,
+        weights=weights,
         precision=precision,
     )
 

@@ -89,7 +89,7 @@ def stylize(
         >>> stylize(scene, {"vase": "wave.jpg", "pot": Style("night.jpg", scale=2)})
         ... # doctest: +SKIP
     """
-    start, before, chosen = time.perf_counter(), scene, pick_device(device)
+    start, before = time.perf_counter(), scene
     recipe = as_recipe(styles)
     if recipe.recolors and not recipe.objects and (features or weights or protect):
         raise StyleSplatError(
@@ -99,7 +99,7 @@ def stylize(
     if protect:
         recipe = recipe.protecting((protect,) if isinstance(protect, str) else tuple(protect))
     paintings = plan_paintings(recipe, scene, features, weights)
-    setup_on = setup_maker(paintings, scene, max_memory, chosen)
+    setup_on = setup_maker(paintings, scene, max_memory, pick_device(device))
     if len(paintings) > 1:  # so that no object is painted in vain
         for painting in paintings:
             check_visible(*setup_on(scene.below(painting.name), painting))
