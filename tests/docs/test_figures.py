@@ -136,7 +136,7 @@ SAME = [
     (SCALE, r"process ([\d.]+) times the photos", r"default with two threads\) \| \S+ \| ([\d.]+)"),
     (SCALE, r"processes make ([\d.]+) times", r"2 processes apart \| \S+ \| ([\d.]+)"),
     (SCALE, r"process ([\d.]+) photos a second where", r"where two threads made ([\d.]+)"),
-    (SCALE, r"where two processes made ([\d.]+)\.", r"together made ([\d.]+) where"),
+    (SCALE, r"where two processes made ([\d.]+) \(", r"together made ([\d.]+) where"),
     (SCALE, r"after (\d+) s\]", r"1,000 \| 1 \| \S+ GiB \| ([\d.]+) s"),
     (SCALE, r"needs them: (\d+) ms of a core", r"beyond it, (\d+) ms of a core"),
     (SCALE, r"16 x ([\d.]+) GiB", r"60,000 Gaussians in all \| \d+ \| ([\d.]+)"),
