@@ -1,13 +1,14 @@
-"""LLFF's fern: how right are masks of the plant by a box, by lines, and by one click?
+"""The rows of docs/standard.md: NeRF's synthetic lego and LLFF's fern, trained, masked and painted.
 
-We could not get the masks of other papers: the plant is outlined by hand in one photo, around the
-tips of its leaflets. Boxes, lines and clicks are in other photos. The folder `fern` holds
-`poses_bounds.npy` and `images_4` alone.
+We could not get the masks of other papers: fern's plant is outlined by hand in one photo, around
+the tips of its leaflets. Boxes, lines and clicks are in other photos.
 
-    stylesplat train fern -o fern-quick --max-seconds 100 --max-gaussians 150000
-    python benchmarks/fern.py --capture fern --scene fern-quick
+    python benchmarks/standard.py --lego nerf_synthetic/lego --fern nerf_llff_data/fern
+
+The folder of fern holds `poses_bounds.npy` and `images_4` alone; that of lego is complete.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,14 @@ import cv2
 import numpy as np
 import torch
 import tyro
-from bench import machine, table
+from bench import STYLES, machine, table
 
 import stylesplat as ss
 from stylesplat.imaging.similarity import mask_iou
 from stylesplat.masks.grabcut import Stroke
 from stylesplat.rendering.weights import COVERED, coverage
-from stylesplat.scene.capture import Mask, resize_labels
+from stylesplat.scene.capture import Capture, Mask, resize_labels
+from stylesplat.scene.scene import Scene
 
 JUDGED, DRAWN = "image006.png", (1008, 756)  # the photo, and its size
 
@@ -94,35 +96,70 @@ def plant(size: tuple[int, int]) -> Mask:
     return resize_labels(torch.from_numpy(mask).int(), size[::-1]) > 0
 
 
-def main(capture: Path, scene: Path) -> None:
-    """Prints a row for each way to say what is meant."""
-    photos, splat = ss.load(capture), ss.open(scene)
+def train(photos: Capture, name: str, **settings: Any) -> tuple[Scene, list[str]]:
+    """A scene, and its row: quality of held-out views, Gaussians, steps and time."""
+    scene = ss.train(photos, **settings)
+    found = scene.metrics
+    quality = [f"{found['psnr']:.2f}", f"{found['ssim']:.3f}"]
+    counts = [f"{found[each]:,}" for each in ("gaussians", "steps")]
+    return scene, [name, *quality, *counts, f"{found['seconds']:.0f}"]
+
+
+def masks_of(photos: Capture, splat: Scene) -> Iterator[list[str]]:
+    """How right are masks of the plant by boxes, lines and clicks."""
     lines = [Stroke(tuple(each), over_object=True) for each in PLANT]
     lines += [Stroke(tuple(each), over_object=False) for each in BESIDE]
-    strokes = [(FIRST, line) for line in lines]
+    box = {"boxes": {"plant": (FIRST, BOXES[FIRST])}}
     given: dict[str, dict[str, Any]] = {
-        f"a box in {FIRST}": {"boxes": {"plant": (FIRST, BOXES[FIRST])}},
+        f"a box in {FIRST}": box,
         f"a box in {SECOND}": {"boxes": {"plant": (SECOND, BOXES[SECOND])}},
-        f"a box and {len(lines)} lines in {FIRST}": {
-            "boxes": {"plant": (FIRST, BOXES[FIRST])},
-            "strokes": {"plant": strokes},
-        },
+        f"the first and {len(lines)} lines": box
+        | {"strokes": {"plant": [(FIRST, line) for line in lines]}},
     }
-    rows = []
     for what, each in given.items():
         labels = ss.mask(photos, scene=splat, **each).labels(photos.cameras.index(JUDGED))
         assert labels is not None
         height, width = labels.shape
-        rows.append([what, f"{mask_iou(labels > 0, plant((width, height))):.3f}"])
+        yield [what, f"{mask_iou(labels > 0, plant((width, height))):.3f}"]
     camera = splat.cameras[splat.cameras.index(JUDGED)]
     for what, point in CLICKS.items():
         picked = ss.select(splat, "plant", point=(FIRST, point)).objects["plant"].mask
         shown = coverage(splat.base, camera, picked) > COVERED
-        rows.append(
-            [f"a click on the {what} in {FIRST}", f"{mask_iou(shown, plant(camera.size)):.3f}"]
-        )
+        yield [f"a click on the {what} in {FIRST}", f"{mask_iou(shown, plant(camera.size)):.3f}"]
+
+
+def paintings_of(scene: Scene) -> Iterator[list[str]]:
+    """How consistent paintings of the plant are, how near to their styles, and how like it."""
+    measured = ["short_range_rmse", "long_range_rmse", "nnfm_before", "nnfm_after", "content_ssim"]
+    for style in ("van_gogh_starry_night_1024", "hassam_south_ledges_1070", "ukiyo_e_raiko_1100"):
+        found = ss.evaluate(ss.stylize(scene, {"plant": STYLES / f"{style}.jpg"}))
+        unpainted = [f"{found[f'{each}_base']['plant']:.3f}" for each in measured[:2]]
+        yield [style, *(f"{found[each]['plant']:.3f}" for each in measured), *unpainted]
+
+
+def main(lego: Path | None = None, fern: Path | None = None, share: float = 1.0) -> None:
+    """Prints a table for each section of the page.
+
+    Args:
+        lego: Folder of NeRF's lego; none is not trained.
+        fern: Folder of LLFF's fern; none is not trained.
+        share: Of the time that the page's rows took, for a first look.
+    """
     print(machine())
-    print(table(["given", f"IoU in {JUDGED}"], rows))
+    rows, quality = [], ["scene", "PSNR", "SSIM", "Gaussians", "steps", "seconds"]
+    if lego is not None:
+        settings = {"max_seconds": 600 * share, "max_gaussians": 300_000, "background": "white"}
+        rows.append(train(ss.load(lego), "lego", **settings)[1])
+    if fern is not None:
+        photos = ss.load(fern)
+        settings = {"max_seconds": 150 * share, "max_gaussians": 150_000}
+        scene, row = train(photos, "fern", **settings)
+        print(table(["given", f"IoU in {JUDGED}"], [*masks_of(photos, scene)]))
+        masked = ss.mask(photos, scene=scene, boxes={"plant": (FIRST, BOXES[FIRST])})
+        heads = ["style", "short", "long", "NNFM before", "after", "SSIM", "unpainted", "long"]
+        print(table(heads, [*paintings_of(ss.train(masked, **settings))]))
+        rows.append(row)
+    print(table(quality, rows))
 
 
 if __name__ == "__main__":
