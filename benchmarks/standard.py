@@ -123,9 +123,13 @@ def masks_of(photos: Capture, splat: Scene) -> Iterator[list[str]]:
         yield [what, f"{mask_iou(labels > 0, plant((width, height))):.3f}"]
     camera = splat.cameras[splat.cameras.index(JUDGED)]
     for what, point in CLICKS.items():
-        picked = ss.select(splat, "plant", point=(FIRST, point)).objects["plant"].mask
-        shown = coverage(splat.base, camera, picked) > COVERED
-        yield [f"a click on the {what} in {FIRST}", f"{mask_iou(shown, plant(camera.size)):.3f}"]
+        try:
+            picked = ss.select(splat, "plant", point=(FIRST, point)).objects["plant"].mask
+            shown = coverage(splat.base, camera, picked) > COVERED
+            found = f"{mask_iou(shown, plant(camera.size)):.3f}"
+        except ss.StyleSplatError:
+            found = "refused"
+        yield [f"a click on the {what} in {FIRST}", found]
 
 
 def paintings_of(scene: Scene) -> Iterator[list[str]]:
