@@ -167,7 +167,7 @@ def limit_hue_detail(
 
     Features hardly tell hues of neighbouring pixels, so that these vary by chance: as coloured
     noise, up to three times as much as in a painting. Luminance stays. The pictures are as large
-    as they are beside the object in the views. Rounds are those of `project_to_palette`.
+    as they are beside the object in the views.
     """
     if share == 0:
         return colors

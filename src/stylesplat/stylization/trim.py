@@ -67,8 +67,9 @@ LONG, NARROW = 1.8, 0.6  # factors on scales along and across a stroke; 2.5 spik
 SHINES = 0.1  # pixels of a disc that shine through what is protected, if that lies before it
 CANVAS_LOST = 0.2  # coverage: where the object would lose more, the canvas has a hole
 CANVAS_RIM = 3  # pixels along the object's outline that are no holes
-# Part of a Gaussian's contribution to a view that has to lie in holes. With it a fox, a biker and a
-# brooch have a third to a half of their holes left; with .005 of a fox's a tenth, and fewer strokes
+# Part of a Gaussian's contribution to a view that has to lie in holes. It leaves a quarter to a
+# half of the holes of a fox, a biker and a brooch; .005 leaves a tenth of the fox's, but nearly
+# twice as many Gaussians come back, which carry no strokes
 IN_HOLES = 0.02
 
 

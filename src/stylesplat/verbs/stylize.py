@@ -111,8 +111,7 @@ def stylize(
     entries = {each.name: each for each in recipe.objects}
     surveys = dict[str, Sequence[ObjectBox]]()
     for number, painting in enumerate(paintings):
-        edits = [each for each in recipe.recolors if each.place == number]
-        scene = reduce(_recolored, edits, scene)
+        scene = _with_edits(scene, recipe, number)
         began = time.perf_counter()
         setup, own = setup_on(scene.below(painting.name), painting)
         layer, surveys[painting.name] = paint_layer(setup, own)
@@ -120,8 +119,7 @@ def stylize(
         layer = shown_like(layer.to("cpu"), scene.layer(painting.name), len(scene.base))
         scene = scene.with_layer(_as_in(layer, entries[painting.name], len(scene.base)))
         seconds[painting.name] = time.perf_counter() - began
-    edits = [each for each in recipe.recolors if each.place == len(paintings)]
-    scene = reduce(_recolored, edits, scene)
+    scene = _with_edits(scene, recipe, len(paintings))
     strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
     forms = {each.name: each.form for each in recipe.objects if each.form is not None}
     scene = with_sculptures(scene.with_strengths(strengths, forms))
@@ -144,6 +142,11 @@ def stylize(
 
 
 stylise = stylize
+
+
+def _with_edits(scene: Scene, recipe: Recipe, place: int) -> Scene:
+    """The scene after the recolourings and stored layers that follow so many paintings."""
+    return reduce(_recolored, (each for each in recipe.recolors if each.place == place), scene)
 
 
 def _recolored(scene: Scene, entry: RecoloredObject | StoredLayer) -> Scene:
