@@ -41,7 +41,8 @@ def some_state(step: int = 4) -> State:
     begun = first_state(replace(random_splats(20), classifier=classifier))
     for name, tensor in begun.moments.first.items():
         tensor += randn(*tensor.shape, seed=len(name))
-    return replace(begun, step=step, seconds=1.5)
+    remembered = {"pulls": torch.arange(20.0), "shown": torch.ones(20)}
+    return replace(begun, step=step, seconds=1.5, strategy_state=remembered)
 
 
 def assert_equal(one: State, other: State) -> None:
@@ -49,6 +50,9 @@ def assert_equal(one: State, other: State) -> None:
         assert torch.equal(tensor, other.params[name]), name
         assert torch.equal(one.moments.first[name], other.moments.first[name]), name
         assert torch.equal(one.moments.second[name], other.moments.second[name]), name
+    assert one.strategy_state.keys() == other.strategy_state.keys()
+    for name, tensor in one.strategy_state.items():
+        assert torch.equal(tensor, other.strategy_state[name]), name
 
 
 def test_what_is_loaded_is_what_was_saved(place: Checkpoint):
@@ -73,6 +77,7 @@ def test_gaussians_that_ran_away_cost_no_checkpoint(place: Checkpoint, name: str
     save_checkpoint(place, state)
     kept = torch.tensor([row not in (3, 5) for row in range(20)])
     loaded = load_checkpoint(place, CPU)
+    assert not loaded.strategy_state, "it was of all rows"
     for each in state.names:
         assert torch.equal(loaded.params[each], state.params[each][kept]), each
         assert torch.equal(loaded.moments.first[each], state.moments.first[each][kept]), each
@@ -101,9 +106,10 @@ def test_other_settings_but_those_of_memory_are_named(place: Checkpoint):
 def test_settings_that_an_older_version_did_not_have_are_the_defaults(place: Checkpoint):
     save_checkpoint(place, some_state())
     content = torch.load(place.path, weights_only=True)
-    del content["config"]["refine_end"]
+    del content["config"]["refine_end"], content["strategy"]
     torch.save(content, place.path)
-    assert load_checkpoint(place, CPU).step == 4
+    older = load_checkpoint(place, CPU)
+    assert older.step == 4 and not older.strategy_state
     with pytest.raises(StyleSplatError, match="another refine_end"):
         load_checkpoint(replace(place, config=replace(place.config, refine_end=0.5)), CPU)
 
@@ -133,6 +139,9 @@ def test_what_is_no_checkpoint_is_refused_and_stays(place: Checkpoint, content):
         ("ids", None, [0]),
         ("params", "color_maps", torch.zeros(9, 3, 4)),
         ("counts", None, [20]),
+        ("strategy", "pulls", torch.zeros(19)),
+        ("strategy", "pulls", torch.full((20,), -1.0)),
+        ("strategy", "more", torch.zeros(20)),
     ],
 )
 def test_checkpoints_that_cannot_be_continued_are_refused(

@@ -13,16 +13,19 @@ from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import Moments
 from stylesplat.training.densification import (
     DEAD_OPACITY,
+    LEAST_PULL,
     MAX_COPIES,
     NOISE_RATE,
     NOISE_SHARPNESS,
     add_noise_cpu,
     add_noise_cuda,
+    add_pulls,
     growth_preference,
     perturb_means,
     regularizer,
     relocate,
     relocate_and_grow,
+    take_need,
 )
 
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN", "identities")
@@ -30,7 +33,9 @@ OBJECTS = torch.arange(len(SPLATS)) >= 200  # the table comes first
 
 
 def refined(
-    splats: Splats, count: int, preference: torch.Tensor | None = None
+    splats: Splats,
+    count: int,
+    preference: torch.Tensor | None = None,
 ) -> tuple[dict[str, torch.Tensor], Moments]:
     params = splats.tensors()
     ones = ({name: torch.ones_like(t) for name, t in params.items()} for _ in range(2))
@@ -165,3 +170,33 @@ def test_objects_are_preferred():
     params, _ = refined(random_splats(50), 80, preference=few)
     assert (rows_of(params, random_splats(50))[50:] < 10).all()
     assert growth_preference(replace(SPLATS, identities=None), 4.0) is None
+
+
+def test_copies_go_where_photos_pull():
+    splats, grad = random_splats(50), torch.zeros(50, 3)
+    grad[:10] = 1e-6
+    for pulled, share in ((grad, 0.6), (torch.zeros(50, 3), 0.0)):
+        remembered = dict[str, torch.Tensor]()
+        add_pulls(remembered, pulled, torch.ones(50, dtype=torch.bool))
+        params, _ = refined(splats, 150, take_need(remembered, splats.tensors()))
+        sources = rows_of(params, splats)[50:]
+        assert (sources < 10).float().mean() > share and not remembered
+    assert len(sources.unique()) > 20, "nothing pulled"
+
+
+def test_need_is_of_the_photos_that_show_it_and_does_not_depend_on_the_unit_of_length():
+    def need(factor: float) -> torch.Tensor:
+        params, remembered = random_splats(40).tensors(), dict[str, torch.Tensor]()
+        params["scales"] = params["scales"] + math.log(factor)
+        grad = randn(40, 3, seed=1) / factor
+        grad[3] = math.nan
+        add_pulls(remembered, grad, torch.ones(40, dtype=torch.bool))
+        shown = torch.arange(40) < 20
+        for _ in range(2):
+            add_pulls(remembered, -grad * shown[:, None], shown)  # to and fro
+        return take_need(remembered, params)
+
+    expected = random_splats(40).scales.mean(dim=1).exp() * randn(40, 3, seed=1).norm(dim=1)
+    expected[3] = 0.0
+    torch.testing.assert_close(need(1.0), (expected / expected.mean() + LEAST_PULL).sqrt())
+    torch.testing.assert_close(need(1.0), need(100.0))

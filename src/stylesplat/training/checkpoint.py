@@ -23,6 +23,8 @@ FREE = {"max_memory"}  # settings that a run may be continued without: the resul
 CHECKPOINT_LENGTH = {"steps", "max_seconds"}  # may differ too, if the run takes no more steps
 CHECKPOINT_REMEDY = "The same settings and photos continue it; `--restart` begins anew."
 CHECKPOINT_SECONDS = 60.0
+PULLS = Declared(("N",), low=0.0, high=math.inf, optional=True)
+REMEMBERED = {"pulls": PULLS, "shown": PULLS}  # by `MCMCStrategy`
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ def save_checkpoint(checkpoint: Checkpoint, state: State) -> None:
         "params": {name: t.detach() for name, t in state.params.items()},
         "first": state.moments.first,
         "second": state.moments.second,
+        "strategy": state.strategy_state,
         "ids": list(state.ids),
         "counts": [state.first_count, state.step],
         "seconds": state.seconds,
@@ -133,7 +136,10 @@ def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
     params = {name: t.requires_grad_() for name, t in params.items()}
     moments = Moments(content["first"], content["second"])
     first_count, step = content["counts"]
-    return State(params, moments, ids, first_count, step, content["seconds"])
+    remembered = content.get("strategy", {})  # older versions remembered nothing
+    check_tensors(remembered, REMEMBERED, sizes)
+    counts = first_count, step, content["seconds"]
+    return State(params, moments, ids, *counts, strategy_state=remembered)
 
 
 class Checkpointer:

@@ -1,7 +1,9 @@
 """Densification as sampling: dead Gaussians move to where opaque ones are (3DGS-MCMC).
 
 Kheradmand et al. 2024. A Gaussian that is copied becomes fainter and smaller, so that it and its
-copies look as it did; noise in proportion to transparency lets Gaussians explore.
+copies look as it did; noise in proportion to transparency lets Gaussians explore. The paper copies
+in proportion to opacity; here also to how strongly photos pull (`take_need`), by which 3DGS finds
+where Gaussians are too few (Kerbl et al. 2023): where all is well, nothing pulls.
 """
 
 from collections.abc import Callable
@@ -30,6 +32,7 @@ MAX_COPIES = 51  # of one Gaussian at a time (official)
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
 NOISE_RATE = 5000.0  # official: 80, 5e5 times the rate of the means, at an extent of 8
 NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
+LEAST_PULL = 0.02  # of the mean, so that what no photo has pulled may be copied, too
 DENSE_OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
@@ -61,8 +64,9 @@ class Strategy(Protocol):
     `gaussian_ids`. It also has `loss`, to which `step_pre_backward` may add; the `progress` of the
     run in 0..1; the `first_count` of Gaussians; the `classifier`, if identities are learned; and a
     `generator`, which follows from seed and step. After the step, `photos` is how many photos the
-    gradients are the mean of, and `round` is the range of steps whose gradients were computed
-    together: the number of Gaussians may change only after its last step.
+    gradients are the mean of; `means_grad` is that of the means, if they have one; `visible` are
+    the Gaussians in view; and `round` is the range of steps whose gradients were computed together:
+    the number of Gaussians may change only after its last step.
     """
 
     def initialize_state(self, *args: Any, **kwargs: Any) -> dict[str, Any]: ...
@@ -86,7 +90,7 @@ class MCMCStrategy:
     """Unit of length of the scene."""
 
     def initialize_state(self) -> StepValues:
-        return {}  # all follows from the seed and the step, so a checkpoint needs nothing of it
+        return {}
 
     def step_pre_backward(
         self, params: Params, optimizers: Optimizers, state: StepValues, step: int, info: StepValues
@@ -99,21 +103,26 @@ class MCMCStrategy:
     def step_post_backward(
         self, params: Params, optimizers: Optimizers, state: StepValues, step: int, info: StepValues
     ) -> None:
-        """Add noise to the means; relocate and grow at the end of each interval."""
+        """Add noise to the means; relocate and grow at the end of each interval.
+
+        Until then `state` holds each Gaussian's "pulls", and by how many photos it was "shown".
+        """
         config, progress, photos = self.config, info["progress"], info["photos"]
+        if progress < config.refine_end and info["means_grad"] is not None:
+            add_pulls(state, info["means_grad"], info["visible"])
         decay = means_decay(progress)
         perturb_means(params, self.extent, decay, info["noise"], photos=photos)
         first, end, every = info["round"].start, info["round"].stop, config.refine_every
         is_due = step + photos == end and end // every > first // every
         if is_due and progress < config.refine_end:
             splats = Splats(**dict[str, Any](params), classifier=info["classifier"])
-            relocate_and_grow(
-                params,
-                optimizers,
-                config.gaussian_count(progress, info["first_count"]),
-                info["generator"],
-                preference=growth_preference(splats, config.object_growth),
-            )
+            preference = growth_preference(splats, config.object_growth)
+            if "pulls" in state:
+                need = take_need(state, params)
+                preference = need if preference is None else need * preference
+            count = config.gaussian_count(progress, info["first_count"])
+            generator = info["generator"]
+            relocate_and_grow(params, optimizers, count, generator, preference=preference)
 
 
 def regularizer(params: Params, extent: float) -> Float[Tensor, ""]:
@@ -168,6 +177,35 @@ def _add_noise(arrays, rate):
         means[i, 0] += a + double * (w * d + y * f - z * e)
         means[i, 1] += b + double * (w * e + z * d - x * f)
         means[i, 2] += c + double * (w * f + x * e - y * d)
+
+
+def add_pulls(
+    state: StepValues, means_grad: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"]
+) -> None:
+    """Add how strongly a photo pulls the Gaussians that it shows, whatever the direction.
+
+    Photos pull a Gaussian to and fro that stands for several things.
+    """
+    pull = means_grad.norm(dim=1)
+    if "pulls" in state:
+        state["pulls"].add_(pull)
+        state["shown"].add_(visible)
+    else:
+        state |= {"pulls": pull, "shown": visible.float()}
+
+
+def take_need(state: StepValues, params: Params) -> Float[Tensor, " N"]:
+    """How much each Gaussian needs others beside it, by the pulls so far, which are forgotten.
+
+    A pull is how much a shift by a Gaussian's own size would change the loss of a photo that shows
+    it, over the mean of all. Where copies share a pull, least is left of all pulls if copies are in
+    proportion to their roots.
+    """
+    pull = state.pop("pulls") / state.pop("shown").clamp(min=1)
+    change = pull * params["scales"].detach().mean(dim=1).exp()
+    change = change.nan_to_num(0.0, 0.0, 0.0)  # of what has run away
+    mean = change.mean().clamp(min=torch.finfo(change.dtype).tiny)
+    return (change / mean + LEAST_PULL).sqrt()
 
 
 def sound_rows(params: Params) -> Bool[Tensor, " N"]:

@@ -274,9 +274,9 @@ def begin_run(
             ids=ids,
         ).to(device)
     )
-    begin = run.strategy.initialize_state
-    state = replace(state, strategy_state=begin(**supported_kwargs(begin, scene_scale=extent)))
     if continued is None:
+        begin = run.strategy.initialize_state
+        state = replace(state, strategy_state=begin(**supported_kwargs(begin, scene_scale=extent)))
         state = state.with_photos(initial_photo_params(run, capture.points))
     return run, state
 

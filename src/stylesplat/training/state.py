@@ -52,7 +52,7 @@ class State:
     world_offset: Offset = ORIGIN
     """What the Gaussians are relative to, as the capture is."""
     strategy_state: dict[str, Any] = field(default_factory=dict)
-    """What the strategy remembers; that of `train` remembers nothing."""
+    """What the strategy remembers."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,7 +94,8 @@ class State:
             moments | {name: moments[name][sound] for name in self.names}
             for moments in (self.moments.first, self.moments.second)
         )
-        return replace(self, params=self.params | params, moments=Moments(first, second))
+        state = replace(self, params=self.params | params, moments=Moments(first, second))
+        return replace(state, strategy_state={})  # of other rows
 
     def with_photos(self, tensors: dict[str, Tensor]) -> "State":
         """The state with `PER_PHOTO` tensors, before the first step."""
