@@ -94,8 +94,8 @@ class State:
             moments | {name: moments[name][sound] for name in self.names}
             for moments in (self.moments.first, self.moments.second)
         )
-        state = replace(self, params=self.params | params, moments=Moments(first, second))
-        return replace(state, strategy_state={})  # of other rows
+        params, moments = self.params | params, Moments(first, second)
+        return replace(self, params=params, moments=moments, strategy_state={})  # it is of all rows
 
     def with_photos(self, tensors: dict[str, Tensor]) -> "State":
         """The state with `PER_PHOTO` tensors, before the first step."""
