@@ -41,7 +41,7 @@ def some_state(step: int = 4) -> State:
     begun = first_state(replace(random_splats(20), classifier=classifier))
     for name, tensor in begun.moments.first.items():
         tensor += randn(*tensor.shape, seed=len(name))
-    remembered = {"pulls": torch.arange(20.0), "shown": torch.ones(20)}
+    remembered = {"grad_norms": torch.arange(20.0), "counts": torch.ones(20)}
     return replace(begun, step=step, seconds=1.5, strategy_state=remembered)
 
 
@@ -139,8 +139,9 @@ def test_what_is_no_checkpoint_is_refused_and_stays(place: Checkpoint, content):
         ("ids", None, [0]),
         ("params", "color_maps", torch.zeros(9, 3, 4)),
         ("counts", None, [20]),
-        ("strategy", "pulls", torch.zeros(19)),
-        ("strategy", "pulls", torch.full((20,), -1.0)),
+        ("strategy", "grad_norms", None),
+        ("strategy", "grad_norms", torch.zeros(19)),
+        ("strategy", "grad_norms", torch.full((20,), -1.0)),
         ("strategy", "more", torch.zeros(20)),
     ],
 )

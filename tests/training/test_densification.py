@@ -13,19 +13,19 @@ from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import Moments
 from stylesplat.training.densification import (
     DEAD_OPACITY,
-    LEAST_PULL,
+    LEAST_CHANGE,
     MAX_COPIES,
     NOISE_RATE,
     NOISE_SHARPNESS,
+    add_gradients,
     add_noise_cpu,
     add_noise_cuda,
-    add_pulls,
     growth_preference,
     perturb_means,
     regularizer,
     relocate,
     relocate_and_grow,
-    take_need,
+    take_scores,
 )
 
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN", "identities")
@@ -33,9 +33,7 @@ OBJECTS = torch.arange(len(SPLATS)) >= 200  # the table comes first
 
 
 def refined(
-    splats: Splats,
-    count: int,
-    preference: torch.Tensor | None = None,
+    splats: Splats, count: int, preference: torch.Tensor | None = None
 ) -> tuple[dict[str, torch.Tensor], Moments]:
     params = splats.tensors()
     ones = ({name: torch.ones_like(t) for name, t in params.items()} for _ in range(2))
@@ -172,31 +170,31 @@ def test_objects_are_preferred():
     assert growth_preference(replace(SPLATS, identities=None), 4.0) is None
 
 
-def test_copies_go_where_photos_pull():
+def test_copies_go_where_gradients_are_large():
     splats, grad = random_splats(50), torch.zeros(50, 3)
     grad[:10] = 1e-6
-    for pulled, share in ((grad, 0.6), (torch.zeros(50, 3), 0.0)):
+    for given, share in ((grad, 0.6), (torch.zeros(50, 3), 0.0)):
         remembered = dict[str, torch.Tensor]()
-        add_pulls(remembered, pulled, torch.ones(50, dtype=torch.bool))
-        params, _ = refined(splats, 150, take_need(remembered, splats.tensors()))
+        add_gradients(remembered, given, torch.ones(50, dtype=torch.bool))
+        params, _ = refined(splats, 150, take_scores(remembered, splats.tensors()))
         sources = rows_of(params, splats)[50:]
         assert (sources < 10).float().mean() > share and not remembered
-    assert len(sources.unique()) > 20, "nothing pulled"
+    assert len(sources.unique()) > 20, "there were no gradients"
 
 
-def test_need_is_of_the_photos_that_show_it_and_does_not_depend_on_the_unit_of_length():
-    def need(factor: float) -> torch.Tensor:
+def test_scores_are_of_photos_that_show_a_gaussian_and_do_not_depend_on_the_unit_of_length():
+    def scores(factor: float) -> torch.Tensor:
         params, remembered = random_splats(40).tensors(), dict[str, torch.Tensor]()
         params["scales"] = params["scales"] + math.log(factor)
         grad = randn(40, 3, seed=1) / factor
         grad[3] = math.nan
-        add_pulls(remembered, grad, torch.ones(40, dtype=torch.bool))
+        add_gradients(remembered, grad, torch.ones(40, dtype=torch.bool))
         shown = torch.arange(40) < 20
         for _ in range(2):
-            add_pulls(remembered, -grad * shown[:, None], shown)  # to and fro
-        return take_need(remembered, params)
+            add_gradients(remembered, -grad * shown[:, None], shown)  # to and fro
+        return take_scores(remembered, params)
 
     expected = random_splats(40).scales.mean(dim=1).exp() * randn(40, 3, seed=1).norm(dim=1)
     expected[3] = 0.0
-    torch.testing.assert_close(need(1.0), (expected / expected.mean() + LEAST_PULL).sqrt())
-    torch.testing.assert_close(need(1.0), need(100.0))
+    torch.testing.assert_close(scores(1.0), (expected / expected.mean() + LEAST_CHANGE).sqrt())
+    torch.testing.assert_close(scores(1.0), scores(100.0))

@@ -23,8 +23,8 @@ FREE = {"max_memory"}  # settings that a run may be continued without: the resul
 CHECKPOINT_LENGTH = {"steps", "max_seconds"}  # may differ too, if the run takes no more steps
 CHECKPOINT_REMEDY = "The same settings and photos continue it; `--restart` begins anew."
 CHECKPOINT_SECONDS = 60.0
-PULLS = Declared(("N",), low=0.0, high=math.inf, optional=True)
-REMEMBERED = {"pulls": PULLS, "shown": PULLS}  # by `MCMCStrategy`
+SUMS = Declared(("N",), low=0.0, high=math.inf)
+REMEMBERED: dict[str, Declared] = {"grad_norms": SUMS, "counts": SUMS}  # by `MCMCStrategy`, or none
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _state(content: Mapping[str, Any], checkpoint: Checkpoint) -> State:
     moments = Moments(content["first"], content["second"])
     first_count, step = content["counts"]
     remembered = content.get("strategy", {})  # older versions remembered nothing
-    check_tensors(remembered, REMEMBERED, sizes)
+    check_tensors(remembered, REMEMBERED if remembered else {}, sizes)
     counts = first_count, step, content["seconds"]
     return State(params, moments, ids, *counts, strategy_state=remembered)
 

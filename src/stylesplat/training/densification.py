@@ -2,8 +2,8 @@
 
 Kheradmand et al. 2024. A Gaussian that is copied becomes fainter and smaller, so that it and its
 copies look as it did; noise in proportion to transparency lets Gaussians explore. The paper copies
-in proportion to opacity; here also to how strongly photos pull (`take_need`), by which 3DGS finds
-where Gaussians are too few (Kerbl et al. 2023): where all is well, nothing pulls.
+in proportion to opacity; here also to a score of positional gradients (`take_scores`), by which
+3DGS finds where Gaussians are too few (Kerbl et al. 2023).
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ MAX_COPIES = 51  # of one Gaussian at a time (official)
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
 NOISE_RATE = 5000.0  # official: 80, 5e5 times the rate of the means, at an extent of 8
 NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
-LEAST_PULL = 0.02  # of the mean, so that what no photo has pulled may be copied, too
+LEAST_CHANGE = 0.02  # of the mean, so that what has no gradient yet may be copied, too
 DENSE_OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
@@ -105,11 +105,11 @@ class MCMCStrategy:
     ) -> None:
         """Add noise to the means; relocate and grow at the end of each interval.
 
-        Until then `state` holds each Gaussian's "pulls", and by how many photos it was "shown".
+        Until then `state` holds the sums of `add_gradients`.
         """
         config, progress, photos = self.config, info["progress"], info["photos"]
         if progress < config.refine_end and info["means_grad"] is not None:
-            add_pulls(state, info["means_grad"], info["visible"])
+            add_gradients(state, info["means_grad"], info["visible"])
         decay = means_decay(progress)
         perturb_means(params, self.extent, decay, info["noise"], photos=photos)
         first, end, every = info["round"].start, info["round"].stop, config.refine_every
@@ -117,9 +117,9 @@ class MCMCStrategy:
         if is_due and progress < config.refine_end:
             splats = Splats(**dict[str, Any](params), classifier=info["classifier"])
             preference = growth_preference(splats, config.object_growth)
-            if "pulls" in state:
-                need = take_need(state, params)
-                preference = need if preference is None else need * preference
+            if state:
+                scores = take_scores(state, params)
+                preference = scores if preference is None else scores * preference
             count = config.gaussian_count(progress, info["first_count"])
             generator = info["generator"]
             relocate_and_grow(params, optimizers, count, generator, preference=preference)
@@ -179,33 +179,33 @@ def _add_noise(arrays, rate):
         means[i, 2] += c + double * (w * f + x * e - y * d)
 
 
-def add_pulls(
+def add_gradients(
     state: StepValues, means_grad: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"]
 ) -> None:
-    """Add how strongly a photo pulls the Gaussians that it shows, whatever the direction.
+    """Add the norms of a photo's gradients by the means, and count the Gaussians that it shows.
 
-    Photos pull a Gaussian to and fro that stands for several things.
+    Norms, because gradients of several photos cancel where one Gaussian stands for several things.
     """
-    pull = means_grad.norm(dim=1)
-    if "pulls" in state:
-        state["pulls"].add_(pull)
-        state["shown"].add_(visible)
+    norms = means_grad.norm(dim=1)
+    if state:
+        state["grad_norms"].add_(norms)
+        state["counts"].add_(visible)
     else:
-        state |= {"pulls": pull, "shown": visible.float()}
+        state |= {"grad_norms": norms, "counts": visible.float()}
 
 
-def take_need(state: StepValues, params: Params) -> Float[Tensor, " N"]:
-    """How much each Gaussian needs others beside it, by the pulls so far, which are forgotten.
+def take_scores(state: StepValues, params: Params) -> Float[Tensor, " N"]:
+    """Scores of how much Gaussians need others beside them, from the sums, which are forgotten.
 
-    A pull is how much a shift by a Gaussian's own size would change the loss of a photo that shows
-    it, over the mean of all. Where copies share a pull, least is left of all pulls if copies are in
-    proportion to their roots.
+    A score is the square root of how much the loss of a photo that shows a Gaussian changes when
+    the Gaussian is shifted by its own size. If copies share this change, least of it is left in all
+    where their numbers are in proportion to the roots.
     """
-    pull = state.pop("pulls") / state.pop("shown").clamp(min=1)
-    change = pull * params["scales"].detach().mean(dim=1).exp()
-    change = change.nan_to_num(0.0, 0.0, 0.0)  # of what has run away
-    mean = change.mean().clamp(min=torch.finfo(change.dtype).tiny)
-    return (change / mean + LEAST_PULL).sqrt()
+    gradients = state.pop("grad_norms") / state.pop("counts").clamp(min=1)
+    changes = gradients * params["scales"].detach().mean(dim=1).exp()
+    changes = changes.nan_to_num(0.0, 0.0, 0.0)  # of what has run away
+    mean = changes.mean().clamp(min=torch.finfo(changes.dtype).tiny)
+    return (changes / mean + LEAST_CHANGE).sqrt()
 
 
 def sound_rows(params: Params) -> Bool[Tensor, " N"]:

@@ -238,8 +238,8 @@ def densify(run: TrainingRun, state: State, photos: Sequence[PhotoGradients]) ->
     gaussians, after = state.gaussians(), run.strategy.step_post_backward
     for each in photos:
         info = each.info | _run_info(run, each.state)
-        info |= {"photos": each.photos, "round": range(state.step, end)}
-        info |= {"means_grad": each.state.params["means"].grad, "visible": each.visible}
+        info |= {"photos": each.photos, "round": range(state.step, end), "visible": each.visible}
+        info["means_grad"] = each.state.params["means"].grad
         rates = learning_rates(run.config, _means_unit(run, each.state))
         rate = supported_kwargs(after, lr=rates["means"])
         after(*gaussians, state.strategy_state, each.state.step, info, **rate)
