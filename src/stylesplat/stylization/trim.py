@@ -311,16 +311,11 @@ def reveal(
     without parts has a pattern, which is to be hidden. The views show the object so many pixels
     long. Returns also which Gaussians are left.
     """
-    first, weights = canvas, None
-
-    def look(camera: Cameras) -> tuple[Cameras, Contributions]:
-        return camera, contributions(first.before, camera, first.own)
-
     cameras = box_cameras(boxes, length, REVEAL_VIEWS)
-    views = [*per_view(look, cameras, "looking at the object", first.own.device)]
+    first, weights = canvas, None
     is_gone, is_back = torch.zeros_like(canvas.is_disc), torch.zeros_like(canvas.own)
     for left in reversed(range(REVEAL_ROUNDS)):
-        own, discs = _weights_in_faults(canvas, views, length, has_parts=has_parts)
+        own, discs = _weights_in_faults(canvas, cameras, length, has_parts=has_parts)
         is_open, is_unlike, everywhere = discs.unbind(dim=1)
         weights = everywhere if weights is None else weights
         gone = (is_open > DISC_OPEN * everywhere) | (is_unlike > DISC_UNLIKE * everywhere)
@@ -337,7 +332,7 @@ def reveal(
         if is_last:
             break
     assert weights is not None
-    needed = is_gone & (_lost_pixels(first, canvas, views) > DISC_LOST * weights)
+    needed = is_gone & (_lost_pixels(first, canvas, cameras) > DISC_LOST * weights)
     is_gone &= ~needed
     opacities = canvas.splats.opacities.where(~needed, first.splats.opacities)
     canvas = canvas.changed(opacities=opacities).select(~is_gone)
@@ -353,22 +348,17 @@ def _with_own(canvas: Canvas, back: Bool[Tensor, " B"]) -> Canvas:
 
 
 def _weights_in_faults(
-    canvas: Canvas,
-    views: Sequence[tuple[Cameras, Contributions]],
-    length: float,
-    *,
-    has_parts: bool,
+    canvas: Canvas, cameras: Sequence[Cameras], length: float, *, has_parts: bool
 ) -> tuple[Float[Tensor, "B 3"], Float[Tensor, "M 3"]]:
-    """Pixels by Gaussian: before (lost, unlike, all), and of the canvas (open, unlike, all).
-
-    The views come with the contributions of the object before.
-    """
+    """Pixels by Gaussian: before (lost, unlike, all), and of the canvas (open, unlike, all)."""
     before, after = canvas.before, canvas.splats
     near = JUST_BEHIND * robust_diameter(before.means[canvas.own])
 
-    def look(view: tuple[Cameras, Contributions]) -> tuple[Tensor, Tensor]:
-        camera, was = view
-        now = contributions(after, camera, canvas.mask)
+    def look(camera: Cameras) -> tuple[Tensor, Tensor]:
+        was, now = (
+            contributions(splats, camera, mask)
+            for splats, mask in ((before, canvas.own), (after, canvas.mask))
+        )
         gained = now.coverage - was.coverage
         is_open = (was.coverage < COVERED) & (gained > GAINED)
         if not canvas.own.all() and is_open.any():
@@ -386,7 +376,7 @@ def _weights_in_faults(
         own, discs = (torch.stack([each, *both], dim=-1) for each in (is_lost, is_open))
         return was.pixels_in(own), now.pixels_in(discs)
 
-    found = per_view(look, views, "comparing the canvas", before.device)
+    found = per_view(look, cameras, "comparing the canvas", before.device)
     own, discs = zip(*found, strict=True)
     return torch.stack(own).sum(dim=0), torch.stack(discs).sum(dim=0)
 
@@ -423,22 +413,18 @@ def _follow_neighbours(canvas: Canvas, is_gone: Bool[Tensor, " M"]) -> Bool[Tens
     return followed
 
 
-def _lost_pixels(
-    first: Canvas, canvas: Canvas, views: Sequence[tuple[Cameras, Contributions]]
-) -> Float[Tensor, " M"]:
+def _lost_pixels(first: Canvas, canvas: Canvas, cameras: Sequence[Cameras]) -> Float[Tensor, " M"]:
     """Pixels of each Gaussian of the first canvas where a solid part of the object is missing."""
     bare, lost = geometry_only(canvas.splats), torch.zeros_like(first.splats.opacities)
 
-    def look(view: tuple[Cameras, Contributions]) -> Tensor | None:
-        camera, was = view
-        is_lost = was.coverage - coverage(bare, camera, canvas.mask) > CANVAS_LOST
+    def look(camera: Cameras) -> Tensor | None:
+        was = coverage(first.before, camera, first.own)
+        is_lost = was - coverage(bare, camera, canvas.mask) > CANVAS_LOST
         if not is_lost.any():
             return None
-        return backproject(
-            geometry_only(first.splats), camera, is_lost[..., None].to(was.coverage)
-        )[:, 0]
+        return backproject(geometry_only(first.splats), camera, is_lost[..., None].to(was))[:, 0]
 
-    for pixels in per_view(look, views, "looking for what is missing", bare.device):
+    for pixels in per_view(look, cameras, "looking for what is missing", bare.device):
         if pixels is not None:
             lost += pixels
     return lost
