@@ -7,7 +7,7 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from stylesplat.progress import track
@@ -87,11 +87,13 @@ class State:
         for moments in (self.moments.first, self.moments.second):
             for name in self.names:
                 sound = sound & moments[name][:, None].flatten(1).isfinite().all(dim=1)
-        if sound.all():
-            return self
-        params = {n: self.params[n].detach()[sound].requires_grad_() for n in self.names}
+        return self if sound.all() else self.at_rows(sound)
+
+    def at_rows(self, rows: Bool[Tensor, " N"] | Int[Tensor, " M"]) -> "State":
+        """The state of these Gaussians, some of which may be taken several times."""
+        params = {n: self.params[n].detach()[rows].requires_grad_() for n in self.names}
         first, second = (
-            moments | {name: moments[name][sound] for name in self.names}
+            moments | {name: moments[name][rows] for name in self.names}
             for moments in (self.moments.first, self.moments.second)
         )
         params, moments = self.params | params, Moments(first, second)
