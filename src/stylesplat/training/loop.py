@@ -350,8 +350,8 @@ def round_seconds(run: TrainingRun, state: State) -> list[float]:
 
     Measured on copies of its first state that have as many Gaussians as the run has by then, and
     photos as small. Each round is taken twice, first to read its photos. Copies keep their size and
-    opacity, as steps soon widen what densification makes small and faint. In runs of 1,500 steps the
-    sum was a tenth too long for a toy, and a third for a desk that starts from few points.
+    opacity, as steps soon widen what densification makes small and faint. In 1,500 steps the sum
+    was a tenth too long for a toy, and a third for a desk that starts from few points.
     """
     config = replace(
         run.config,
