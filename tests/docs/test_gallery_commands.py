@@ -36,7 +36,8 @@ QUICKLY = {
     "stylize": "--quality draft --steps 2 --overwrite",
 }
 BOX = re.compile(r"--box \w+=([^:]+):(\S+)")
-PREVIEW = 16  # times smaller than their photos: what the balls are rendered at
+PREVIEW = 16  # times smaller than the named photo: what the balls are rendered at
+OTHERS = 4  # times smaller than the named photo: the others, as large ones take long to read
 
 
 def _paintings() -> dict[tuple[str, ...], list[str]]:
@@ -53,10 +54,11 @@ PAINTINGS = _paintings()
 
 
 def capture_of_balls(folder: Path, name: str, edges: list[int]) -> None:
-    """Large photos of the balls, one of them in a box in the one of this name."""
-    size = [-(-side * 9 // 8 // PREVIEW) * PREVIEW for side in edges[2:]]
-    Ks, sizes = CAMERAS.Ks.clone(), torch.tensor(size).expand(len(CAMERAS), 2)
-    Ks[:, :2] *= size[0] / int(CAMERAS.sizes[0, 0])
+    """Photos of the balls; the one of this name is large, and shows one ball in a box."""
+    size = torch.tensor([-(-side * 9 // 8 // PREVIEW) * PREVIEW for side in edges[2:]])
+    Ks, sizes = CAMERAS.Ks.clone(), (size // OTHERS).repeat(len(CAMERAS), 1)
+    Ks[:, :2] *= int(sizes[0, 0]) / int(CAMERAS.sizes[0, 0])
+    sizes[0] = size
     left, upper, right, lower = box_around(render_labels(SPLATS, CAMERAS[0]) == 3, 1)
     times = min((edges[2] - edges[0]) / (right - left), (edges[3] - edges[1]) / (lower - upper))
     K = CAMERAS.Ks[0].clone()
@@ -67,10 +69,11 @@ def capture_of_balls(folder: Path, name: str, edges: list[int]) -> None:
     names = (name, *(f"other_{row}.jpg" for row in range(1, len(CAMERAS))))
     cameras = replace(CAMERAS, Ks=Ks, sizes=sizes, names=names)
     (folder / "images").mkdir(parents=True)
-    for camera in cameras:
-        image = rasterize(SPLATS, camera.downscale(PREVIEW))[0][0].clamp(0, 1)
+    for row, camera in enumerate(cameras):
+        preview = camera.downscale(PREVIEW if row == 0 else PREVIEW // OTHERS)
+        image = rasterize(SPLATS, preview)[0][0].clamp(0, 1)
         small = Image.fromarray((255 * image).round().to(torch.uint8).numpy())
-        photo = small.resize((size[0], size[1]), Image.Resampling.BILINEAR)
+        photo = small.resize(camera.size, Image.Resampling.BILINEAR)
         photo.save(folder / "images" / camera.names[0])
     write_transforms(cameras, folder, points=SPLATS.means)
 
