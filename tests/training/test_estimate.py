@@ -67,13 +67,16 @@ def test_the_line_is_left_out_where_the_time_is_known_or_short(
 
 def test_the_estimate_changes_nothing_in_the_run(capture: Capture, config: TrainConfig):
     """Equal first steps, with the estimate of a run that is long enough and without."""
-    means = []
+    config, found = replace(config, color_correction="on"), []
     for steps in (STEPS, STEPS - 1):
 
         def keep(state, *_: object) -> None:
-            means.append(state.params["means"].detach().clone())
+            found.append({name: t.detach().clone() for name, t in state.params.items()})
             raise Stopped
 
         with pytest.raises(Stopped):
             fit(capture, replace(config, steps=steps), on_progress=keep)
-    assert torch.allclose(*means, rtol=0, atol=1e-5)  # rates differ a little with the length
+    with_estimate, without = found
+    assert with_estimate.keys() == without.keys() >= {"means", "color_maps"}
+    for name in without:  # rates differ a little with the length
+        assert torch.allclose(with_estimate[name], without[name], rtol=0, atol=1e-5), name

@@ -366,9 +366,9 @@ def round_seconds(run: TrainingRun, state: State) -> list[float]:
         count = config.gaussian_count(step / config.steps, first)
         later = replace(state.at_rows(torch.arange(count) % first), step=step)
         train_step(timed, later.clone())
-        start = time.perf_counter()
-        train_step(timed, later)
-        later.params["means"][0, 0].item()  # waits for the GPU
+        again, start = later.clone(), time.perf_counter()
+        train_step(timed, again)
+        again.params["means"][0, 0].item()  # waits for the GPU
         seconds.append(time.perf_counter() - start)
     return seconds
 
