@@ -349,21 +349,19 @@ def round_seconds(run: TrainingRun, state: State) -> list[float]:
     """Seconds of a round at evenly spaced points of a run by steps and `MCMCStrategy`.
 
     Measured on copies of its first state that have as many Gaussians as the run has by then, and
-    photos as small. Each round is taken twice, first to read its photos. Copies keep their size and
-    opacity, as steps soon widen what densification makes small and faint. In 1,500 steps the sum
-    was a tenth too long for a toy, and a third for a desk that starts from few points.
+    photos as small. Each round is taken twice, first to read its photos. Gaussians are repeated
+    with their size and opacity: those that densification adds are small and faint, which takes less
+    time, but they grow soon. In 1,500 steps the sum was a tenth too long for a toy, and a third for
+    a desk that starts from few points.
     """
+    steps = ESTIMATE_ROUNDS * run.batch
     config = replace(
-        run.config,
-        steps=ESTIMATE_ROUNDS * run.batch,
-        max_seconds=None,
-        refine_every=ESTIMATE_ROUNDS * run.batch + 1,
-        sh_degree_every=None,
+        run.config, steps=steps, max_seconds=None, refine_every=steps + 1, sh_degree_every=None
     )
     timed = replace(run, config=config, strategy=MCMCStrategy(config, run.extent))
     seconds, first = list[float](), len(state.splats)
-    for step in range(0, config.steps, run.batch):
-        count = config.gaussian_count(step / config.steps, first)
+    for step in range(0, steps, run.batch):
+        count = config.gaussian_count(step / steps, first)
         later = replace(state.at_rows(torch.arange(count) % first), step=step)
         train_step(timed, later.clone())
         again, start = later.clone(), time.perf_counter()

@@ -90,7 +90,7 @@ class State:
         return self if sound.all() else self.at_rows(sound)
 
     def at_rows(self, rows: Bool[Tensor, " N"] | Int[Tensor, " M"]) -> "State":
-        """The state of these Gaussians, some of which may be taken several times."""
+        """The state of these Gaussians, some perhaps repeated; it shares all other tensors."""
         params = {n: self.params[n].detach()[rows].requires_grad_() for n in self.names}
         first, second = (
             moments | {name: moments[name][rows] for name in self.names}
