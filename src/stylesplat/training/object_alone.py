@@ -172,18 +172,24 @@ def _carve(
     most_outside = round((1 - HULL_SHARE) * len(masks), 6)  # masks, of a cell that is kept
     for level in track(range(HULL_LEVELS), "finding outlines"):
         is_last = level == HULL_LEVELS - 1
-        seen, inside = (torch.zeros(len(cells)) for _ in range(2))
+        seen, inside, deep = (torch.zeros(len(cells)) for _ in range(3))
         for row, mask in enumerate(masks):
             camera = cameras[row]
-            if not is_last:  # a cell counts if any of it may be inside
-                mask = _dilated(mask, _pixels(size, camera, middle))
             places, shown = _places(cells, camera)
             x, y = (places * shown[:, None]).unbind(1)  # those that are not shown count nowhere
+            at = y * camera.size[0] + x
+            if not is_last:  # a cell counts if any of it may be inside
+                width = _pixels(size, camera, middle)
+                deep += ~_dilated(~mask, width).flatten().take(at) & shown
+                mask = _dilated(mask, width)
             seen += shown
-            inside += mask.flatten().take(y * camera.size[0] + x) & shown
+            inside += mask.flatten().take(at) & shown
             kept = seen - inside <= most_outside  # most cells are ruled out by the first masks
-            cells, seen, inside = cells[kept], seen[kept], inside[kept]
-        cells = cells[(seen >= HULL_SEEN * len(masks)) & (inside >= HULL_SHARE * seen)]
+            cells, seen, inside, deep = (each[kept] for each in (cells, seen, inside, deep))
+        is_hull = (seen >= HULL_SEEN * len(masks)) & (inside >= HULL_SHARE * seen)
+        # What is deep within shows nowhere: what is around it does, as far as cells reach
+        around = (cells - middle).abs().amax(dim=1) > reach - size
+        cells = cells[is_hull & ((deep < len(masks)) | around)]
         if not is_last:
             corners = size / 4 * torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3)
             cells, size = (cells[:, None] + corners).flatten(0, 1), size / 2
