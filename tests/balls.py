@@ -23,7 +23,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb
 from stylesplat.scene.virtual_cameras import ring_cameras
 from stylesplat.selection.labels import render_labels
-from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.config import PLANS, StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.painting import Painting, paint_setup
 from stylesplat.stylization.style import Style
@@ -230,6 +230,10 @@ QUICKLY = {
     "evaluation.style.LOOK_LENGTH": 30.0,  # pixels
     "stylization.canvas.CANVAS_STEPS": 4,
     "stylization.config.PATTERN_LENGTH": 48.0,  # pixels
+    "stylization.config.PLANS": {
+        quality: tuple(replace(row, steps=row.steps // 5) for row in rows)
+        for quality, rows in PLANS.items()
+    },
     "stylization.config.WINDOW": 64,  # pixels
     "stylization.form.FORM_ROUNDS": 1,
     "stylization.painter.BLUR_VIEWS": 2,
