@@ -21,6 +21,7 @@ pixels of objects, and over the others, in the views that have masks.
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from math import isnan, nan
 from pathlib import Path
 from time import perf_counter, process_time
 
@@ -33,7 +34,7 @@ from torch import Tensor
 import stylesplat as ss
 from stylesplat.evaluation.photos import Fits, evaluate_views
 from stylesplat.io.label_maps import read_label_map
-from stylesplat.rendering.weights import TINY_COVERAGE, composite
+from stylesplat.rendering.weights import COVERED, TINY_COVERAGE, composite
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, Mask, resize_labels
 from stylesplat.scene.projection import depths_of
@@ -109,15 +110,18 @@ def object_masks(scene: str, capture: Capture) -> Iterator[tuple[Cameras, Mask]]
 
 @torch.no_grad()
 def depth_scatter(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
-    """The deviation of the depths that each pixel mixes, over the size of a pixel at their mean."""
+    """The deviation of the depths that each pixel mixes, over the size of a pixel at their mean.
+
+    NaN where a pixel is not covered.
+    """
     depths = depths_of(splats.means, camera).clamp(min=0)
     unit = depths[depths > 0].median()  # sums of squares of numbers near 1 lose least
     powers = torch.stack([(depths / unit) ** power for power in range(3)], dim=1)
     covered, first, second = composite(splats, camera, powers).double().unbind(dim=-1)
-    covered = covered.clamp(min=TINY_COVERAGE)
+    is_covered, covered = covered > COVERED, covered.clamp(min=TINY_COVERAGE)
     mean = (first / covered).clamp(min=TINY_COVERAGE)
     deviation = (second / covered - mean.square()).clamp(min=0).sqrt()
-    return float(camera.Ks[0, 0, 0]) * deviation / mean
+    return (float(camera.Ks[0, 0, 0]) * deviation / mean).where(is_covered, torch.nan)
 
 
 def median_scatters(scene: str, capture: Capture, splats: Splats) -> list[str]:
@@ -128,7 +132,8 @@ def median_scatters(scene: str, capture: Capture, splats: Splats) -> list[str]:
         inside.append(found[mask])
         outside.append(found[~mask])
     both = (torch.cat(some) for some in (inside, outside))
-    return [f"{float(some.median()):.1f}" if len(some) else "-" for some in both]
+    medians = [float(some.nanmedian()) if len(some) else nan for some in both]
+    return ["-" if isnan(median) else f"{median:.1f}" for median in medians]
 
 
 def larger_psnrs(splats: Splats, capture: Capture, config: TrainConfig) -> str:

@@ -157,6 +157,8 @@ def test_the_bar_counts_seconds_where_they_end_the_run(capture: Capture, config:
     with observed(listener := Listener()):
         state = fit(capture, replace(config, max_seconds=0.3))
     assert ("training", 0.3, "s") in listener.begun
+    early, last = (note.split(", ")[1] for note in (listener.notes[0], listener.notes[-1]))
+    assert early.endswith("dB (rises most near the end)") and last.endswith("dB")
     assert listener.done == pytest.approx(0.3) and state.seconds >= 0.3 and state.step > 0
 
 

@@ -107,7 +107,7 @@ def load_checkpoint(checkpoint: Checkpoint, device: torch.device, *, finish: boo
 
 def _changed(content: Mapping[str, Any], checkpoint: Checkpoint, *, finish: bool) -> str:
     """How the run of a checkpoint differs from the one wanted; empty if it does not."""
-    # A setting that an older version did not have was what is the default now.
+    # A setting that an older version did not have counts as the default of today
     saved, wanted = asdict(TrainConfig()) | content["config"], asdict(checkpoint.config)
     over = finish or checkpoint.config.progress(content["counts"][1], content["seconds"]) >= 1
     free = FREE | CHECKPOINT_LENGTH if over else FREE

@@ -12,7 +12,8 @@ Segment = Literal["joint", "lift"]
 PhotoBackground = Literal["random", "black", "white"]
 
 LEVELS = {"black": 0.0, "white": 1.0}  # of backgrounds that are not random
-COARSE_UNTIL = ((0.12, 4), (0.35, 2))  # until this share of the run, photos this much smaller
+# Until this share of the run, photos this much smaller: steps there take a fraction of the time
+COARSE_UNTIL = ((0.12, 4), (0.35, 2))
 MIN_SIZE = 64  # pixels; photos are not made smaller than this
 SH_DEGREE_EVERY = 0.1  # share of the run per band, unless the settings give a number of steps
 MEANS_DECAY = 0.01  # last learning rate of the means over the first (official)
@@ -56,8 +57,8 @@ class TrainConfig(Config):
     color_correction: ColorCorrection = "auto"
     """Whether training learns each photo's exposure and white balance, apart from the splat.
 
-    `auto` does where points that several photos show differ in brightness, in the channel that
-    differs most.
+    `auto` does where the capture's sparse points differ in brightness between photos, in the
+    channel that differs most.
     """
     refine_poses: bool = False
     """Whether training refines the rotation and position of each training photo's camera.
@@ -91,10 +92,10 @@ class TrainConfig(Config):
     scatter_weight: Annotated[float, RATE] = 0.1
     """Weight of the loss that draws what a pixel mixes to one depth: surfaces instead of haze.
 
-    It is in every second step from 0.4 of the run on, but for those that train identities.
+    It is in every second round from 0.4 of the run on, but for those that train identities.
     """
     identity_every: Annotated[int, COUNT] = 2
-    """Identities are trained every this many steps; such a step costs over twice as much."""
+    """Identities are trained in every n-th round of photos that are computed together."""
     identity_stride: Annotated[int, COUNT] = 3
     """The identity loss samples every n-th pixel along x and y, from a random offset."""
     means_rate: Annotated[float, RATE] = 9.6e-4

@@ -1,4 +1,7 @@
-"""The training loop: Gaussians, identities and classifier together (StyleSplat section 3.3)."""
+"""The training loop: Gaussians, and identities with their classifier where they are learned.
+
+After StyleSplat, section 3.3; by default identities are lifted afterwards (`lifting.py`).
+"""
 
 import os
 import time
@@ -46,8 +49,8 @@ TRAINING_SMOOTHING = 0.98  # per step, of the loss and PSNR shown: single photos
 GPU_STEPS = 10  # between reports, each of which waits for the GPU; a CPU has done the step anyway
 GPU_SECONDS = 1.0  # but slow steps are reported one by one
 TRAINING_PATIENCE = timedelta(days=7)  # for other processes: torchrun ends all when one fails
-ESTIMATE_ROUNDS = 10  # of the copy
-# A run shorter than so many copies gets no estimate, which would cost over 10 %
+ESTIMATE_ROUNDS = 10  # that are timed
+# A run of fewer than so many times these gets no estimate: each is taken twice, over 10 % of it
 ESTIMATE_LEAST = 20
 LONG_SECONDS = 120  # a run that takes longer is offered a first look
 # A first look of the fox, on photos of 480 pixels, has 31 dB (README, "How fast")
@@ -277,6 +280,7 @@ def begin_run(
     if continued is None:
         begin = run.strategy.initialize_state
         state = replace(state, strategy_state=begin(**supported_kwargs(begin, scene_scale=extent)))
+        # Points that were swept lie in photos that do not show them, too: they tell no exposure
         state = state.with_photos(initial_photo_params(run, capture.points))
     return run, state
 
@@ -313,11 +317,16 @@ class ProgressMeter:
     def __init__(
         self, config: TrainConfig, state: State, bar: Task, on_progress: Report | None
     ) -> None:
-        self._limit, self._bar, self._on_progress = config.max_seconds, bar, on_progress
-        self._done = state.step if self._limit is None else state.seconds
+        self._config, self._bar, self._on_progress = config, bar, on_progress
+        self._done = self._spent(state)
         self._step, self._since = state.step, time.monotonic()
         self.scores: list[Float[Tensor, 2]] = []
         self._smooth: Float[Tensor, 2] | None = None
+
+    def _spent(self, state: State) -> int | float:
+        """Steps or seconds of what the bar counts."""
+        limit = self._config.max_seconds
+        return state.step if limit is None else min(state.seconds, limit)
 
     def add(self, scores: Float[Tensor, "2"], step: int) -> Float[Tensor, "2"] | None:
         """Add the scores of a round; their means if it is time for a report."""
@@ -336,8 +345,10 @@ class ProgressMeter:
         self._smooth = means if self._smooth is None else self._smooth.lerp(means, 1 - kept)
         loss, psnr = self._smooth.tolist()
         count = f"{len(state.splats):,} Gaussians"
-        self._bar.note(f"loss {loss:.4f}, PSNR {psnr:.2f} dB so far, {count}")
-        done = state.step if self._limit is None else min(state.seconds, self._limit)
+        is_over = self._config.progress(state.step, state.seconds) == 1
+        rises = "" if is_over else " (rises most near the end)"
+        self._bar.note(f"loss {loss:.4f}, PSNR {psnr:.2f} dB{rises}, {count}")
+        done = self._spent(state)
         self._bar.advance(done - self._done)
         self._done, self._step, self._since = done, state.step, time.monotonic()
         self.scores.clear()
@@ -386,7 +397,7 @@ def say_estimate(run: TrainingRun, state: State, capture: Capture, *, advise: bo
         most = format_duration(seconds * capture.downscale**2)
         advice += f" All pixels of the photos would take up to {most}."
     if seconds > LONG_SECONDS:
-        advice += f" PSNR rises most near the end. `{FIRST_LOOK}` gives a first look."
+        advice += f" `{FIRST_LOOK}` gives a first look."
     photos = f"{count_noun(len(run.rows), 'photo')} of {width}x{height}"
     say(
         f"{photos}, at most {config.max_gaussians:,} Gaussians: {config.steps:,} steps take "

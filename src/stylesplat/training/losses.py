@@ -1,4 +1,7 @@
-"""The losses of joint training (StyleSplat section 3.3, Gaussian Grouping)."""
+"""The losses of training: of colours, of depths, and of identities where they are learned.
+
+After StyleSplat, section 3.3, and Gaussian Grouping.
+"""
 # pyright: reportIncompatibleMethodOverride=false
 # (torch's own signature of `backward` is (*args))
 
@@ -71,7 +74,7 @@ def depth_scatter(
     It is the sum over pairs of a pixel's weights times 1 - cos(log(z1 / z2)), averaged over pixels:
     the distortion of Mip-NeRF 360 (Barron et al. 2022) and 2DGS (Huang et al. 2024), in closed form
     by two composited channels. Of a covered pixel it is the variance of the logarithms, where these
-    differ little.
+    differ little; depths that differ by more than exp(pi), 23 times, are drawn together no more.
     """
     return (coverage.square().squeeze(-1) - phases.square().sum(dim=-1)).mean()
 

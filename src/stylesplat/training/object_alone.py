@@ -164,7 +164,7 @@ def silhouettes(
 def _carve(
     masks: Sequence[Bool[Tensor, "H W"]], cameras: Cameras
 ) -> tuple[Float[Tensor, "N 3"], float]:
-    """The middles of the cells that are left, and how long their sides are."""
+    """The middles of cells at the surface of the hull, and how long their sides are."""
     middle, reach = _extent(masks, cameras)
     steps = (torch.arange(HULL_CELLS) + 0.5) / HULL_CELLS * 2 - 1
     cells = middle + reach * torch.cartesian_prod(steps, steps, steps)

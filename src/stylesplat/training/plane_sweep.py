@@ -30,9 +30,10 @@ from stylesplat.training.views import TrainingView
 SWEEP_SIDE = 160  # pixels of the photos' longer side, at least: they are whole times smaller
 SWEPT_PHOTOS = 16  # whose depths are found
 SWEEP_BESIDE = 4  # other photos that each of them is compared with
-# Of these: the distance of the cameras, over that of what they show, that is best and the least;
-# and the largest angle between their views, in radians, which counts so much beside
-SWEEP_APART, SWEEP_LEAST, SWEEP_TURN, SWEEP_TURNED = 0.12, 0.02, 1.0, 0.3
+# Of these: the best distance of the cameras, over that of what they show, and the least
+SWEEP_APART, SWEEP_LEAST = 0.12, 0.02
+SWEEP_TURN = 1.0  # radians between the views, at most
+SWEEP_TURNED = 0.3  # what such a turn counts, beside the distance from the best one
 SWEEP_PLANES = 48  # even in 1 / depth
 SWEEP_MARGINS = 0.7, 1.5  # of the depths of known points: where planes begin and end
 SWEEP_RANGE = 0.01, 0.99  # quantiles of these
@@ -41,6 +42,7 @@ SWEEP_WINDOW = 5  # pixels
 SWEEP_PLAIN = 1e-4  # variance of the luminance of a window that shows nothing to compare
 SWEEP_ALIKE, SWEEP_ALONE = 0.75, 0.2  # correlation at least, and by how much above the median
 SAME_DEPTH = 0.03  # of it: depths of two photos that are one
+SWEEP_WHOLE = 0.97  # of a window is valid, or of a pixel opaque, at least
 
 
 @dataclass(frozen=True)
@@ -132,9 +134,9 @@ def _sweep_photo(
     is_found = (plane == inner) & (best > SWEEP_ALIKE) & (variance > SWEEP_PLAIN)
     is_found &= best - score.median(dim=0).values > SWEEP_ALONE
     if view.valid is not None:
-        is_found &= _window_mean(view.valid.float()) > 1 - SAME_DEPTH
+        is_found &= _window_mean(view.valid.float()) > SWEEP_WHOLE
     if view.alpha is not None:
-        is_found &= view.alpha[..., 0] > 1 - SAME_DEPTH
+        is_found &= view.alpha[..., 0] > SWEEP_WHOLE
     return SweptPhoto(camera, depths, is_found, view.photo)
 
 
