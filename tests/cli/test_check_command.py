@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from capture_files import write_ball_capture
+from capture_files import write_ball_capture, write_cut_outs
 from processes import complaint, result, run
 
 
@@ -25,6 +25,15 @@ def test_a_line_for_each_finding(posed: Path, capsys: pytest.CaptureFixture[str]
     (one,), (other,) = ([s for s in lines if s.startswith(w)] for w in ("photos", "heights"))
     assert one.index("poor") == other.index("fair"), "columns are aligned"
     assert sorted(posed.parent.rglob("*")) == before, "nothing is written"
+
+
+def test_the_next_step_of_cut_outs_is_no_mask(
+    posed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert run("check", posed) == 0
+    assert "Next: stylesplat mask " in capsys.readouterr().err
+    assert run("check", write_cut_outs(tmp_path / "cut-outs")) == 0
+    assert "Next: stylesplat train " in capsys.readouterr().err
 
 
 def test_the_picture(posed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -139,6 +139,18 @@ def test_what_an_earlier_run_said_is_replaced_and_nothing_else(
     assert {path.name for path in folder.iterdir()} == {"0000.png", "mine.png", PREVIEW}
 
 
+def test_labels_without_names_are_told_by_id(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    for camera in CAMERAS:
+        name = Path(camera.names[0]).with_suffix(".png")
+        write_label_map(render_labels(SPLATS, camera), tmp_path / "maps" / name)
+    assert run("labels", scene, "--masks", tmp_path / "maps", "--device", "cpu") == 0
+    said = capsys.readouterr().err
+    assert "its objects are id 3 without a name, id 7 without a name" in said
+    assert f"stylesplat select {scene} --name NAME --id ID" in said
+
+
 def test_strokes_as_they_are_typed(photos: Path, scene: Path, capsys: pytest.CaptureFixture[str]):
     lines = ("--stroke", "vase=0001.jpg:10,12,20,12", "--not-stroke", "vase=0001.jpg:7,9")
     assert run("mask", photos, "--box", BOX, *lines, "--scene", scene, "--device", "cpu") == 0

@@ -69,7 +69,11 @@ def test_the_advice_follows_from_what_happened(
 ):
     found = {"psnr": psnr, "train_psnr": trained, "steps": steps, "gaussians": gaussians}
     lines = Train(Path("photos"), Path("scene")).outcome(found, TrainConfig(), photos)
-    assert f"{psnr} dB" in next(lines) and re.search(verdict, next(lines))
+    assert f"{psnr} dB from" in next(lines) and re.search(verdict, next(lines))
+    whole = {"psnr": psnr + 9, "train_psnr": trained + 9, "steps": steps, "gaussians": gaussians}
+    found = whole | {"object_psnr": psnr, "train_object_psnr": trained}
+    lines = Train(Path("photos"), Path("scene")).outcome(found, TrainConfig(), photos)
+    assert f"{psnr} dB over the object from" in next(lines) and re.search(verdict, next(lines))
 
 
 def test_runs_limited_by_time_tell_of_a_busy_machine(

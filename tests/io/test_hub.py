@@ -192,7 +192,10 @@ def test_the_size_is_that_of_what_is_not_there_yet(online: Hub, said: list[str],
             "unreachable",
             r"http://127.0.0.1:9 cannot be reached \(.*refused.*`hf download owner/tiny",
         ),
-        ("disk full", r"needs 9000\.00 GB, and \d+\.\d\d GB are free in .*cache\. .*HF_HOME"),
+        (
+            "disk full",
+            r"needs 9000\.00 GB, and \d+\.\d\d GB are free in .*STYLESPLAT_MODELS",
+        ),
         ("broken", r"the download broke off \(.*\)\. Run the same command again"),
     ],
 )

@@ -13,7 +13,9 @@ from stylesplat.evaluation.summary import flat
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.scene.frames import Frame, move_cameras
 from stylesplat.scene.scene import Scene, shared_views
+from stylesplat.verbs.adjust import recolor
 from stylesplat.verbs.evaluate import compare
+from stylesplat.verbs.select import select
 
 SCENE = Scene(SPLATS, CAMERAS, held_out=CAMERAS.names[:2])
 DARKER = replace(SCENE, base=replace(SPLATS, sh0=SPLATS.sh0 - 0.5))
@@ -53,6 +55,14 @@ def test_what_cannot_be_measured_is_looked_at(folder: Path):
     _, b = found.scenes
     assert not b.metrics and not b.differences and b.from_first["mean_difference"] > 0
     assert found.notes[0].startswith("b has no numbers: Nothing to compare")
+
+
+def test_a_line_says_that_photos_show_no_paint(folder: Path):
+    capture = load(folder)
+    painted = recolor(select(SCENE, "red", id=3), "red", hue=90.0)
+    found = compare({"a": SCENE, "b": painted}, {"a": capture, "b": capture}, device="cpu")
+    (note,) = found.notes
+    assert note.startswith("b is painted, and its photos are not")
 
 
 def test_the_frame_of_the_world_is_immaterial():

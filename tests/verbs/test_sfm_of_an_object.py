@@ -99,6 +99,8 @@ def test_what_moves_is_posed_where_only_features_tell_that_the_room_stays(
     write_photos(tmp_path / "photos", shaded(turning(ROOM)))
     assert_posed(sfm(tmp_path / "photos", tmp_path / "capture"), error=0.1)
     assert any("what moves is posed" in line for line in said)
+    (line,) = (line for line in said if line.startswith("No masks of what turns"))
+    assert f"`stylesplat mask {tmp_path / 'capture'} --box " in line
 
 
 def test_what_moves_and_is_not_posed_is_told_with_the_remedy(tmp_path: Path):

@@ -17,9 +17,9 @@ from stylesplat.cli.command import (
     MakingCommand,
     OptionalOutput,
     next_command,
+    object_commands,
     optional_picture,
     rewrite_scene,
-    stylize_command,
 )
 from stylesplat.cli.sfm import find_photos_capture
 from stylesplat.errors import StyleSplatError, shell_command
@@ -249,7 +249,8 @@ def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> Answer:
 
     ids, preview, photos = object_ids(scene.splats), None, None
     names = {id: name for id in ids for name in names_of(scene, id)[:1]}
-    lines = [f"{place}: its objects are {', '.join(names.values()) or 'none'}."]
+    listed = ", ".join(names.get(id, f"id {id} without a name") for id in ids)
+    lines = [f"{place}: its objects are {listed or 'none'}."]
     with optional_picture():
         where = pick_device(device)
         small, splats = at_most(rendered_capture(scene, where), SIDE), scene.splats.to(where)
@@ -257,6 +258,6 @@ def _describe_objects(scene: "ss.Scene", place: Path, device: str) -> Answer:
         write_image(mask_preview(replace(small, label_maps=maps), names), place / SCENE_PREVIEW)
         preview, photos = place / SCENE_PREVIEW, sum(bool(labels.any()) for labels in maps)
         lines.append(f"Picture: {preview}, the objects of its Gaussians in some views.")
-    following = [stylize_command(place, name) for name in [*names.values()][-1:]]
+    following = object_commands(place, [*names.values()][-1:], labelled=True) if ids else []
     values = {"scene": place, "preview": preview, "photos": photos, "of": len(scene.cameras)}
     return Answer({**values, "ids": list(ids), "names": names}, lines, following)

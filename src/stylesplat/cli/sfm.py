@@ -96,7 +96,7 @@ class Check(MakingCommand):
 
     def run(self) -> Answer:
         from stylesplat.figures.capture_picture import capture_picture
-        from stylesplat.io.captures.capture_folder import OBJECT_MASK, open_capture
+        from stylesplat.io.captures.capture_folder import open_capture
         from stylesplat.io.images import write_image
         from stylesplat.io.kinds import is_posed, kind_of, wrong_kind_error
         from stylesplat.structure_from_motion.image_measures import MEASURE_SIDE
@@ -122,8 +122,8 @@ class Check(MakingCommand):
                 write_image(capture_picture(capture, report), self.output)
             values["picture"] = self.output
             lines.append(f"Picture: {self.output}, the cameras and points from above and the side.")
-        masked = (self.capture / OBJECT_MASK).is_dir()
-        following = next_command("train", self.capture) if masked else mask_command(self.capture)
+        labelled = capture.label_maps is not None
+        following = next_command("train", self.capture) if labelled else mask_command(self.capture)
         return Answer(values, lines, [following])
 
 

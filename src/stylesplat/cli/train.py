@@ -64,7 +64,8 @@ class Train(MakingCommand):
     """Folder of the scene to make. An interrupted run is kept beside it, and continues."""
     downscale: float | None = None
     """How many times smaller the photos are made; 1 trains on all pixels. By default so that the
-    default steps take about five minutes on this machine, or `--max-seconds`."""
+    default steps take about five minutes on this machine, or `--max-seconds`, but not below 480
+    pixels."""
     masks: Path | None = None
     """Folder of label maps; by default the capture's object_mask/."""
     settings: Annotated[dict[str, Any], from_config(TrainConfig)] = field(default_factory=dict)
@@ -142,9 +143,13 @@ class Train(MakingCommand):
     def outcome(
         self, metrics: Mapping[str, Any], config: TrainConfig, photos: int
     ) -> Iterator[str]:
-        """How far it came; what the PSNR of photos held out means, and what to do about it."""
-        psnr, steps = metrics.get("psnr"), metrics["steps"]
-        close = "" if psnr is None else f", {psnr:.1f} dB from photos held out"
+        """How far it came; what the PSNR of photos held out means, and what to do about it.
+
+        Of cut-outs it is that of the object: what is transparent around it is easy to get right.
+        """
+        psnr, steps = metrics.get("object_psnr", metrics.get("psnr")), metrics["steps"]
+        where = " over the object" if "object_psnr" in metrics else ""
+        close = "" if psnr is None else f", {psnr:.1f} dB{where} from photos held out"
         yield f"{self.output}: {metrics['gaussians']:,} Gaussians after {steps:,} steps{close}."
         if psnr is not None:
             check = shell_command("check", self.capture)
@@ -199,7 +204,8 @@ def judge(
     metrics: Mapping[str, Any], config: TrainConfig, photos: int, *, check: str
 ) -> tuple[Worth, str]:
     """How good the pictures of held-out photos are, and advice; none where they are good."""
-    psnr, trained = metrics["psnr"], metrics["train_psnr"]
+    psnr = metrics.get("object_psnr", metrics["psnr"])
+    trained = metrics.get("train_object_psnr", metrics["train_psnr"])
     if psnr >= GOOD:
         return "good", ""
     worth = "fair" if psnr >= FAIR else "poor"

@@ -180,7 +180,10 @@ class FromModel:
         """The photos that the model is asked about on a CPU, each a clip of its own."""
         count = min(max(ASKED_LEAST, -(-len(cameras) // ASKED_SHARE)), len(cameras))
         seconds = count * FAMILIES[self.family].core_seconds / torch.get_num_threads()
-        duration = f" in about {format_duration(seconds)}" if self.model is None else ""
+        about = f"about {format_duration(seconds)}"
+        duration = (
+            f" in {about}" if self.model is None else f", which takes its usual model {about}"
+        )
         say(
             f"On a CPU {self.family} is asked about {count} of {len(cameras)} photos{duration}; "
             "a splat carries what it finds to the others. On a GPU it follows objects through all."

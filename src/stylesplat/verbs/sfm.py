@@ -217,8 +217,8 @@ def sfm(
             if (output / OBJECT_MASK).is_dir():  # of an earlier capture; they may be handwork
                 shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
                 say(f"The label maps in {output / OBJECT_MASK} are kept.")
-            elif _is_turning(turntable, found) and (labelled := _with_masks(load(new), drawn)):
-                write_label_maps(labelled, new / OBJECT_MASK)
+            elif _is_turning(turntable, found):
+                _write_masks(load(new), drawn, new / OBJECT_MASK, output)
         shutil.rmtree(work, ignore_errors=True)
         with suppress(OSError):  # something else lies beside it
             work.parent.rmdir()
@@ -300,18 +300,24 @@ def _drawn_on(masks: Path, prepared: PreparedPhotos) -> FoundMasks:
     )
 
 
-def _with_masks(capture: Capture, drawn: FoundMasks | None) -> Capture | None:
-    """The capture with the masks that were given, or of the object that turns; None without any."""
+def _write_masks(capture: Capture, drawn: FoundMasks | None, folder: Path, output: Path) -> None:
+    """Write the masks that were given, or of the object that turns; a line if there are none."""
     if drawn is not None:
-        return with_drawn_maps(capture, drawn)
-    outlines = outline_moving_object(capture)
-    if outlines is None:
-        return None
-    maps = [
-        partial(_enlarged, outline, camera.size)
-        for outline, camera in zip(outlines, capture.cameras, strict=True)
-    ]
-    return replace(capture, label_maps=Lazy(maps), object_names=CUT_OUT_NAMES)
+        write_label_maps(with_drawn_maps(capture, drawn), folder)
+    elif outlines := outline_moving_object(capture):
+        maps = [
+            partial(_enlarged, outline, camera.size)
+            for outline, camera in zip(outlines, capture.cameras, strict=True)
+        ]
+        labelled = replace(capture, label_maps=Lazy(maps), object_names=CUT_OUT_NAMES)
+        write_label_maps(labelled, folder)
+    else:
+        box = shell_command("mask", output, "--box", "VIEW:x0,y0,x1,y1")
+        say(
+            "No masks of what turns: the light or the camera changes too much between the photos "
+            f"to cut it out. `{box}` makes them, or `--masks` gives them; without masks the room "
+            "is trained, too, and is a fog."
+        )
 
 
 def _enlarged(mask: Mask, size: tuple[int, int]) -> OwnLabels:

@@ -70,7 +70,8 @@ def train(
     Returns:
         The scene, its objects called what the capture calls them. Its metrics are `psnr` and
         `ssim` of the held-out views, `train_psnr` of some of the others, `seconds`, `steps`,
-        `gaussians`, `steps_per_second`. Where photos' colours or poses were learned, the views are
+        `gaussians`, `steps_per_second`; of cut-outs also `object_psnr` and `train_object_psnr`,
+        over the object alone. Where photos' colours or poses were learned, the views are
         measured half by half, each half fitted on the other (`psnr_unfitted` is without), and the
         splat has the typical photo's colours. With `refine_poses` the training views' cameras are
         the refined ones. Cameras and points that lie far from all others are left out.
@@ -115,7 +116,7 @@ def train(
     if held_out and rank_and_processes()[0] == 0:  # of processes that train together, one measures
         options = {"fits": fits, "background": config.background}
         metrics = evaluate_views(splats, capture, held_out, **options)
-        metrics["train_psnr"] = _train_psnr(splats, capture, rows, **options)
+        metrics |= _train_metrics(splats, capture, rows, **options)
     scene = Scene(
         base=splats.to("cpu"),
         cameras=capture.full_cameras,
@@ -139,13 +140,15 @@ def train(
     return with_names(scene, capture.object_names)
 
 
-def _train_psnr(
+def _train_metrics(
     splats: Splats, capture: Capture, rows: Sequence[int], fits: Fits, background: PhotoBackground
-) -> float:
-    """Of some photos trained on, whose cameras are refined already."""
+) -> dict[str, float]:
+    """PSNRs of some photos trained on, whose cameras are refined already."""
     unlabelled, fits = replace(splats, identities=None, classifier=None), replace(fits, pose=False)
     some = evenly_spaced(rows, TRAIN_COMPARED)
-    return evaluate_views(unlabelled, capture, some, fits=fits, background=background)["psnr"]
+    found = evaluate_views(unlabelled, capture, some, fits=fits, background=background)
+    names = found.keys() & {"psnr", "object_psnr"}
+    return {f"train_{name}": found[name] for name in sorted(names)}
 
 
 def _chosen(
