@@ -13,6 +13,7 @@ from PIL import Image
 import stylesplat as ss
 from capture_files import corner, photograph_corner, places_around, towards, write_photos
 from stylesplat.io.captures.capture_folder import read_sfm
+from stylesplat.io.captures.lens import Lens
 from stylesplat.progress import Observer, Task, observed
 
 COUNT = 8
@@ -52,6 +53,10 @@ def test_what_became_of_each_photo_is_written_down(capture: ss.Capture, photos: 
     (again,) = record.left_out.keys() - {"broken.jpg"}
     assert again in ("02.jpg", "again.jpg") and "nearly the same" in record.left_out[again]
     assert record.frame["up"] == [0, -1, 0]
+    (taken,) = record.lenses
+    assert sorted(taken.photos) == [*capture.cameras.names]
+    lens = Lens.create(taken.model, taken.width, taken.height, taken.params)
+    assert lens.pinhole().size == capture.cameras.size
     assert json.loads((capture.path / "sfm.json").read_text())["format"] == 1
     assert {p.name for p in capture.path.iterdir()} == {"images", "sparse", "sfm.json", "check.jpg"}
     assert {p.name for p in photos.parent.iterdir()} == {"Ma pièce", "capture"}

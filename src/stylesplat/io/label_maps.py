@@ -256,15 +256,18 @@ def fit_labels(drawn: DrawnLabels, photo: Photo) -> Callable[[], OwnLabels]:
     width, height = drawn.size
     if drawn.size == photo.lens.pinhole().size:  # drawn on the undistorted photo, as `mask` does
         return lambda: resize_labels(drawn.read(), photo.size[::-1])
-    if not same_shape(drawn.size, photo.lens.size):
+    lens = photo.lens
+    if photo.taken is not None and drawn.size == photo.taken.size:
+        lens = photo.taken  # drawn on the photo as it was before `sfm` undistorted it
+    if not same_shape(drawn.size, lens.size):
         raise StyleSplatError(
             f"The label map {drawn.what} is {width}x{height}, which is not the shape of its photo "
-            f"({photo.lens.width}x{photo.lens.height}). Make it from that photo."
+            f"({lens.width}x{lens.height}). Make it from that photo."
         )
 
     def undistorted() -> OwnLabels:
-        whole = resize_labels(drawn.read().int(), photo.lens.size[::-1]).numpy()
-        pixels = torch.from_numpy(photo.lens.undistort(whole, nearest=True))
+        whole = resize_labels(drawn.read().int(), lens.size[::-1]).numpy()
+        pixels = torch.from_numpy(lens.undistort(whole, nearest=True))
         return resize_labels(pixels, photo.size[::-1])
 
     return undistorted

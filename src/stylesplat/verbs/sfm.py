@@ -21,13 +21,14 @@ from stylesplat.io.captures.capture_folder import (
     OBJECT_MASK,
     SFM_FILE,
     SfmRecord,
+    TakenLens,
     load,
     open_capture,
     unposed_photos,
     with_drawn_maps,
     write_sfm,
 )
-from stylesplat.io.captures.colmap import ModelFigures, read_figures
+from stylesplat.io.captures.colmap import ModelFigures, posed_images, read_figures
 from stylesplat.io.files import resolve_within
 from stylesplat.io.images import image_sizes, write_image
 from stylesplat.io.kinds import refuse_other_than_photos
@@ -373,6 +374,16 @@ def _record(
         },
         settings=asdict(config),
         numbers=dict(found.numbers),
+        lenses=[
+            TakenLens(
+                camera.model_name,
+                camera.width,
+                camera.height,
+                [*map(float, camera.params)],
+                [each.name for each in posed_images(found.model) if each.camera_id == key],
+            )
+            for key, camera in found.model.cameras.items()
+        ],
         libraries={
             "stylesplat": version("stylesplat"),
             "pycolmap": pycolmap.__version__,

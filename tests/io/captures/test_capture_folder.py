@@ -11,10 +11,11 @@ import pytest
 import torch
 from PIL import Image
 
-from capture_files import HEIGHT, PINHOLE, WIDTH, save_noise
+from capture_files import HEIGHT, PINHOLE, WIDTH, save_noise, sfm_record
 from still_life.nerfstudio import write_transforms
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.captures.capture_folder import load
+from stylesplat.io.captures.capture_folder import TakenLens, load, write_sfm
+from stylesplat.io.captures.lens import Lens
 from stylesplat.io.label_maps import LABEL_MAPS_NAMES, write_label_map, write_names
 
 MakeCapture = Callable[..., Path]
@@ -101,6 +102,26 @@ def test_objects_are_called_what_lies_beside_their_label_maps(
     assert load(folder, masks=False).object_names == {}
     with pytest.raises(StyleSplatError, match=r"Cannot read .*names\.json"):
         load(folder)
+
+
+def test_masks_may_be_drawn_on_photos_before_they_were_undistorted(
+    make_capture: MakeCapture, tmp_path: Path
+):
+    model, params = BARREL
+    sizes = ((WIDTH + wider, HEIGHT + higher) for wider in range(30) for higher in range(30))
+    lenses = (Lens.create(model, *size, params) for size in sizes)
+    lens = next(each for each in lenses if each.pinhole().size == (WIDTH, HEIGHT))
+    folder, drawn = make_capture(), torch.zeros(lens.height, lens.width, dtype=torch.int32)
+    names = ["001.png", "002.png"]
+    taken = TakenLens(lens.model, lens.width, lens.height, [*lens.params], names)
+    write_sfm(sfm_record(given=3, registered=3, lenses=[taken]), folder)
+    drawn[5:30, 20:50] = 7
+    moved = torch.from_numpy(lens.undistort(drawn.numpy(), nearest=True))
+    write_label_map(drawn, tmp_path / "masks" / "001.png")  # as it was taken
+    write_label_map(moved, tmp_path / "masks" / "002.png")  # as it is in the capture
+    maps = load(folder, masks=tmp_path / "masks").label_maps
+    assert maps is not None and not torch.equal(moved, drawn[:HEIGHT, :WIDTH])
+    assert all(torch.equal(torch.as_tensor(maps[row]).int(), moved) for row in (0, 1))
 
 
 def test_photos_smaller_than_their_cameras(make_capture: MakeCapture):

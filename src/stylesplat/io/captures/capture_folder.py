@@ -17,7 +17,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 from stylesplat.io.captures.colmap import read_colmap
-from stylesplat.io.captures.lens import Lens
+from stylesplat.io.captures.lens import LENS_MAX_SIDE, Lens
 from stylesplat.io.captures.llff import read_llff
 from stylesplat.io.captures.photo_names import photo_files, photo_places
 from stylesplat.io.captures.photos import PHOTO_OPAQUE, Photo, check_masks, fit_photo, valid_pixels
@@ -42,9 +42,21 @@ from stylesplat.scene.world_offset import ORIGIN, announced
 SFM_FILE = "sfm.json"
 SFM_FORMAT = 1
 MAX_PHOTOS = 1_000_000
+MAX_PARAMS = 32  # of a lens; COLMAP's models have 12 at most
 OneLine = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]  # in one line
 Reasons = Annotated[dict[OneLine, OneLine], Meta(max_length=MAX_PHOTOS)]
 Count = Annotated[int, Meta(ge=0, le=MAX_PHOTOS)]
+
+
+class TakenLens(msgspec.Struct):
+    """A lens of photos before they were undistorted, by COLMAP's names."""
+
+    model: OneLine
+    width: Annotated[int, Meta(ge=1, le=LENS_MAX_SIDE)]
+    height: Annotated[int, Meta(ge=1, le=LENS_MAX_SIDE)]
+    params: Annotated[list[float], Meta(max_length=MAX_PARAMS)]
+    photos: Annotated[list[OneLine], Meta(max_length=MAX_PHOTOS)]
+    """Their names in the capture."""
 
 
 class SfmRecord(msgspec.Struct, kw_only=True):
@@ -67,6 +79,8 @@ class SfmRecord(msgspec.Struct, kw_only=True):
     settings: dict[str, Any]
     numbers: dict[str, Any]
     libraries: dict[str, OneLine]
+    lenses: Annotated[list[TakenLens], Meta(max_length=MAX_PHOTOS)] = []
+    """Those of all photos with a pose; older versions wrote none."""
 
     def __repr__(self) -> str:
         found = f"{self.registered:,} of {count_noun(self.given, 'photo')} with a pose"
@@ -161,6 +175,11 @@ def open_capture(path: Path | str, *, masks: MaskFolder = None) -> CaptureFiles:
     lenses = [lens for lens in posed.lenses if lens is not None]  # every existing photo has one
     pairs = [*zip(posed.paths, lenses, strict=True)]
     photos = [fit_photo(*pair) for pair in track(pairs, "reading photos", unit="photo")]
+    taken = _taken_lenses(folder)
+    photos = [
+        replace(photo, taken=lens) if lens and lens.pinhole().size == photo.size else photo
+        for photo, lens in zip(photos, map(taken.get, posed.names), strict=True)
+    ]
     if posed.masks is not None:
         check_masks(posed.masks, photos)
     stored = [name for name, photo in zip(posed.names, photos, strict=True) if photo.as_stored]
@@ -198,6 +217,16 @@ def open_capture(path: Path | str, *, masks: MaskFolder = None) -> CaptureFiles:
         cut_out=any(photo.is_cut_out() for photo in with_alpha),
         valid_masks=None if posed.masks is None else [*compress(posed.masks, near)],
     )
+
+
+def _taken_lenses(folder: Path) -> dict[str, Lens]:
+    """The lenses of photos before `sfm` undistorted them, by name; empty for other captures."""
+    record = read_sfm(folder)
+    lenses = dict[str, Lens]()
+    for each in [] if record is None else record.lenses:
+        lens = Lens.create(each.model, each.width, each.height, each.params)
+        lenses |= dict.fromkeys(each.photos, lens)
+    return lenses
 
 
 def _read_poses(folder: Path) -> PosedFiles:
