@@ -31,12 +31,27 @@ OUT = Path(__file__).resolve().parent / "out"
 MIB = 2**20
 
 
+def posed(scene: Path) -> Path:
+    """A scene's capture; photos are posed once. Exits with a reason where the scene is absent."""
+    kept = OUT / f"{scene.name}_capture"
+    if not scene.is_dir():
+        raise SystemExit(f"This benchmark needs the scene {scene}, which is not here.")
+    if not (scene / "photos").is_dir():
+        return scene
+    if not kept.exists():
+        ss.sfm(scene / "photos", kept)
+    return kept
+
+
+def capture_of(scene: Path, downscale: float = 1.0) -> Capture:
+    """A scene with the masks that it is judged by."""
+    masks = scene / "masks"
+    return ss.load(posed(scene), masks=masks if masks.is_dir() else None, downscale=downscale)
+
+
 def capture(name: str, downscale: float = 1.0, *, identities: bool = True) -> Capture:
     """A real scene of the development data; exits with a reason where it is absent."""
-    path = DATA / name
-    if not path.is_dir():
-        raise SystemExit(f"This benchmark needs the scene {path}, which is not here.")
-    loaded = ss.load(path, downscale=downscale)
+    loaded = capture_of(DATA / name, downscale)
     return loaded if identities else replace(loaded, label_maps=None)
 
 

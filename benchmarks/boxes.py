@@ -1,8 +1,9 @@
 """Masks of all photos from one box in one photo: how right are they, and where the object stands?
 
-Boxes around the fox are judged by outlines drawn by hand, those around the demo's objects, each in
-the three views that show most, a middling part and little of it, by exact label maps, and those
-around what turns on a turntable (`scripts/still_life/turntable.py`) by its exact masks.
+Boxes around the fox are judged by outlines drawn by hand; those around the demo's objects, the
+desk's, the toy and the cape, each in the three views that show most, a middling part and little of
+it, by label maps; and those around what turns on a turntable (`scripts/still_life/turntable.py`) by
+its exact masks.
 """
 
 import tempfile
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from bench import DATA, OUT, calibration_ms, machine, table
+from bench import DATA, OUT, calibration_ms, capture_of, machine, table
 from fox_outlines import FOX, outline_mask
 
 import stylesplat as ss
@@ -58,15 +59,15 @@ def of_fox(capture: Capture) -> list[Drawn]:
     return [Drawn("fox", row, truth) for row in truth]
 
 
-def of_demo(capture: Capture) -> Iterator[Drawn]:
-    views = [(capture.labels(row), capture.cameras[row].size) for row in range(len(capture))]
-    maps = [resize_labels(each, size[::-1]) for each, size in views if each is not None]
-    for id in sorted({id for labels in maps for id in ids_of(labels)} - {BACKGROUND}):
-        truth = {row: labels == id for row, labels in enumerate(maps)}
+def of_labels(name: str, capture: Capture) -> Iterator[Drawn]:
+    views = {row: capture.labels(row) for row in range(len(capture))}
+    maps = {row: labels for row, labels in views.items() if labels is not None}
+    for id in sorted({id for labels in maps.values() for id in ids_of(labels)} - {BACKGROUND}):
+        truth = {row: labels == id for row, labels in maps.items()}
         truth = {row: mask for row, mask in truth.items() if int(mask.sum()) > FEW}
         rows = sorted(truth, key=lambda row: -int(truth[row].sum()))
         for row in (rows[0], rows[len(rows) // 3], rows[2 * len(rows) // 3]):
-            yield Drawn(f"demo {id}", row, truth)
+            yield Drawn(f"{name} {id}", row, truth)
 
 
 def of_turntable(capture: Capture, folder: Path) -> list[Drawn]:
@@ -102,17 +103,22 @@ def judge(capture: Capture, drawn: list[Drawn]) -> Iterator[list[str]]:
         yield [each.name, cameras.names[each.row], *figures]
 
 
-def main(turntable: Path | None = None) -> None:
+def main(
+    scenes: tuple[str, ...] = ("fox", "demo", "desk", "toy", "cape"), turntable: Path | None = None
+) -> None:
     """Prints a row for each box.
 
     Args:
+        scenes: Which to measure.
         turntable: What `scripts/still_life/turntable.py` wrote; none is not measured.
     """
-    fox = at_most(ss.load(DATA / "fox"), DRAWN_BOX_SIZE)
-    rows = [*judge(fox, of_fox(fox))]
+    rows = list[list[str]]()
     path = OUT / "test_objects" / "demo" / "capture"
-    demo = at_most(ss.load(path, masks=exact_masks(path)), DRAWN_BOX_SIZE)
-    rows += judge(demo, [*of_demo(demo)])
+    for name in scenes:
+        exact = name == "demo"
+        found = ss.load(path, masks=exact_masks(path)) if exact else capture_of(DATA / name)
+        found = at_most(found, DRAWN_BOX_SIZE)
+        rows += judge(found, of_fox(found) if name == "fox" else [*of_labels(name, found)])
     if turntable is not None:
         first = next(iter(sorted((turntable / "photos").iterdir())))
         labels = read_label_map((turntable / "masks" / first.name).with_suffix(".png"))

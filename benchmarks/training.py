@@ -27,16 +27,15 @@ from time import perf_counter, process_time
 
 import torch
 import tyro
-from bench import DATA, OUT, calibration_ms, machine, table
+from bench import DATA, calibration_ms, capture_of, machine, table
 from jaxtyping import Float
 from torch import Tensor
 
 import stylesplat as ss
 from stylesplat.evaluation.photos import Fits, evaluate_views
-from stylesplat.io.label_maps import read_label_map
 from stylesplat.rendering.weights import COVERED, TINY_COVERAGE, composite
 from stylesplat.scene.cameras import Cameras
-from stylesplat.scene.capture import BACKGROUND, Capture, Mask, resize_labels
+from stylesplat.scene.capture import BACKGROUND, Capture, Mask
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
@@ -75,37 +74,14 @@ class Options:
     """More of `TrainConfig`, as JSON."""
 
 
-def folder_of(scene: str) -> Path:
-    return Path(scene) if Path(scene).is_dir() else DATA / scene
-
-
-def posed(scene: str) -> Path:
-    """The capture of a scene; exits with a reason where the scene is absent."""
-    path = folder_of(scene)
-    kept = OUT / f"{path.name}_capture"
-    if not path.is_dir():
-        raise SystemExit(f"This benchmark needs the scene {path}, which is not here.")
-    if not (path / "photos").is_dir():
-        return path
-    if not kept.exists():
-        ss.sfm(path / "photos", kept)
-    return kept
-
-
-def object_masks(scene: str, capture: Capture) -> Iterator[tuple[Cameras, Mask]]:
+def object_masks(capture: Capture) -> Iterator[tuple[Cameras, Mask]]:
     """Some views, and where they show objects: nowhere in a scene without masks."""
-    files = {path.stem: path for path in (folder_of(scene) / "masks").glob("*")}
-    rows = range(len(capture))
-    if files:
-        rows = [row for row in rows if Path(capture.cameras.names[row]).stem in files]
+    maps = capture.label_maps or ()
+    rows = [row for row in range(len(maps)) if maps[row] is not None] or range(len(capture))
     for row in evenly_spaced(rows, JUDGED):
-        camera = capture.cameras[row]
-        width, height = camera.size
-        name = Path(camera.names[0]).stem
-        labels = read_label_map(files[name]) if files else capture.labels(row)
-        if labels is None:
-            labels = torch.full((height, width), BACKGROUND)
-        yield camera, resize_labels(labels, (height, width)) != BACKGROUND
+        camera, labels = capture.cameras[row], capture.labels(row)
+        empty = torch.zeros(*camera.size[::-1], dtype=torch.bool)
+        yield camera, empty if labels is None else labels != BACKGROUND
 
 
 @torch.no_grad()
@@ -124,10 +100,10 @@ def depth_scatter(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
     return (float(camera.Ks[0, 0, 0]) * deviation / mean).where(is_covered, torch.nan)
 
 
-def median_scatters(scene: str, capture: Capture, splats: Splats) -> list[str]:
+def median_scatters(capture: Capture, splats: Splats) -> list[str]:
     """The median over the pixels of objects and over the others."""
     inside, outside = list[Tensor](), list[Tensor]()
-    for camera, mask in object_masks(scene, capture):
+    for camera, mask in object_masks(capture):
         found = depth_scatter(splats, camera)
         inside.append(found[mask])
         outside.append(found[~mask])
@@ -173,7 +149,7 @@ def trained(scene: str, capture: Capture, config: TrainConfig, *, identities: bo
     head = [scene, run, config.seed, f"{steps:,}", f"{seconds:.0f}", spent, f"{len(splats):,}"]
     figures = [f"{quality[f'{name}_unfitted']:{digits}}" for name, digits in SCORES]
     figures += [f"{quality['psnr']:.2f}", larger_psnrs(splats, capture, config)]
-    return [*head, *figures, *median_scatters(scene, capture, splats)]
+    return [*head, *figures, *median_scatters(capture, splats)]
 
 
 def main(options: Options) -> None:
@@ -181,8 +157,8 @@ def main(options: Options) -> None:
     print(f"{options.side} pixels, {machine()}, calibration loop {calibration_ms():.0f} ms")
     rows = list[list[object]]()
     for scene in options.scenes:
-        path = posed(scene)
-        capture = ss.load(path, downscale=ss.load(path).cameras.shrink_to(options.side))
+        folder = Path(scene) if Path(scene).is_dir() else DATA / scene
+        capture = capture_of(folder, capture_of(folder).cameras.shrink_to(options.side))
         for seed in options.seeds:
             config = TrainConfig(
                 steps=options.steps, max_gaussians=options.max_gaussians, seed=seed
