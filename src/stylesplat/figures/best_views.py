@@ -66,14 +66,17 @@ def most_detailed(splats: Splats, cameras: Cameras, found: Sequence[ObjectMask])
     """The view that shows most of an object and of its own detail: a face rather than a back."""
 
     def detail(view: ObjectMask) -> float:
-        """Visibility, times the mean difference of luminance between neighbouring pixels."""
-        mask = view.mask
-        luminance = lab_from_rgb(render(splats, survey_view(cameras[view.row]))[0])[..., 0]
-        down = luminance.diff(dim=0)[mask[1:] & mask[:-1]]
-        right = luminance.diff(dim=1)[mask[:, 1:] & mask[:, :-1]]
-        return visibility(mask) * float(torch.cat([down, right]).abs().mean().nan_to_num())
+        return shown_detail(render(splats, survey_view(cameras[view.row]))[0], view.mask)
 
     return max(found, key=detail)
+
+
+def shown_detail(image: Float[Tensor, "h w 3"], mask: Bool[Tensor, "h w"]) -> float:
+    """Visibility, times the mean difference of luminance between neighbouring pixels."""
+    luminance = lab_from_rgb(image)[..., 0]
+    down = luminance.diff(dim=0)[mask[1:] & mask[:-1]]
+    right = luminance.diff(dim=1)[mask[:, 1:] & mask[:, :-1]]
+    return visibility(mask) * float(torch.cat([down, right]).abs().mean().nan_to_num())
 
 
 def best_rows(

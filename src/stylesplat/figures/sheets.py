@@ -16,8 +16,8 @@ from stylesplat.figures.best_views import (
     aim_at,
     find_views,
     most_detailed,
+    shown_detail,
     survey_view,
-    visibility,
 )
 from stylesplat.figures.grid import CARD, GRID_CELL, Row, add_legend, draw_grid, wrap_cells
 from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
@@ -65,8 +65,8 @@ def object_sheet(
 ) -> UInt8[Tensor, "H W 3"]:
     """Draw each object with its id, its name and the number of its Gaussians.
 
-    Each object is cut out of the whole scene, from the view that shows most of it. What hides it in
-    this view hides it here.
+    Each object is cut out of the whole scene, from the view that shows most of it and of its
+    detail. What hides it in this view hides it here.
     """
     ids = object_ids(splats)
     if not ids:
@@ -77,11 +77,14 @@ def object_sheet(
     searched = evenly_spaced(range(len(cameras)), SHEET_SURVEY_VIEWS)
     views = [survey_view(cameras[row]) for row in searched]
     scores: dict[int, dict[int, float]] = {id: {} for id in ids}  # by object and row
-    labelled = map_views(lambda view: render_labels(splats, view), views, splats.device)
-    labelled = track(labelled, "looking for objects", total=len(views))
-    for row, labels in zip(searched, labelled, strict=True):
+
+    def look(view: Cameras) -> tuple[Tensor, Tensor]:
+        return render_labels(splats, view), render(splats, view)[0]
+
+    looks = track(map_views(look, views, splats.device), "looking for objects", total=len(views))
+    for row, (labels, image) in zip(searched, looks, strict=True):
         for id in {*labels.unique().tolist()} & scores.keys():
-            scores[id][row] = visibility(labels == id)
+            scores[id][row] = shown_detail(image, labels == id)
     seen = survey(splats, views)
     cells = []
     for id, picked in track(each_object(splats, ids), "objects", unit="object", total=len(ids)):
