@@ -111,7 +111,7 @@ def test_noisy_poses_get_better(plain: Capture, shaken: Capture, config: TrainCo
     # A turn and a shift look nearly alike in 72 pixels, so much of each stays
     assert spread(found.cameras, plain.cameras) < 0.9 * spread(shaken.cameras, plain.cameras)
     assert are_rigid(found.cameras.viewmats, 1e-5).all()
-    assert closeness(state, found) > closeness(as_given, shaken) + 1
+    assert closeness(state, found) > closeness(as_given, shaken) + 0.5
 
 
 def test_the_world_stays_where_it_is(shaken: Capture, config: TrainConfig):

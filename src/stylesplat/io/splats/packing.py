@@ -48,7 +48,7 @@ def morton_order(means: Float[Tensor, "N 3"]) -> Int[Tensor, " N"]:
     cells = (points / extent * (2**MORTON_BITS - 1)).long()
     for shift, mask in SPREADS:
         cells = (cells | cells << shift) & mask
-    return (cells << torch.arange(3)).sum(dim=1).argsort(stable=True)
+    return (cells << torch.arange(3, device=cells.device)).sum(dim=1).argsort(stable=True)
 
 
 def to_bytes(values: Float[Tensor, "*B"]) -> UInt8[np.ndarray, "*B"]:
