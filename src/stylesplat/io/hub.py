@@ -287,7 +287,7 @@ def _cannot_download(name: str, error: Exception, size: int | None = None) -> St
         case OSError(errno=code) if size is not None and code in FILE_DISK_FULL:
             cause = (
                 f"it needs {size / 1e9:.2f} GB, and {_free_bytes() / 1e9:.2f} GB are free in "
-                f"{models_folder()}. Free some, or set {MODELS_VARIABLE} to a folder elsewhere"
+                f"{models_folder()}. Free some, or set {MODELS_VARIABLE} to one on another disk"
             )
         case _ if size is None:
             cause = f"{constants.ENDPOINT} cannot be reached ({what}). {_by_hand(name)}"

@@ -237,7 +237,7 @@ def relocate_and_grow(
     Those that have run away are dead, too: no photo shows them, so none brings them back.
     The chance of being copied is the opacity times the preference. Gaussians that were moved or
     copied start from zero moments. All are put in the order of their places, so that those which a
-    pixel mixes lie together in memory: a step of 300,000 takes a fifth less of a processor's time.
+    pixel mixes lie together in memory: a step of 300,000 takes a sixth less of a processor's time.
     """
     opacities = torch.sigmoid(params["opacities"])
     lives = (opacities > DEAD_OPACITY) & sound_rows(params)

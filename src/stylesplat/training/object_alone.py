@@ -187,7 +187,7 @@ def _carve(
             kept = seen - inside <= most_outside  # most cells are ruled out by the first masks
             cells, seen, inside, deep = (each[kept] for each in (cells, seen, inside, deep))
         is_hull = (seen >= HULL_SEEN * len(masks)) & (inside >= HULL_SHARE * seen)
-        # What is deep within shows nowhere: what is around it does, as far as cells reach
+        # What is deep within all masks is hidden by what is around it, as far as cells reach
         around = (cells - middle).abs().amax(dim=1) > reach - size
         cells = cells[is_hull & ((deep < len(masks)) | around)]
         if not is_last:

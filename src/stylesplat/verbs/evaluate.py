@@ -39,7 +39,6 @@ EVALUATE_VIEWS = 4  # by default
 EVALUATE_VISIBLE = 8  # levels of 255 in a channel: smaller differences are hard to see
 EVALUATE_LONGEST = 960  # pixels of a picture's side
 COMPARISON = "stylesplat-comparison-1"
-PAINT_COUNTS = "PSNR and SSIM count its paint as error."
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +109,7 @@ def compare(
         except StyleSplatError as error:  # pictures of it can be compared
             notes.append(f"{name} has no numbers: {error}")
         if scene.layers and "psnr" in metrics:
-            notes.append(f"{name} is painted, and its photos are not: {PAINT_COUNTS}")
+            notes.append(f"{name} is painted, and its photos are not: paint counts as error.")
         cameras = scene.cameras[[*map(scene.cameras.names.index, names)]]
         splats = scene.splats.to(pick_device(device))
         each = (render_pictures(splats, camera.at_most(EVALUATE_LONGEST)) for camera in cameras)

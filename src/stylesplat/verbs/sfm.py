@@ -316,8 +316,7 @@ def _write_masks(capture: Capture, drawn: FoundMasks | None, folder: Path, outpu
         box = shell_command("mask", output, "--box", "VIEW:x0,y0,x1,y1")
         say(
             "No masks of what turns: the light or the camera changes too much between the photos "
-            f"to cut it out. `{box}` makes them, or `--masks` gives them; without masks the room "
-            "is trained, too, and is a fog."
+            f"to cut it out. `{box}` makes them. Without masks the room is trained, too, as a fog."
         )
 
 

@@ -1,7 +1,7 @@
 """Photos on disk, as the pinhole cameras of a capture see them, and which pixels may be used."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -44,12 +44,12 @@ class Photo:
     """Whether its EXIF rotation applies: poses belong to the pixels as stored, few to these."""
     lens: Lens
     """The lens, in pixels of the file."""
-    taken: Lens | None = field(default=None, kw_only=True)
-    """The lens with which it was taken, where the file is undistorted already and that is known."""
     size: tuple[int, int]
     """Width and height of the undistorted photo."""
     as_stored: bool = False
     """Whether it has an EXIF rotation which does not apply."""
+    taken: Lens | None = None
+    """The lens with which it was taken, where the file is undistorted already and that is known."""
 
     def read(self) -> UInt8[Tensor, "H W 3"]:
         """Decode, rotate, undistort and shrink (by area averages); transparency becomes black."""
