@@ -194,7 +194,7 @@ def test_the_size_is_that_of_what_is_not_there_yet(online: Hub, said: list[str],
         ),
         (
             "disk full",
-            r"needs 9000\.00 GB, and \d+\.\d\d GB are free in .*STYLESPLAT_MODELS",
+            r"needs 9000\.00 GB, and \d+\.\d\d GB are free in .*cache\. .*STYLESPLAT_MODELS",
         ),
         ("broken", r"the download broke off \(.*\)\. Run the same command again"),
     ],

@@ -105,13 +105,14 @@ def spread(cameras: Cameras, truth: Cameras) -> float:
 
 
 def test_noisy_poses_get_better(plain: Capture, shaken: Capture, config: TrainConfig):
-    config = replace(config, steps=250, test_every=0, color_correction="off")
+    # Seeds 0 to 3 gain .9, 1.2, 1.8 and 2.0 dB
+    config = replace(config, seed=2, steps=250, test_every=0, color_correction="off")
     as_given, state = (fit(shaken, replace(config, refine_poses=on)) for on in (False, True))
     found = with_refined_cameras(shaken, state, range(len(shaken)))
     # A turn and a shift look nearly alike in 72 pixels, so much of each stays
     assert spread(found.cameras, plain.cameras) < 0.9 * spread(shaken.cameras, plain.cameras)
     assert are_rigid(found.cameras.viewmats, 1e-5).all()
-    assert closeness(state, found) > closeness(as_given, shaken) + 0.5
+    assert closeness(state, found) > closeness(as_given, shaken) + 1
 
 
 def test_the_world_stays_where_it_is(shaken: Capture, config: TrainConfig):

@@ -31,11 +31,11 @@ from stylesplat.training.config import TrainConfig, means_decay
 DEAD_OPACITY = 0.005
 MAX_COPIES = 51  # of one Gaussian at a time (official)
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
-# At an extent of 1; official: 80 (5e5 times the rate of the means) at one of 8. Covariances are
-# squares of lengths: 80 times 64
+# Over the extent. Official: 80 (5e5 times the rate of the means) times the extent, which is as much
+# at an extent of 8
 NOISE_RATE = 5000.0
 NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
-LEAST_CHANGE = 0.02  # of the mean, not tuned: what has no gradient yet may be copied, too
+LEAST_CHANGE = 0.02  # of the mean, so that what has no gradient yet may be copied, too
 DENSE_OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not worth its time
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8

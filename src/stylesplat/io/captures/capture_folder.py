@@ -42,7 +42,7 @@ from stylesplat.scene.world_offset import ORIGIN, announced
 SFM_FILE = "sfm.json"
 SFM_FORMAT = 1
 MAX_PHOTOS = 1_000_000
-MAX_PARAMS = 32  # of a lens; COLMAP's models have 12 at most
+MAX_PARAMS = 32  # of a lens; COLMAP's models have 16 at most
 OneLine = Annotated[str, Meta(max_length=4096, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]  # in one line
 Reasons = Annotated[dict[OneLine, OneLine], Meta(max_length=MAX_PHOTOS)]
 Count = Annotated[int, Meta(ge=0, le=MAX_PHOTOS)]
@@ -135,7 +135,8 @@ class CaptureFiles:
             photos, alphas = _split_alpha(files)
         label_maps, names = None, {}
         if self.masks:
-            label_maps = fitted_maps(self._found_masks, cameras.names, files)
+            drawn_on = _with_taken_lenses(files, cameras.names, self.whole.path)
+            label_maps = fitted_maps(self._found_masks, cameras.names, drawn_on)
             names = self._found_masks.names
         elif alphas is not None and self.masks is None:
             label_maps, names = _opaque_maps(alphas), CUT_OUT_NAMES
@@ -175,11 +176,6 @@ def open_capture(path: Path | str, *, masks: MaskFolder = None) -> CaptureFiles:
     lenses = [lens for lens in posed.lenses if lens is not None]  # every existing photo has one
     pairs = [*zip(posed.paths, lenses, strict=True)]
     photos = [fit_photo(*pair) for pair in track(pairs, "reading photos", unit="photo")]
-    taken = _taken_lenses(folder)
-    photos = [
-        replace(photo, taken=lens) if lens and lens.pinhole().size == photo.size else photo
-        for photo, lens in zip(photos, map(taken.get, posed.names), strict=True)
-    ]
     if posed.masks is not None:
         check_masks(posed.masks, photos)
     stored = [name for name, photo in zip(posed.names, photos, strict=True) if photo.as_stored]
@@ -219,14 +215,18 @@ def open_capture(path: Path | str, *, masks: MaskFolder = None) -> CaptureFiles:
     )
 
 
-def _taken_lenses(folder: Path) -> dict[str, Lens]:
-    """The lenses of photos before `sfm` undistorted them, by name; empty for other captures."""
-    record = read_sfm(folder)
-    lenses = dict[str, Lens]()
+def _with_taken_lenses(
+    photos: Sequence[Photo], names: Sequence[str], folder: Path | None
+) -> list[Photo]:
+    """Photos with the lenses that they had before `sfm` undistorted them, where these are known."""
+    record, taken = None if folder is None else read_sfm(folder), dict[str, Lens]()
     for each in [] if record is None else record.lenses:
         lens = Lens.create(each.model, each.width, each.height, each.params)
-        lenses |= dict.fromkeys(each.photos, lens)
-    return lenses
+        taken |= dict.fromkeys(each.photos, lens)
+    return [
+        replace(photo, taken=lens) if lens and lens.pinhole().size == photo.lens.size else photo
+        for photo, lens in zip(photos, map(taken.get, names), strict=True)
+    ]
 
 
 def _read_poses(folder: Path) -> PosedFiles:
@@ -292,7 +292,8 @@ def _photos_of(capture: Capture) -> list[Photo]:
     if capture.path is not None:
         files = open_capture(capture.path, masks=False)
         photos = (files.photos[files.whole.cameras.index(name)] for name in cameras.names)
-        return [photo.resized(*size) for photo, size in zip(photos, sizes, strict=True)]
+        photos = [photo.resized(*size) for photo, size in zip(photos, sizes, strict=True)]
+        return _with_taken_lenses(photos, cameras.names, capture.path)
     return [
         Photo(Path(name), True, Lens("PINHOLE", w, h, (fx, fy, cx, cy)), (w, h))
         for name, ((fx, _, cx), (_, fy, cy), _), (w, h) in zip(
