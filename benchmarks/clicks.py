@@ -55,9 +55,9 @@ def places(mask: Mask, heights: Sequence[float]) -> list[tuple[float, float]]:
     return [(int(inside[row].argmax()) + 0.5, row + 0.5) for row in rows]
 
 
-def of_labels(name: str, gaussians: int = 100_000) -> Iterator[list]:
+def of_labels(name: str) -> Iterator[list]:
     """Rows of the objects that the label maps of a capture show."""
-    photos, scene = capture(name), ss.open(trained_scene(name, downscale=1, gaussians=gaussians))
+    photos, scene = capture(name), ss.open(trained_scene(name, downscale=1, gaussians=100_000))
     scene = replace(scene, base=replace(scene.base, identities=None, classifier=None))
     maps = {row: photos.labels(row) for row in range(len(photos))}
     views = [(photos.cameras[row], labels) for row, labels in maps.items() if labels is not None]
