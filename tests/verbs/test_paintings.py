@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
 from safetensors.torch import load, save
 
 from balls import (
@@ -31,7 +32,7 @@ from stylesplat.stylization.recipe import read_recipe
 from stylesplat.stylization.style import Recipe, Style, StyledObject
 from stylesplat.verbs.adjust import adjust, recolor
 from stylesplat.verbs.evaluate import evaluate
-from stylesplat.verbs.objects import rename
+from stylesplat.verbs.objects import objects, rename
 from stylesplat.verbs.select import select
 from stylesplat.verbs.stylize import stylize
 
@@ -72,6 +73,15 @@ def assert_made_again(styled: Scene, trained: Path, folder: Path) -> None:
     one, other = (scene_folder.open(folder / name) for name in ("styled", "again"))
     assert_same_objects(one, other)
     assert_same_layers(one, other)
+
+
+def test_what_objects_counts_as_its_own_is_painted(tmp_path: Path):
+    path = tmp_path / "style.png"
+    Image.effect_noise((64, 48), 60).convert("RGB").save(path)
+    scene = painted(TRAINED, "red", path, quality="draft")  # no canvas: Gaussians change colour
+    changed = (scene.splats.sh0 != TRAINED.splats.sh0).flatten(1).any(dim=1)
+    (red,) = (each for each in objects(TRAINED) if each["id"] == 3)
+    assert changed.sum() <= red["own"] <= changed.sum() + 2, "but for hidden ones"
 
 
 def test_a_recipe_makes_again_what_took_several_runs(

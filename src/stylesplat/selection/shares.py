@@ -29,6 +29,7 @@ LABELLED = 0.25  # coverage from which a pixel is the object's if its label says
 # and reaches 1. Measured on the fox and the demo: .5 and .9 leave more smudges on the wall, .8 and
 # .97 eat into the fur.
 SHARE_OUTSIDE, SHARE_INSIDE = 0.6, 0.95
+OWN_SHARE = 0.5  # share of a Gaussian that is the object's: one with less is not painted
 UNSEEN_PIXELS = 0.02  # in all views together: a Gaussian with fewer goes with what is near it
 SHARE_NEIGHBOURS = 9  # of such a Gaussian
 

@@ -23,7 +23,7 @@ from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.layers import Composed, Layer, compose
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.shares import object_shares
+from stylesplat.selection.shares import OWN_SHARE, object_shares
 from stylesplat.stylization.canvas import (
     Canvas,
     PaintState,
@@ -77,7 +77,6 @@ from stylesplat.stylization.views import (
     whole_views,
 )
 
-OWN_SHARE = 0.5  # share of a Gaussian that is the object's: one with less is not painted
 BLUR_VIEWS = 6  # of the whole object, that suffice between stages
 SHARPENED = 2.0  # form of the finer band, added before fine stages: coarser ones lose it
 PREVIEW_STEPS = 25  # on the object's own Gaussians: laying the canvas takes longer

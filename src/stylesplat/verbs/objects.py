@@ -17,7 +17,7 @@ from stylesplat.scene.world_offset import Offset, to_world
 from stylesplat.selection.labels import each_object, object_ids
 from stylesplat.selection.objects import require_named
 from stylesplat.selection.resolve import names_of
-from stylesplat.selection.shares import OwnShares
+from stylesplat.selection.shares import OWN_SHARE, OwnShares
 
 
 @check_arguments
@@ -39,7 +39,7 @@ def objects(scene: Scene) -> list[dict[str, Any]]:
             "id": id,
             "names": names_of(scene, id),
             "gaussians": int(mask.sum()),
-            "own": int((shares.of(mask) > 0).sum()),
+            "own": int((shares.of(mask) > OWN_SHARE).sum()),
             **(_details(scene, mask) if mask.any() else {}),
         }
         for id, mask in track(found, "listing objects", unit="object", total=len(ids))
