@@ -150,6 +150,17 @@ def test_unfit_pictures_and_regions(tmp_path: Path, name: str, how: dict, messag
         read_style(tmp_path / name, **how)
 
 
+def test_transparent_parts_are_white_and_said(tmp_path: Path, said: list[str]):
+    alpha = np.full((40, 60, 1), 255, np.uint8)
+    alpha[:, :15] = 0
+    style = as_bytes(read_style(save(tmp_path / "cut.png", np.dstack([PIXELS, alpha]))))
+    assert (style[:, :15] == 255).all() and (style[:, 15:] == PIXELS[:, 15:]).all()
+    assert len(said) == 1 and "25% of it is transparent" in said[0]
+    path = save(tmp_path / "none.png", np.dstack([PIXELS, 0 * alpha]))
+    with pytest.raises(StyleSplatError, match="All of the picture"):
+        read_style(path)
+
+
 def test_huge_pictures_are_scaled_down(tmp_path: Path, said: list[str], capsys, monkeypatch):
     monkeypatch.setattr(pictures, "STYLE_MAX_SIDE", 50)
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 9000)  # below it Pillow would not warn

@@ -12,6 +12,8 @@ from stylesplat.rendering.weights import COVERED, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, build_surfels
+from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.painter import paint
 from stylesplat.stylization.trim import reveal, split_large
 from stylesplat.stylization.views import find_boxes, typical_length
 
@@ -119,3 +121,20 @@ def test_large_gaussians_that_show_are_split_into_discs_of_their_colours():
     assert (split.splats.scales[len(shown.splats) :].exp() < 0.06).all()
     before, after = (rasterize(each.splats, VIEWS[1])[0] for each in (shown, split))
     assert (before - after).square().mean().sqrt() < 0.05
+
+
+@pytest.mark.usefixtures("quick_painting")
+def test_an_object_of_few_pixels_stays_solid():
+    """A plate of flat Gaussians that is 20 pixels long is painted as if it were larger."""
+    axis = torch.linspace(-0.6, 0.6, 13)
+    x, z = (each.flatten() for each in torch.meshgrid(axis, axis, indexing="ij"))
+    splats = cloud(torch.stack([x, 0 * x, z], dim=1), 0.1, opacity=2.0)
+    splats.scales[:, 1] = -6.0  # flat, in the plane of the plate
+    style = torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(0))
+    config = StyleConfig(block=1, steps=12)
+    painted = paint(
+        splats, CAMERAS, torch.ones(len(splats), dtype=torch.bool), style, config=config
+    )
+    assert len(painted) > len(splats) + 500, "on a canvas"
+    was, now = (coverage(each, VIEWS[0]) for each in (splats, painted))
+    assert (now[was > 0.9] > 0.6).float().mean() > 0.95

@@ -40,16 +40,22 @@ def _small(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sculpture, "SCULPTURE_LENGTH", 90.0)
 
 
-@pytest.fixture(scope="module")
-def painted() -> Scene:
-    """A ball with dark spots, painted with strokes as strong as these."""
-    ball = dense_ball(0.35 * LIGHT)[PICKED]
-    spots = torch.sin(9 * ball.means).prod(dim=1)[:, None, None] > 0.3
-    base = replace(ball, sh0=torch.where(spots, ball.sh0 - 0.8, ball.sh0))
+BALL = dense_ball(0.35 * LIGHT)[PICKED]
+
+
+def with_dark(places: Tensor) -> Scene:
+    """A ball that is dark at places, painted with strokes as strong."""
+    base = replace(BALL, sh0=torch.where(places[:, None, None], BALL.sh0 - 0.8, BALL.sh0))
     paint = replace(base, sh0=0.6 * (rand(COUNT, 1, 1, seed=3) - 0.5).expand(-1, 1, 3).contiguous())
     scene = Scene(base, VIEWS, objects={"ball": SceneObject(EVERY)})
     layer = layer_towards(base, paint, EVERY, "ball")
     return scene.with_layer(replace(layer, form=1.0, settings={"form": 1.0}))
+
+
+@pytest.fixture(scope="module")
+def painted() -> Scene:
+    """A ball with dark spots."""
+    return with_dark(torch.sin(9 * BALL.means).prod(dim=1) > 0.3)
 
 
 def shown_of(scene: Scene) -> Tensor:
@@ -75,6 +81,15 @@ def test_the_form_shows_and_goes_again(painted: Scene):
     low, high = shown_of(painted).aminmax()
     assert low - 0.15 < shown_of(whole).quantile(0.01)
     assert shown_of(whole).quantile(0.99) < high + 0.15
+
+
+def test_a_pattern_all_over_comes_back_too(said: list[str]):
+    striped = with_dark(torch.sin(60 * BALL.means[:, 2]) > 0)
+    assert likeness(adjust(striped, form=1.5)) > likeness(striped) + 0.05
+    assert not said
+    flat = replace(striped.layers[0], relief=torch.zeros(COUNT))
+    adjust(striped.with_layers([flat]), form=0.5)
+    assert any("detail all over" in line for line in said)
 
 
 def test_it_is_kept_and_known_again(

@@ -4,9 +4,16 @@ import torch
 from scenes import rand
 from stylesplat.stylization.config import USUAL_SCALE, StyleConfig
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.style import coarsen_style, style_features, style_parts
+from stylesplat.stylization.style import all_colors, coarsen_style, style_features, style_parts
 
 NOISE = rand(120, 120, 3)
+
+
+def test_each_of_several_pictures_counts_as_much_as_the_others():
+    small, large = torch.zeros(20, 30, 3), rand(90, 70, 3)
+    colors = all_colors([small, large])
+    assert float((colors == 0).all(dim=1).float().mean()) == 0.5
+    assert torch.equal(all_colors([large]), large.view(-1, 3))
 
 
 def test_features_of_a_flat_style_are_all_the_same(network: FeatureNetwork):

@@ -11,14 +11,15 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.images import open_image, read_image
+from stylesplat.io.images import WHITE, decode, decoding, flatten_alpha, open_image
 from stylesplat.progress import say
 
 PREFIX = "material:"
 MATERIALS = ("bronze", "marble", "gold-leaf", "clay", "jade")  # of scripts/draw_materials.py
 FOLDER = Path(__file__).with_name("materials")
 MIN_SIDE = 32  # pixels; in less is no texture: one feature of VGG's block 3 sees 40
-STYLE_MAX_SIDE = 4096  # pixels; styles are resized to some hundred, so more is memory only
+HIDDEN_SAID = 0.01  # share of a picture that is transparent from which the user is told
+STYLE_MAX_SIDE = 4096  # pixels; few styles are resized to more, so it is memory only
 
 
 Picture = Path | str | Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
@@ -71,7 +72,14 @@ def _decoded(path: Path) -> StylePixels:
             "Save one frame as a picture of its own."
         )
     _require_side(*size, f"The picture {path}")
-    return read_image(path)
+    with decoding(path):
+        pixels = decode(path, upright=True)
+        hidden = float((pixels[..., 3] <= WHITE // 2).mean()) if pixels.shape[2] > 3 else 0.0
+        if hidden == 1:
+            raise StyleSplatError(f"All of the picture {path} is transparent. Use another one.")
+        if hidden > HIDDEN_SAID:
+            say(f"{path}: {hidden:.0%} of it is transparent, which counts as white paint")
+        return torch.from_numpy(flatten_alpha(pixels, WHITE)[..., :3].copy())
 
 
 def _colors_of(tensor: Tensor) -> StylePixels:

@@ -65,7 +65,7 @@ class Layer:
     parents: Int[Tensor, " C"]
     """The row of the base that each surfel belongs to."""
     relief: Float[Tensor, " L"]
-    """The luminance detail of the unpainted object, in 0..1: of the rows, then of the surfels."""
+    """The luminance detail of the unpainted object, in -1..1: of the rows, then of the surfels."""
     strength: float = 1.0
     """How much of the paint shows, 0 to 1.5."""
     form: float = 0.0

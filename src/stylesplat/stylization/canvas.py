@@ -85,7 +85,7 @@ class Canvas:
     parents: Int[Tensor, " N"]
     """The Gaussian of the scene before that each one belongs to: of a disc, the nearest."""
     views: Sequence[UnpaintedView] = ()
-    """Views of the scene before, until the outline is checked."""
+    """Views of the scene before, until the canvas is complete."""
     spacing: float = 0.0
     """The distance between neighbouring discs."""
 

@@ -72,6 +72,10 @@ class FormSurvey(NamedTuple):
         """0 for an object with a pattern all over, 1 for one with parts."""
         return min(max((max(self.variations) - EVEN) / (UNEVEN - EVEN), 0.0), 1.0)
 
+    def as_parts(self) -> "FormSurvey":
+        """Of the same object if its detail is form, pattern or not."""
+        return self._replace(variations=[max(each, UNEVEN) for each in self.variations])
+
 
 class FormTarget(NamedTuple):
     """The form that one view shows, by bands of sizes."""

@@ -43,7 +43,7 @@ from stylesplat.stylization.colors import (
     project_to_palette,
     transfer_colors,
 )
-from stylesplat.stylization.config import DEFAULT_NETWORK, FINEST, Stage, StyleConfig
+from stylesplat.stylization.config import DEFAULT_NETWORK, Stage, StyleConfig
 from stylesplat.stylization.features import FeatureNetwork, load_weights
 from stylesplat.stylization.form import FormSurvey, form_relief, survey_detail
 from stylesplat.stylization.guides import Guides
@@ -216,7 +216,7 @@ def paint_object(subject: Subject) -> Iterator[PaintState]:
         finish = partial(melt_strokes, goal, subject, stage)
         colors = yield from paint_stage(subject, stage, colors, goal, generator, finish)
 
-    subject, colors = align_and_trim(subject, colors)
+    subject, colors = align_and_trim(subject, colors, last.length)
     whole, length = whole_object(subject, stages[count], BLUR_VIEWS)
     relief = form_relief(subject.canvas.before, whole, len(colors), length, subject.detail)
     colors = add_luminance(colors, SHARPENED * config.form * config.pattern_removed * relief[:, 0])
@@ -355,8 +355,13 @@ def settle_colors(
     return project_to_palette(colors, whole, goal.palette, ~is_disc & is_disc.any())
 
 
-def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Float[Tensor, "M 3"]]:
-    """Turn the discs along the strokes, and let them show what the object shows."""
+def align_and_trim(
+    subject: Subject, colors: Colors, length: float
+) -> tuple[Subject, Float[Tensor, "M 3"]]:
+    """Turn the discs along the strokes, and let them show what the object shows.
+
+    They are fine enough for views that show it so many pixels long.
+    """
     if not subject.canvas.is_disc.any():
         return subject, colors
     canvas, kept = trim_surfels(
@@ -367,7 +372,6 @@ def align_and_trim(subject: Subject, colors: Colors) -> tuple[Subject, Float[Ten
         guides=subject.guides,
     )
     subject, colors = subject.on(canvas), colors[kept[subject.rows]]
-    length = min(typical_length(subject.boxes), FINEST)
     has_parts = subject.detail.unevenness > 0.5
     canvas, kept = reveal(subject.canvas, subject.boxes, length, has_parts=has_parts)
     colors = subject.canvas.splats.sh0[:, 0].index_copy(0, subject.rows, colors)[kept]

@@ -5,7 +5,7 @@ and in the darkest and brightest places there is no room for it. Sculpture takes
 and makes this room.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from stylesplat.imaging.color import luma_weights
 from stylesplat.imaging.similarity import smooth
+from stylesplat.progress import say
 from stylesplat.rendering.render import render
 from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import COVERED, Contributions, contributions
@@ -38,9 +39,17 @@ TONES = 0.02, 0.98  # quantiles of the paint's luminance that are its darkest an
 SCULPTURE_MEAN, SCULPTURE_NEAR = 0.03, 0.015
 
 
-def with_sculptures(scene: Scene) -> Scene:
-    """The scene with the sculpture of each layer whose form asks for it and that has none."""
+def with_sculptures(scene: Scene, asked: Collection[str] = ()) -> Scene:
+    """The scene with the sculpture of each layer whose form asks for it and that has none.
+
+    Says of which of the layers a form was asked for that changes nothing.
+    """
     for layer in scene.layers:
+        if layer.name in asked and layer.form < RELIEF_FORM and not layer.relief.any():
+            say(
+                f"{layer.name} has detail all over, which the paint replaces: a form below 1 "
+                "changes nothing. Above 1 it brings the detail back."
+            )
         if layer.form > RELIEF_FORM and layer.sculpture is None and layer.color_map is None:
             scene = scene.with_layer(sculpted(scene.below(layer.name), layer))
     return scene
@@ -94,7 +103,7 @@ def sculpt(
         rows: The Gaussians that carry the paint.
         boxes: Where views show the object.
     """
-    detail = survey_detail(before, own, boxes)
+    detail = survey_detail(before, own, boxes).as_parts()
     cameras = box_cameras(boxes, SCULPTURE_LENGTH, SCULPTURE_VIEWS)
     mask = torch.zeros_like(painted.opacities, dtype=torch.bool).index_fill_(0, rows, True)
 

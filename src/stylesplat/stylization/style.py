@@ -72,7 +72,10 @@ def fit_style(
 
 
 def all_colors(pictures: Sequence[Float[Tensor, "_ _ 3"]]) -> Float[Tensor, "P 3"]:
-    return torch.cat([picture.reshape(-1, 3) for picture in pictures])
+    """The colours of pictures, of which each has as many, whatever its size."""
+    colors = [picture.reshape(-1, 3) for picture in pictures]
+    most = max(map(len, colors))
+    return torch.cat([each[torch.arange(most) * len(each) // most] for each in colors])
 
 
 def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor, "H W 3"]:

@@ -66,7 +66,7 @@ def adjust(
         raise StyleSplatError(f"{names[0]} has no paint, and form shows in paint only.")
     strengths = {} if intensity is None else dict.fromkeys(names, float(intensity))
     forms = {} if form is None else dict.fromkeys(names, float(form))
-    scene = with_sculptures(scene.with_strengths(strengths, forms))
+    scene = with_sculptures(scene.with_strengths(strengths, forms), forms)
     # What was measured of the style before is no longer true
     return replace(scene, metrics={"train": scene.metrics.get("train", {})})
 
