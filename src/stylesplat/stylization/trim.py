@@ -436,6 +436,7 @@ LARGE, REACH = 2.0, 2.0
 LARGE_SHOWN = 10.0  # pixels that it shows in some view; in the canvas's own there are 10 to one
 SPLIT_FAINT = 0.1  # opacity of the Gaussian at a place from which no disc is laid there
 SPLIT_SIDE = 64  # discs along a Gaussian at most: larger ones are too few to matter
+SPLIT_MOST = 1_000_000  # places of discs that are compared at most, in 1 GiB
 OVERLAP = 2.45  # discs of `DISC_WIDE` that cover a place, when they are as dense as they get
 
 
@@ -455,8 +456,13 @@ def split_large(canvas: Canvas, length: float, *, seed: int) -> tuple[Canvas, In
     is_large &= opacities > SPLIT_FAINT
     if not canvas.is_disc.any() or not is_large.any():
         return canvas, everyone
-    rows = (is_large & (pixels_shown(canvas, length)[:count] > LARGE_SHOWN)).nonzero()[:, 0]
+    pixels = pixels_shown(canvas, length)[:count]
+    rows = (is_large & (pixels > LARGE_SHOWN)).nonzero()[:, 0]
     sides = (2 * REACH * sizes[rows, :2] / canvas.spacing).ceil().clamp(1, SPLIT_SIDE).long()
+    most_first = pixels[rows].argsort(descending=True)
+    fits = torch.zeros_like(rows, dtype=torch.bool)
+    fits[most_first] = sides.prod(dim=1)[most_first].cumsum(dim=0) <= SPLIT_MOST
+    rows, sides = rows[fits], sides[fits]
     grids = sides.prod(dim=1)
     which = torch.arange(len(rows), device=rows.device).repeat_interleave(grids)
     number = torch.arange(len(which), device=rows.device) - (grids.cumsum(0) - grids)[which]
