@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from tyro.conf import Positional, UseAppendAction
 
@@ -22,6 +22,7 @@ from stylesplat.cli.command import (
     stylize_command,
 )
 from stylesplat.io.atomic import locked_folder, refuse_file
+from stylesplat.options import PickSize
 from stylesplat.progress import say
 
 SHEET = "objects.png"
@@ -117,7 +118,7 @@ class Select(EditingCommand):
     of: str | None = None
     """The name of the object that this is a part of: what of the selection lies on it becomes the
     part, and the rest stays the object's."""
-    size: Literal["part", "object", "group"] | None = None
+    size: PickSize | None = None
     """How much a point means in a scene without labels: a part that folds or other colours bound,
     also flat on a wall (the default with --of), an object (otherwise), or all that touches. In a
     scene with labels, instead of these."""

@@ -16,13 +16,12 @@ from stylesplat.figures.grid import GRID_CELL
 from stylesplat.imaging.color import lab_from_rgb
 from stylesplat.rendering.render import render
 from stylesplat.rendering.view_pool import per_view
-from stylesplat.rendering.weights import colors_and_coverage, coverage
+from stylesplat.rendering.weights import COVERED, colors_and_coverage, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import opaque_rows
 from stylesplat.scene.projection import share_in_images
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import MIN_COVERAGE
 from stylesplat.stylization.views import SURVEY_SIZE
 
 BEST_VIEWS = 3  # of an object
@@ -53,7 +52,7 @@ def find_views(
     rows = evenly_spaced(likely.nonzero()[:, 0].tolist(), SEARCHED_VIEWS)
 
     def mask(row: int) -> Tensor:
-        return coverage(splats, survey_view(cameras[row]), picked) > MIN_COVERAGE
+        return coverage(splats, survey_view(cameras[row]), picked) > COVERED
 
     found = per_view(mask, rows, "looking for the object", splats.device)
     masks = dict(zip(rows, found, strict=True))
@@ -138,7 +137,7 @@ def aim_at(
     wide = (round((1 + 2 * OVERSCAN) * size / step) for size in (width, height))
     survey = camera.crop((left, top), tuple(wide), zoom=1 / step)
     _, share = colors_and_coverage(splats, survey, picked)
-    shown = (share[..., 0] > MIN_COVERAGE).cpu().numpy()
+    shown = (share[..., 0] > COVERED).cpu().numpy()
     parts = np.empty(shown.shape, np.int32)
     if not label(shown, np.ones((3, 3)), output=parts):
         return camera.crop((0.0, 0.0), (side, side), zoom=side / max(width, height))

@@ -11,10 +11,10 @@ from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.images import ColorPicture, ViewPicture
 from stylesplat.rendering.render import render
 from stylesplat.rendering.view_pool import map_views
-from stylesplat.rendering.weights import expected_depth
+from stylesplat.rendering.weights import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import MIN_COVERAGE, render_labels, require_identities
+from stylesplat.selection.labels import render_labels, require_identities
 
 Background = tuple[float, float, float] | None
 """A colour in 0..1, or None where the picture is to be transparent."""
@@ -160,7 +160,7 @@ def identity_colors(splats: Splats) -> Float[Tensor, "N 3"]:
 def _depth_map(splats: Splats, camera: Cameras) -> Float[Tensor, "H W"]:
     """Depths along the view, in world units; 0 where less than half of a pixel is covered."""
     depths, alphas = expected_depth(splats, camera)
-    return torch.where(alphas < MIN_COVERAGE, 0, depths)
+    return torch.where(alphas < COVERED, 0, depths)
 
 
 def _depths_in_front(splats: Splats, cameras: Cameras) -> Float[Tensor, " M"]:

@@ -28,13 +28,13 @@ from stylesplat.photo_libraries import cv2
 from stylesplat.progress import track
 from stylesplat.rendering.render import pick_device, render
 from stylesplat.rendering.view_pool import map_views
-from stylesplat.rendering.weights import colors_and_coverage
+from stylesplat.rendering.weights import COVERED, colors_and_coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND, Capture, at_most, ids_of
 from stylesplat.scene.scene import Scene, require_painted
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
-from stylesplat.selection.labels import MIN_COVERAGE, each_object, object_ids, render_labels
+from stylesplat.selection.labels import each_object, object_ids, render_labels
 from stylesplat.selection.shares import object_shares, survey
 from stylesplat.training.object_alone import OBJECTS_ALONE, as_trained
 
@@ -260,7 +260,7 @@ def _panel(
     grey = DIM * image.mean(dim=-1, keepdim=True)
     left_out = (covered - own) * image.new_tensor(SHEET_LEFT_OUT)
     panel = (own * image + left_out + (1 - covered) * grey).cpu().clamp(0, 1)
-    mask = (covered[..., 0].cpu() > MIN_COVERAGE).numpy().astype(np.float32)
+    mask = (covered[..., 0].cpu() > COVERED).numpy().astype(np.float32)
     mask = np.asarray(uniform_filter(mask, SHEET_SPECK, mode="nearest")) > 0.5  # the median
     outline = mask & np.logical_not(binary_erosion(mask))
     away = np.asarray(distance_transform_edt(~outline))

@@ -18,14 +18,13 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, shell_command
 from stylesplat.options import check_box, check_point
 from stylesplat.rendering.render import render
+from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.content import EXTENT_FAINT
 from stylesplat.scene.projection import overlapping
 from stylesplat.scene.selection import THRESHOLD, Point, ViewBox
 from stylesplat.scene.splats import Classifier, Splats
-
-MIN_COVERAGE = 0.5  # of a pixel, below which it shows mostly what lies behind all Gaussians
 
 UNLABELLED = (
     "Train from a capture with label maps, or import with one (`object_mask/` or --masks); of a "
@@ -70,7 +69,7 @@ def render_labels(splats: Splats, camera: Cameras) -> Int[Tensor, "H W"]:
     identities, classifier = require_identities(splats)
     image, alphas = render(splats, camera, features=identities, sh_degree=0)
     labels = classifier.likeliest(image[..., 3:])
-    return torch.where(alphas[..., 0] < MIN_COVERAGE, BACKGROUND, labels)
+    return torch.where(alphas[..., 0] < COVERED, BACKGROUND, labels)
 
 
 MEMBER_SURE = (0.5, 0.9)  # probability above which a Gaussian is another object's; the background's

@@ -28,12 +28,11 @@ from stylesplat.figures.pictures import to_uint8
 from stylesplat.figures.web_page import pack
 from stylesplat.io.images import jpeg
 from stylesplat.rendering.render import render, render_row_bands
-from stylesplat.rendering.weights import composite, coverage
+from stylesplat.rendering.weights import COVERED, composite, coverage
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.virtual_cameras import centred_K
-from stylesplat.selection.labels import MIN_COVERAGE
 from stylesplat.studio_app.detail import ReducedSplats, most_visible
 from stylesplat.studio_app.gallery import ThumbnailPixels
 from stylesplat.studio_app.history import object_names
@@ -258,7 +257,7 @@ class Pictures:
             most = seen.amax(dim=-1, keepdim=True)
             sizes = counts.expand_as(seen).masked_fill(seen < ALIKE * most, 2**62)
             found = sizes.argmin(dim=-1) + 1
-            ids = (found * (most[..., 0] >= MIN_COVERAGE)).to(torch.uint8)
+            ids = (found * (most[..., 0] >= COVERED)).to(torch.uint8)
         depths = torch.where(alphas > 0.5, depths / alphas.clamp(min=1e-6), 0.0)
         content = compress(ids.numpy().tobytes() + depths.half().numpy().tobytes(), 1)
         self._send(client, "map", "map", content, look, size=camera.size, names=names)
