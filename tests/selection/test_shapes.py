@@ -48,18 +48,6 @@ def test_surface_point_lies_on_what_shows():
     assert (seen[:2] / seen[2] - torch.tensor([int(x) + 0.5, int(y) + 0.5])).norm() < 1e-3
 
 
-def test_the_surface_is_what_a_pixel_shows_first():
-    """A tenth of the pixel shows a wall far behind."""
-    camera = replace(CAMERAS[0], viewmats=torch.eye(4)[None])
-    y, x = torch.meshgrid(torch.linspace(-1, 1, 60), torch.linspace(-1, 1, 60), indexing="ij")
-    rays = torch.stack([x, y, torch.ones_like(x)], dim=-1).reshape(-1, 3)
-    near, far = cloud(2 * rays, 0.1, opacity=-1.7), cloud(20 * rays, 1.0, opacity=6.0)
-    middle = camera.size[0] / 2, camera.size[1] / 2
-    covered = float(rasterize(near, camera)[1][0, int(middle[1]), int(middle[0]), 0])
-    assert 0.8 < covered < 0.95
-    assert abs(surface_point(Splats.cat([near, far]), camera, middle)[2] - 2) < 0.02
-
-
 def test_a_selection_spreads_over_what_looks_alike():
     begun = RED & in_sphere(SPLATS, CENTRE + torch.tensor([0, 0, BALL_RADIUS]), 0.5 * BALL_RADIUS)
     found = grow_by_similarity(SPLATS, begun, 6 * BALL_RADIUS)

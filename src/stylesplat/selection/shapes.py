@@ -9,8 +9,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.options import check_point
-from stylesplat.rendering.surface import front_depth
-from stylesplat.rendering.weights import COVERED
+from stylesplat.rendering.weights import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import EXTENT_FAINT, Extent, opaque_rows
 from stylesplat.scene.projection import overlapping, unproject
@@ -47,7 +46,7 @@ def surface_point(
     """The world position of the surface at a pixel of one camera."""
     check_point(point, camera.size, camera.names[0])
     column, row = map(int, point)
-    depths, alphas = front_depth(splats, camera.crop((column, row), (1, 1)))
+    depths, alphas = expected_depth(splats, camera.crop((column, row), (1, 1)))
     if alphas[0, 0] < COVERED:
         raise StyleSplatError(
             f"Nothing solid shows at {point[0]:g},{point[1]:g} in {camera.names[0]}. Choose "

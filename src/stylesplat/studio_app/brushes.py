@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, count_noun
-from stylesplat.rendering.surface import front_depth
-from stylesplat.rendering.weights import COVERED, coverage
+from stylesplat.rendering.weights import COVERED, coverage, expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import Layer
 from stylesplat.scene.projection import unproject
@@ -104,7 +103,7 @@ def line_on(
     """The places on the object of a layer that lie below a line."""
     own = scene.to_splats(layer.covered(len(scene.base)))
     shown = coverage(scene.splats, camera, own)
-    depths, alphas = front_depth(scene.splats, camera)
+    depths, alphas = expected_depth(scene.splats, camera)
     rows = torch.linspace(0, len(points) - 1, min(len(points), GUIDE_PLACES)).round().long()
     size = torch.tensor(camera.size)
     pixels = (torch.tensor(points)[rows] * size).minimum(size - 0.5)

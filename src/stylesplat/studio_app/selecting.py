@@ -18,8 +18,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.hub import is_at_hand
 from stylesplat.options import PickSize
 from stylesplat.rendering.render import colors_of, render
-from stylesplat.rendering.surface import front_depth
-from stylesplat.rendering.weights import pixels_in
+from stylesplat.rendering.weights import expected_depth, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import opaque_rows
 from stylesplat.scene.layers import split_name
@@ -200,7 +199,7 @@ def brushed(
     parts = torch.stack([region, torch.ones_like(region)], dim=-1)
     within, shown = scene.to_base(pixels_in(scene.splats, camera, [parts])).unbind(dim=1)
     share = torch.where(shown > LEAST_SHOWN, within / shown.clamp(min=LEAST_SHOWN), 0.0)
-    depths, alphas = front_depth(scene.splats, camera)
+    depths, alphas = expected_depth(scene.splats, camera)
     pixels, is_seen, own = _pixels_over(base.means, camera)
     if reach is None:
         reach = BENEATH * robust_diameter(base.means[opaque_rows(base, rows)])
@@ -212,7 +211,7 @@ def brushed(
 @torch.no_grad()
 def reach_of(scene: Scene, camera: Cameras, region: Float[Tensor, "H W"], radius: float) -> float:
     """The radius of a brush in world units, where the scene is that lies below it."""
-    depths, alphas = front_depth(scene.splats, camera)
+    depths, alphas = expected_depth(scene.splats, camera)
     below = depths[(region > 0).to(depths.device) & (alphas > 0.5)]
     if not len(below):
         raise StyleSplatError("Nothing solid lies below the brush. Brush over the scene.")
