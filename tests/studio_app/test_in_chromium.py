@@ -400,7 +400,7 @@ def test_pictures_are_pasted_and_dropped_without_files_and_a_drag_that_goes_leav
     tab.page.evaluate("""(async () => {
         const data = async (name, side) => {
             const canvas = new OffscreenCanvas(side, side), found = new DataTransfer();
-            canvas.getContext("2d");
+            canvas.getContext("2d").fillRect(0, 0, side, side);
             const content = [await canvas.convertToBlob()];
             found.items.add(new File(content, `${name}.png`, { type: "image/png" }));
             return found;
