@@ -89,7 +89,7 @@ class TrainConfig(Config):
     """Densification prefers an object's Gaussians to the background's by this factor."""
     refine_every: Annotated[int, COUNT] = 100
     """Steps between moving dead Gaussians and adding new ones."""
-    scatter_weight: Annotated[float, RATE] = 0.05
+    scatter_weight: Annotated[float, RATE] = 0.1
     """Weight of the loss that draws what a pixel mixes to one depth: surfaces instead of haze.
 
     It is in every second round from 0.4 of the run on, but for those that train identities.

@@ -24,7 +24,6 @@ from stylesplat.scene.splats import Classifier
 DSSIM_WEIGHT = 0.2
 NEIGHBOR_WEIGHT = 2.0  # Gaussian Grouping's reg3d_lambda_val
 LOSS_MAX_POINTS = 200_000  # Gaussian Grouping's reg3d_max_points
-SCATTER_FLOOR = 5e-5  # variance of logarithms: depths that differ by 0.7 % are as good as one
 NO_CLASS = -1  # of pixels that are not to be learned from
 LOSS_DISTANCES_AT_ONCE = 2**26  # 256 MB of them
 
@@ -70,17 +69,14 @@ def depth_phases(depths: Float[Tensor, " N"]) -> Float[Tensor, "N 2"]:
 def depth_scatter(
     phases: Float[Tensor, "H W 2"], coverage: Float[Tensor, "H W 1"]
 ) -> Float[Tensor, ""]:
-    """How much the depths differ that pixels mix; nearly 0 where each shows one depth.
+    """How much the depths differ that pixels mix; 0 where each shows one depth.
 
-    The sum over pairs of a pixel's weights times 1 - cos(log(z1 / z2)) is, in closed form by two
-    composited channels, the variance of the logarithms of a covered pixel, where these differ
-    little; depths that differ by more than exp(pi), 23 times, are drawn together no more. The mean
-    of the roots is taken, so that every pixel is drawn as strongly. The distortion of Mip-NeRF 360
-    (Barron et al. 2022) and 2DGS (Huang et al. 2024) takes the mean of such sums, which draws
-    mostly the few pixels that mix what is near and what is far.
+    It is the sum over pairs of a pixel's weights times 1 - cos(log(z1 / z2)), averaged over pixels:
+    the distortion of Mip-NeRF 360 (Barron et al. 2022) and 2DGS (Huang et al. 2024), in closed form
+    by two composited channels. Of a covered pixel it is the variance of the logarithms, where these
+    differ little; depths that differ by more than exp(pi), 23 times, are drawn together no more.
     """
-    variances = coverage.square().squeeze(-1) - phases.square().sum(dim=-1)
-    return (variances.clamp(min=0) + SCATTER_FLOOR).sqrt().mean()
+    return (coverage.square().squeeze(-1) - phases.square().sum(dim=-1)).mean()
 
 
 def identity_loss(
