@@ -74,7 +74,7 @@ def _decoded(path: Path) -> StylePixels:
     _require_side(*size, f"The picture {path}")
     with decoding(path):
         pixels = decode(path, upright=True)
-        hidden = float((pixels[..., 3] <= WHITE // 2).mean()) if pixels.shape[2] > 3 else 0.0
+        hidden = float((pixels[..., 3] == 0).mean()) if pixels.shape[2] > 3 else 0.0
         if hidden == 1:
             raise StyleSplatError(f"All of the picture {path} is transparent. Use another one.")
         if hidden > HIDDEN_SAID:
