@@ -24,7 +24,7 @@ from stylesplat.scene.layers import RELIEF_FORM, Layer
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.stylization.colors import PAINT_HIDDEN, PAINT_STRIDE
-from stylesplat.stylization.form import form_detail, survey_detail
+from stylesplat.stylization.form import FORM_FAINT, form_detail, survey_detail
 from stylesplat.stylization.views import ObjectBox, box_cameras, find_boxes
 
 SCULPTURE_VIEWS, SCULPTURE_LENGTH = 16, 480.0  # 8 of 240 pixels lose letters and strings
@@ -34,6 +34,7 @@ STROKES_LOST, STRONG = 0.4, 0.1  # share of strokes that gives way, and the cont
 # Deviations of the form that fit between the mean and the paint's darkest and brightest tones
 TONE_ROOM = 1.2
 BEYOND = 0.25  # slope of tones beyond these
+FORMLESS = 0.01  # share of the painted Gaussians whose relief is seen: with less nobody sees it
 TONES = 0.02, 0.98  # quantiles of the paint's luminance that are its darkest and brightest
 # Deviations of windows, in lengths: of means, of strokes and form
 SCULPTURE_MEAN, SCULPTURE_NEAR = 0.03, 0.015
@@ -45,10 +46,12 @@ def with_sculptures(scene: Scene, asked: Collection[str] = ()) -> Scene:
     Says of which of the layers a form was asked for that changes nothing.
     """
     for layer in scene.layers:
-        if layer.name in asked and layer.form < RELIEF_FORM and not layer.relief.any():
+        shown = (layer.relief.abs() > FORM_FAINT).float().mean()
+        is_flat = layer.color_map is None and shown < FORMLESS
+        if layer.name in asked and layer.form < RELIEF_FORM and is_flat:
             say(
-                f"{layer.name} has detail all over, which the paint replaces: a form below 1 "
-                "changes nothing. Above 1 it brings the detail back."
+                f"{layer.name} has no detail that stands out from the rest: a form below 1 changes "
+                "nothing. Above 1 its pattern comes back."
             )
         if layer.form > RELIEF_FORM and layer.sculpture is None and layer.color_map is None:
             scene = scene.with_layer(sculpted(scene.below(layer.name), layer))
