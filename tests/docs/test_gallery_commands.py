@@ -4,7 +4,7 @@ Of scenes that differ in names, boxes and the options of training only the first
 
 `sfm`, which needs the photos and minutes, and the tracing of the sign are not run: a capture of
 balls lies where they put theirs, with the named photo and one ball in its box. Options for few
-steps follow the page's words. tests/demo runs the commands of the demo's paintings.
+steps follow the page's words. tests/demo compares the names of the demo's paintings.
 """
 
 import re
