@@ -89,8 +89,12 @@ def decoding(path: Path) -> Iterator[None]:
 def read_image(path: Path | str) -> UInt8[Tensor, "H W 3"]:
     """Read a picture upright, as 8-bit sRGB; transparency becomes white, grey becomes RGB."""
     with decoding(Path(path)):
-        pixels = flatten_alpha(decode(Path(path), upright=True), WHITE)
-        return torch.from_numpy(np.ascontiguousarray(pixels[..., :3]))
+        return on_white(decode(Path(path), upright=True))
+
+
+def on_white(pixels: UInt8[np.ndarray, "H W D"]) -> UInt8[Tensor, "H W 3"]:
+    """Put transparent pixels over white, in place; without alpha."""
+    return torch.from_numpy(np.ascontiguousarray(flatten_alpha(pixels, WHITE)[..., :3]))
 
 
 def decode(path: Path, *, upright: bool) -> UInt8[np.ndarray, "H W D"]:

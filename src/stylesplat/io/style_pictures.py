@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.images import WHITE, decode, decoding, flatten_alpha, open_image
+from stylesplat.io.images import decode, decoding, on_white, open_image
 from stylesplat.progress import say
 
 PREFIX = "material:"
@@ -19,7 +19,7 @@ MATERIALS = ("bronze", "marble", "gold-leaf", "clay", "jade")  # of scripts/draw
 FOLDER = Path(__file__).with_name("materials")
 MIN_SIDE = 32  # pixels; in less is no texture: one feature of VGG's block 3 sees 40
 HIDDEN_SAID = 0.01  # share of a picture that is transparent from which the user is told
-STYLE_MAX_SIDE = 4096  # pixels; few styles are resized to more, so it is memory only
+STYLE_MAX_SIDE = 4096  # pixels; few styles are resized to more, so more is memory only
 
 
 Picture = Path | str | Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"]
@@ -79,7 +79,7 @@ def _decoded(path: Path) -> StylePixels:
             raise StyleSplatError(f"All of the picture {path} is transparent. Use another one.")
         if hidden > HIDDEN_SAID:
             say(f"{path}: {hidden:.0%} of it is transparent, which counts as white paint")
-        return torch.from_numpy(flatten_alpha(pixels, WHITE)[..., :3].copy())
+        return on_white(pixels)
 
 
 def _colors_of(tensor: Tensor) -> StylePixels:

@@ -73,7 +73,7 @@ class FormSurvey(NamedTuple):
         return min(max((max(self.variations) - EVEN) / (UNEVEN - EVEN), 0.0), 1.0)
 
     def as_parts(self) -> "FormSurvey":
-        """Of the same object if its detail is form, pattern or not."""
+        """The survey with all detail counted as form, a pattern too."""
         return self._replace(variations=[max(each, UNEVEN) for each in self.variations])
 
 

@@ -34,7 +34,7 @@ STROKES_LOST, STRONG = 0.4, 0.1  # share of strokes that gives way, and the cont
 # Deviations of the form that fit between the mean and the paint's darkest and brightest tones
 TONE_ROOM = 1.2
 BEYOND = 0.25  # slope of tones beyond these
-FORMLESS = 0.01  # share of the painted Gaussians whose relief is seen: with less nobody sees it
+RELIEF_SHOWS = 0.01  # share of a layer's Gaussians with visible relief from which it shows any
 TONES = 0.02, 0.98  # quantiles of the paint's luminance that are its darkest and brightest
 # Deviations of windows, in lengths: of means, of strokes and form
 SCULPTURE_MEAN, SCULPTURE_NEAR = 0.03, 0.015
@@ -43,19 +43,23 @@ SCULPTURE_MEAN, SCULPTURE_NEAR = 0.03, 0.015
 def with_sculptures(scene: Scene, asked: Collection[str] = ()) -> Scene:
     """The scene with the sculpture of each layer whose form asks for it and that has none.
 
-    Says of which of the layers a form was asked for that changes nothing.
+    `asked` names the layers whose form the user sets: of these it says where that changes nothing.
     """
     for layer in scene.layers:
-        shown = (layer.relief.abs() > FORM_FAINT).float().mean()
-        is_flat = layer.color_map is None and shown < FORMLESS
-        if layer.name in asked and layer.form < RELIEF_FORM and is_flat:
+        if layer.color_map is not None:
+            continue
+        if layer.form > RELIEF_FORM and layer.sculpture is None:
+            scene = scene.with_layer(sculpted(scene.below(layer.name), layer))
+        if layer.form < RELIEF_FORM and layer.name in asked and not _shows_relief(layer):
             say(
                 f"{layer.name} has no detail that stands out from the rest: a form below 1 changes "
                 "nothing. Above 1 its pattern comes back."
             )
-        if layer.form > RELIEF_FORM and layer.sculpture is None and layer.color_map is None:
-            scene = scene.with_layer(sculpted(scene.below(layer.name), layer))
     return scene
+
+
+def _shows_relief(layer: Layer) -> bool:
+    return bool((layer.relief.abs() > FORM_FAINT).float().mean() >= RELIEF_SHOWS)
 
 
 def sculpted(below: Scene, layer: Layer) -> Layer:

@@ -75,7 +75,12 @@ def all_colors(pictures: Sequence[Float[Tensor, "_ _ 3"]]) -> Float[Tensor, "P 3
     """The colours of pictures, of which each has as many, whatever its size."""
     colors = [picture.reshape(-1, 3) for picture in pictures]
     most = max(map(len, colors))
-    return torch.cat([each[torch.arange(most) * len(each) // most] for each in colors])
+
+    def repeated(each: Float[Tensor, "Q 3"]) -> Float[Tensor, "P 3"]:
+        rows = torch.arange(most, device=each.device) * len(each) // most
+        return each[rows]
+
+    return torch.cat([each if len(each) == most else repeated(each) for each in colors])
 
 
 def coarsen_style(picture: Float[Tensor, "H W 3"], scale: float) -> Float[Tensor, "H W 3"]:

@@ -436,7 +436,7 @@ LARGE, REACH = 2.0, 2.0
 LARGE_SHOWN = 10.0  # pixels that it shows in some view; in the canvas's own there are 10 to one
 SPLIT_FAINT = 0.1  # opacity of the Gaussian at a place from which no disc is laid there
 SPLIT_SIDE = 64  # discs along a Gaussian at most: larger ones are too few to matter
-SPLIT_MOST = 1_000_000  # places of discs that are compared at most, in 1 GiB
+SPLIT_MOST = 1_000_000  # places of discs to choose from at most: they take 1 GiB
 OVERLAP = 2.45  # discs of `DISC_WIDE` that cover a place, when they are as dense as they get
 
 
@@ -459,11 +459,10 @@ def split_large(canvas: Canvas, length: float, *, seed: int) -> tuple[Canvas, In
     pixels = pixels_shown(canvas, length)[:count]
     rows = (is_large & (pixels > LARGE_SHOWN)).nonzero()[:, 0]
     sides = (2 * REACH * sizes[rows, :2] / canvas.spacing).ceil().clamp(1, SPLIT_SIDE).long()
-    most_first = pixels[rows].argsort(descending=True)
+    grids, most_first = sides.prod(dim=1), pixels[rows].argsort(descending=True)
     fits = torch.zeros_like(rows, dtype=torch.bool)
-    fits[most_first] = sides.prod(dim=1)[most_first].cumsum(dim=0) <= SPLIT_MOST
-    rows, sides = rows[fits], sides[fits]
-    grids = sides.prod(dim=1)
+    fits[most_first] = grids[most_first].cumsum(dim=0) <= SPLIT_MOST
+    rows, sides, grids = rows[fits], sides[fits], grids[fits]
     which = torch.arange(len(rows), device=rows.device).repeat_interleave(grids)
     number = torch.arange(len(which), device=rows.device) - (grids.cumsum(0) - grids)[which]
     along = torch.stack([number % sides[which, 0], number // sides[which, 0]], dim=1)

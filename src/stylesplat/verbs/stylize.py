@@ -122,7 +122,7 @@ def stylize(
     scene = _with_edits(scene, recipe, len(paintings))
     strengths = {each.name: each.intensity for each in recipe.objects if each.intensity is not None}
     forms = {each.name: each.form for each in recipe.objects if each.form is not None}
-    asked = {*forms, *(each.name for each in paintings if each.config.form < RELIEF_FORM)}
+    asked = {*forms, *(each.name for each in paintings)}
     scene = with_sculptures(scene.with_strengths(strengths, forms), asked)
     metrics = {
         "seconds": time.perf_counter() - start,
