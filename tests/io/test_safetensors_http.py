@@ -47,12 +47,12 @@ def server() -> Iterator[Server]:
             assert asked is not None
             begin, end = int(asked[1]), int(asked[2]) + 1
             body = serving.content[begin:end] if serving.ranges else serving.content
+            serving.sent.append(len(body))  # before the client has it all
             self.send_response(206 if serving.ranges else 200)
             self.send_header("Content-Length", str(len(body)))
             self.end_headers()
             if serving.ranges:
                 self.wfile.write(body)
-            serving.sent.append(len(body))
 
         def log_message(self, format: str, *args: object) -> None:
             pass
