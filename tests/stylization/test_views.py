@@ -8,7 +8,7 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import coverage
 from stylesplat.scene.projection import project
 from stylesplat.stylization.features import FeatureNetwork
-from stylesplat.stylization.views import find_boxes, typical_length, windows
+from stylesplat.stylization.views import find_boxes, typical_length, views_all_over, windows
 
 
 def test_boxes_hold_the_object():
@@ -77,6 +77,17 @@ def test_windows_are_parts_of_boxes_with_the_object_inside(network: FeatureNetwo
     assert 0 < inside <= 4 * side + 2, "features of the margin are not the part's"
     (part,) = windows(boxes[:1], 1000.0, 1, torch.Generator().manual_seed(0))
     assert torch.equal(part.low, boxes[0].low) and torch.equal(part.high, boxes[0].high)
+
+
+def test_views_are_from_all_sides_though_most_are_from_one():
+    splats, every = dense_ball(LIGHT)[PICKED], torch.ones(COUNT, dtype=torch.bool)
+    rows = [*[0] * 20, 4, *[0] * 20]
+    cameras = replace(CAMERAS[rows], names=tuple(map(str, range(len(rows)))))
+    boxes = find_boxes(splats, cameras, every)
+    chosen = views_all_over(boxes, 4)
+    assert [box.camera.names[0] for box in chosen] == ["5", "15", "20", "25", "35"]
+    assert views_all_over(boxes, 99) == boxes
+    assert views_all_over([], 3) == []
 
 
 def test_windows_on_a_surface_show_all_of_it_whatever_most_views_see():

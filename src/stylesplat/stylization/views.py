@@ -31,6 +31,9 @@ from stylesplat.stylization.painting import Painting, PaintSetup
 
 SURVEY_SIZE = 160  # longer side of the renders that find boxes, in pixels
 BOX_STRAY = 0.002  # share of the covered pixels that a box may leave out on each side
+SHOWN_PLACES = 4096  # Gaussians of the object, at random, by which views are compared
+SHOWN_ENOUGH = 0.5  # of the pixels in the view that shows a Gaussian largest: more adds nothing
+SHOWN_MORE = 0.002  # of the object, which a further view is to show
 BOX_MARGIN = 12  # pixels around a box at most: farther ones move a deep feature by less than 1 %
 MIN_CELLS = 16  # views with fewer features of the object are skipped
 VISITS = 5  # steps per view at least: preparing a view takes as long as a step
@@ -55,6 +58,8 @@ class ObjectBox:
     high: Float[Tensor, " 2"]
     points: Float[Tensor, "P 2"]
     """Pixels that the object covers, evenly spread."""
+    shows: Float[Tensor, " S"]
+    """Pixels of some of the object's Gaussians, which are the same in all boxes."""
 
     @property
     def length(self) -> float:
@@ -117,22 +122,48 @@ def total_weights(views: Sequence[PaintView]) -> Float[Tensor, " P"]:
 
 def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[ObjectBox]:
     """Find the views that show an object, and where."""
+    bare, rows = geometry_only(splats), mask.nonzero()[:, 0]
+    order = torch.randperm(len(rows), generator=torch.Generator().manual_seed(0))
+    places = rows[order[:SHOWN_PLACES].to(rows.device)]
 
     def find(index: int) -> ObjectBox | None:
         camera = cameras[index]
         small = camera.at_most(SURVEY_SIZE)
-        covered = coverage(splats, small, mask) > COVERED
+        covered = coverage(bare, small, mask) > COVERED
         if not covered.any():
             return None
+        shown = backproject(bare, small, covered[..., None].float())[places, 0].cpu()
         ratio = camera.sizes[0] / small.sizes[0]
         pixels = covered.nonzero().flip(1).cpu()  # x, y
         few = int(BOX_STRAY * len(pixels))
         ordered = pixels.sort(dim=0).values
         low, high = ordered[few], ordered[len(ordered) - 1 - few] + 1
-        return ObjectBox(camera, low * ratio, high * ratio, (pixels + 0.5) * ratio)
+        shown *= ratio.prod()
+        return ObjectBox(camera, low * ratio, high * ratio, (pixels + 0.5) * ratio, shown)
 
     found = per_view(find, range(len(cameras)), "looking for the object", splats.device)
     return [box for box in found if box is not None]
+
+
+def views_all_over(boxes: Sequence[ObjectBox], count: int) -> list[ObjectBox]:
+    """So many boxes at equal distances, and others that show much of what these do not.
+
+    A video may linger at one side: the others, as many at most, are those that show most of the
+    rest, one after another.
+    """
+    chosen = evenly_spaced(range(len(boxes)), count)
+    if len(chosen) == len(boxes):
+        return list(boxes)
+    shown = torch.stack([box.shows for box in boxes])
+    shares = (shown / shown.amax(dim=0).clamp(min=1e-6)).clamp(max=SHOWN_ENOUGH) / SHOWN_ENOUGH
+    best = shares[chosen].amax(dim=0)
+    while len(chosen) < min(2 * count, len(boxes)):
+        gains = (shares - best).clamp(min=0).mean(dim=1)
+        if gains.max() < SHOWN_MORE:
+            break
+        chosen.append(int(gains.argmax()))
+        best = best.maximum(shares[chosen[-1]])
+    return [boxes[row] for row in sorted(chosen)]
 
 
 def typical_length(boxes: Sequence[ObjectBox]) -> float:
@@ -219,7 +250,7 @@ def stage_views(
     """The views or windows of a stage; a stage of few steps needs few of them."""
     zoom = stage.length / typical_length(boxes)
     if stage.window is None:
-        few = evenly_spaced(boxes, math.ceil(stage.steps / VISITS))
+        few = views_all_over(boxes, math.ceil(stage.steps / VISITS))
     else:
         count = math.ceil(stage.steps / VISITS_OF_WINDOWS)
         few = windows(boxes, stage.window / zoom, count, generator, surface)
@@ -244,7 +275,7 @@ def whole_views(
         if len(views) >= least:
             return evenly_spaced(views, WHOLE_VIEWS), stage.length
     length = min(stage.length, WHOLE_LENGTH)
-    few, zoom = evenly_spaced(boxes, WHOLE_VIEWS), length / typical_length(boxes)
+    few, zoom = views_all_over(boxes, WHOLE_VIEWS), length / typical_length(boxes)
     views = object_views(setup, painting, few, zoom, max_memory=math.inf, others=boxes)
     return views, length
 
@@ -343,9 +374,9 @@ def crop_to_box(
 def box_cameras(
     boxes: Sequence[ObjectBox], length: float, count: int, margin: int = 1
 ) -> list[Cameras]:
-    """At most `count` cameras cropped to boxes, in which the object is this long, in pixels."""
+    """Cameras cropped to `views_all_over`, in which the object is this long, in pixels."""
     zoom = length / typical_length(boxes)
-    return [crop_to_box(box, zoom, (margin, margin))[0] for box in evenly_spaced(boxes, count)]
+    return [crop_to_box(box, zoom, (margin, margin))[0] for box in views_all_over(boxes, count)]
 
 
 def reached_pixels(splats: Splats, camera: Cameras) -> Bool[Tensor, "H W"]:
