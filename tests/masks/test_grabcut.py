@@ -57,6 +57,13 @@ def test_a_box_gives_what_stands_out_in_it():
     assert again[0] == channels and torch.equal(again[1], mask)
 
 
+def test_things_of_its_colour_that_are_far_away_in_the_photo_do_not_matter():
+    far = torch.arange(WIDTH).expand(HEIGHT, WIDTH) >= 44
+    small, box = disc(20, 20, 9), (8.0, 8.0, 33.0, 33.0)
+    _, mask = cut_box(seen(painted(small, far)), box, PHOTO)
+    assert mask_iou(mask, small) > 0.95
+
+
 def test_what_colours_do_not_show_nearness_does():
     nearness = torch.where(DISC, 1.0, 0.2)
     _, mask = cut_box(seen(painted(), nearness), BOX, PHOTO)

@@ -79,9 +79,10 @@ def refuse_box(box: DrawnBox, size: tuple[int, int], photo: str) -> None:
 def cut_box(
     image: GrabCutImage, box: DrawnBox, photo: str, marks: Sequence[tuple[Mask, Mask]] = ()
 ) -> tuple[Channels, Mask]:
-    """Cut out what a box holds, the rest of the photo being background.
+    """Cut out what a box holds, what is around it being background.
 
     `marks` are pixels that belong to the object, and that do not: colours are learned from them.
+    Farther away many things have the object's colours.
 
     Returns the mask, of the cuts by different channels the one that agrees with the others most,
     and its channels.
@@ -89,19 +90,25 @@ def cut_box(
     height, width, _ = image.shape
     inside = pixels_inside(box, (width, height))
     known = np.where(inside, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
+    meant = inside.copy()
     for own, others in marks:
         known[own.numpy()] = cv2.GC_FGD
         known[others.numpy()] = cv2.GC_BGD
+        meant |= (own | others).numpy()
     foreground = np.isin(known, (cv2.GC_FGD, cv2.GC_PR_FGD))
     if min(foreground.sum(), (~foreground).sum()) < MIN_PIXELS:
         raise StyleSplatError(
             f"What is marked in {photo} leaves nothing of the object, or nothing of what is around "
             "it. Mark less."
         )
-    found = {
-        each: torch.from_numpy(_grabcut(image[..., list(each)], known)) for each in GRABCUT_CHANNELS
-    }
-    cuts = {channels: mask for channels, mask in found.items() if mask.any()}
+    window = window_around(meant, round(GRABCUT_SURROUNDINGS * float(np.hypot(height, width))))
+    cuts = dict[Channels, Mask]()
+    for channels in GRABCUT_CHANNELS:
+        mask = torch.zeros(height, width, dtype=torch.bool)
+        found = _grabcut(image[window][..., list(channels)], known[window])
+        mask[window] = torch.from_numpy(found)
+        if mask.any():
+            cuts[channels] = mask
     if not cuts:
         raise StyleSplatError(
             f"What the box in {photo} holds looks like what is around it. Draw the box tighter, "
