@@ -99,8 +99,8 @@ def _candidates(
 
 
 def _deepest_pixel(mask: Mask) -> tuple[float, float]:
-    """The pixel that is farthest from what a mask leaves out."""
-    depth = np.asarray(distance_transform_edt(mask.numpy()))
+    """The pixel that is farthest from what a mask leaves out, and from the photo's edges."""
+    depth = np.asarray(distance_transform_edt(np.pad(mask.numpy(), 1)))[1:-1, 1:-1]
     y, x = np.unravel_index(depth.argmax(), depth.shape)
     return x + 0.5, y + 0.5
 
