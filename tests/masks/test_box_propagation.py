@@ -11,7 +11,7 @@ from scenes import box, cloud
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.similarity import mask_iou
 from stylesplat.masks import box_propagation
-from stylesplat.masks.box_propagation import Images, propagate_boxes, view_images
+from stylesplat.masks.box_propagation import Images, pick_in_boxes, propagate_boxes, view_images
 from stylesplat.masks.grabcut import cut_box
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import coverage
@@ -65,6 +65,24 @@ def test_boxes_in_two_photos(seen: Images):
     assert min(mask_iou(*each) for each in zip(found, truth, strict=True)) > 0.7  # measured: 0.76
     for row, place in places:
         assert torch.equal(found[row], cut_box(seen.with_depth(row), place, "")[1]), "as it was cut"
+
+
+def test_the_middle_of_a_cut_out_that_the_photo_cuts_off_is_not_its_corner(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    clicks, everything = list[tuple[float, float]](), torch.ones(len(SPLATS), dtype=torch.bool)
+
+    def pick(splats: Splats, cameras: Cameras, places: list[tuple[Cameras, tuple[float, float]]]):
+        clicks.extend(place for _, place in places)
+        return everything
+
+    monkeypatch.setattr(box_propagation, "pick_clicked", pick)
+    width, height = LARGE[0].size
+    corner = torch.zeros(height, width, dtype=torch.bool)
+    corner[:40, :30] = True
+    pick_in_boxes(SPLATS, LARGE, {0: corner}, {0: corner})
+    (x, y) = clicks[0]
+    assert abs(x - 15) < 1 and 14 < y < 26
 
 
 def test_where_an_object_does_not_show_its_mask_is_empty():
