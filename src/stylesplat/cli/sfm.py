@@ -75,10 +75,11 @@ class Sfm(MakingCommand):
         }
         posed = f"{record.registered} of {record.given} photos with their cameras"
         picture = f"{self.output / SFM_PICTURE}, the cameras and points from above and the side"
-        undistorted = (
-            f"undistorted in {self.output / 'images'}; boxes and points are in their pixels"
+        pixels = f"in pixels of the undistorted photos in {self.output / 'images'}"
+        lines = (
+            f"{self.output}: {posed}. Boxes and points are {pixels}.",
+            f"Picture: {picture}.",
         )
-        lines = (f"{self.output}: {posed}, {undistorted}.", f"Picture: {picture}.")
         following = mask_command(self.output)
         if capture.label_maps is not None:  # of what turns, of masks, or of cut-outs
             following = next_command("train", self.output)

@@ -102,13 +102,11 @@ def cut_box(
             "it. Mark less."
         )
     window = window_around(meant, round(GRABCUT_SURROUNDINGS * float(np.hypot(height, width))))
-    cuts = dict[Channels, Mask]()
-    for channels in GRABCUT_CHANNELS:
-        mask = torch.zeros(height, width, dtype=torch.bool)
-        found = _grabcut(image[window][..., list(channels)], known[window])
-        mask[window] = torch.from_numpy(found)
-        if mask.any():
-            cuts[channels] = mask
+    found = {
+        each: torch.from_numpy(_grabcut(image[window][..., list(each)], known[window]))
+        for each in GRABCUT_CHANNELS
+    }
+    cuts = {channels: cut for channels, cut in found.items() if cut.any()}
     if not cuts:
         raise StyleSplatError(
             f"What the box in {photo} holds looks like what is around it. Draw the box tighter, "
@@ -116,7 +114,9 @@ def cut_box(
         )
     agreement = {each: sum(mask_iou(cut, o) for o in cuts.values()) for each, cut in cuts.items()}
     best = max(cuts, key=lambda channels: agreement[channels])
-    return best, cuts[best]
+    mask = torch.zeros(height, width, dtype=torch.bool)
+    mask[window] = cuts[best]
+    return best, mask
 
 
 def refine_mask(

@@ -21,6 +21,7 @@ from stylesplat.rendering.weights import (
     contributions,
     coverage,
     geometry_only,
+    pixels_in,
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import project
@@ -132,13 +133,12 @@ def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> li
         covered = coverage(bare, small, mask) > COVERED
         if not covered.any():
             return None
-        shown = backproject(bare, small, covered[..., None].float())[places, 0].cpu()
         ratio = camera.sizes[0] / small.sizes[0]
+        shown = pixels_in(bare, [small], [covered])[places].cpu() * ratio.prod()
         pixels = covered.nonzero().flip(1).cpu()  # x, y
         few = int(BOX_STRAY * len(pixels))
         ordered = pixels.sort(dim=0).values
         low, high = ordered[few], ordered[len(ordered) - 1 - few] + 1
-        shown *= ratio.prod()
         return ObjectBox(camera, low * ratio, high * ratio, (pixels + 0.5) * ratio, shown)
 
     found = per_view(find, range(len(cameras)), "looking for the object", splats.device)
@@ -146,10 +146,10 @@ def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> li
 
 
 def views_all_over(boxes: Sequence[ObjectBox], count: int) -> list[ObjectBox]:
-    """So many boxes at equal distances, and others that show much of what these do not.
+    """`count` boxes at equal distances, and at most as many that show much of what these do not.
 
-    A video may linger at one side: the others, as many at most, are those that show most of the
-    rest, one after another.
+    Views at equal distances are not enough where a video lingers at one side. The others are those
+    that add most, one after another.
     """
     chosen = evenly_spaced(range(len(boxes)), count)
     if len(chosen) == len(boxes):
