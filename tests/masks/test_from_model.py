@@ -10,7 +10,7 @@ from PIL import Image
 from torch import Tensor
 
 from balls import CAMERAS, PLAIN, SPLATS, viewmat_from
-from capture_files import write_ball_capture
+from capture_files import corner, write_ball_capture, write_photos
 from fake_cuda import cuda  # noqa: F401  (a fixture)
 from right_ids import right_pixels
 from stylesplat.cli.mask import MaskCommand
@@ -18,6 +18,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.scene_folder import save
 from stylesplat.masks import from_model as mask_models
+from stylesplat.masks import sam
 from stylesplat.masks.sam import SamMethod
 from stylesplat.masks.tracking import labels_to_masks
 from stylesplat.scene.scene import Scene
@@ -74,6 +75,7 @@ def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
     model = Scripted(capture)
     monkeypatch.setattr(mask_models, "load_proposer", lambda *_: model)
     monkeypatch.setattr(mask_models, "load_propagator", lambda *_: model)
+    monkeypatch.setattr(sam, "refuse_missing", lambda *_: None)
     return model
 
 
@@ -101,6 +103,13 @@ def test_objects_get_ids_that_all_photos_share(capture: Path, scene: Path, scrip
     assert not (capture / "object_mask.partial").exists()
     with pytest.raises(StyleSplatError, match="--overwrite"):
         run_model(capture, "sam2", scene)
+
+
+def test_a_model_that_cannot_be_had_is_told_before_photos_are_posed(tmp_path: Path):
+    write_photos(tmp_path / "photos", corner(3))
+    with pytest.raises(StyleSplatError, match="is no model"):
+        run_model(tmp_path / "photos", "sam2", None, model=str(tmp_path / "models"))
+    assert [each.name for each in tmp_path.iterdir()] == ["photos"]
 
 
 def test_in_memory_with_and_without_a_folder_for_progress(
@@ -140,6 +149,7 @@ def test_on_a_cpu_a_splat_carries_the_masks_of_few_photos(
     model = Scripted(capture, truth)
     monkeypatch.setattr(mask_models, "load_proposer", lambda *_: model)
     monkeypatch.setattr(mask_models, "load_propagator", lambda *_: pytest.fail("not needed"))
+    monkeypatch.setattr(sam, "refuse_missing", lambda *_: None)
     run_model(capture, "sam2", tmp_path / "scene")
     assert len(model.asked) == len(set(model.asked)) == 16
     assert "On a CPU sam2 is asked about 16 of 24 photos in about " in said[0]

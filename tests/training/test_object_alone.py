@@ -79,8 +79,25 @@ def test_an_object_whose_surroundings_move_with_it_is_not_cut_out():
     moved = [each.roll(9 * row, dims=1) for row, each in enumerate(CAPTURE.photos)]
     assert object_alone(replace(capture_of(moved), label_maps=labels)) is None
     assert object_alone(CAPTURE) is None, "no label maps"
-    some = [None, *labels[1:]]
-    assert object_alone(replace(CAPTURE, label_maps=some)) is None, "one is missing"
+    empty = [torch.zeros_like(each) for each in labels]
+    assert object_alone(replace(CAPTURE, label_maps=empty), turns=True) is None, "nothing is shown"
+
+
+def test_what_is_known_to_turn_is_cut_out_though_its_surroundings_change():
+    flashed = [each if row % 2 else 255 - each for row, each in enumerate(CAPTURE.photos)]
+    capture = replace(capture_of(flashed), label_maps=[each.int() for each in BALLS])
+    assert object_alone(capture) is None
+    alone = object_alone(capture, turns=True)
+    assert alone is not None
+    assert not alone.photos[0][alone.alpha(0) == 0].any()
+
+
+def test_photos_whose_label_maps_show_no_object_are_left_out(said: list[str]):
+    labels = [None, torch.zeros(HEIGHT, WIDTH, dtype=torch.int), *[b.int() for b in BALLS[2:]]]
+    alone = object_alone(replace(CAPTURE, label_maps=labels))
+    assert alone is not None
+    assert alone.cameras.names == VIEWS.names[2:]
+    assert said == ["Left out, as their label maps show no object: 00.jpg, 01.jpg."]
 
 
 def test_a_camera_right_above_says_that_nothing_is_outlined(said: list[str]):

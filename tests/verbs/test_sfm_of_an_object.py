@@ -66,12 +66,17 @@ def test_what_turns_before_a_still_camera_is_posed_and_its_masks_are_written(
     capture = sfm(photos, tmp_path / "capture")
     assert_posed(capture)
     assert any("camera stood still" in line for line in said)
+    assert_labelled(capture, 0.8)
+
+
+def assert_labelled(capture: ss.Capture, least: float) -> None:
+    """All photos show the object, and are known to."""
     assert capture.object_names == {1: "object"}
     for row in range(COUNT):
         labels = capture.labels(row)
         assert labels is not None
         truth = resize_labels(torch.from_numpy(OBJECT), labels.shape)
-        assert mask_iou(labels > 0, truth) > 0.8
+        assert mask_iou(labels > 0, truth) > least
 
 
 def test_an_object_without_detail_is_told_with_the_command_for_a_box(photos: Path, tmp_path: Path):
@@ -101,13 +106,17 @@ def test_what_moves_is_posed_where_only_features_tell_that_the_room_stays(
     assert any("what moves is posed" in line for line in said)
     (line,) = (line for line in said if line.startswith("No masks of what turns"))
     assert f"`stylesplat mask {tmp_path / 'capture'} --box " in line
+    record = read_sfm(tmp_path / "capture")
+    assert record is not None and record.turns, "so that it is trained alone, once it has masks"
 
 
 def test_what_moves_and_is_not_posed_is_told_with_the_remedy(tmp_path: Path):
     images = turning(ROOM)
     plain = {n: np.where(OBJECT, 40, each) for n, each in [*images.items()][::3]}
     write_photos(tmp_path / "photos", shaded(images | plain))
-    with pytest.raises(StyleSplatError, match=r"still background.*Only 8 of 12.*--object"):
+    with pytest.raises(
+        StyleSplatError, match=r"Only 8 of 12.* stylesplat sfm .* --object"
+    ):
         sfm(tmp_path / "photos", tmp_path / "capture")
 
 
@@ -168,6 +177,11 @@ def test_cut_outs_are_posed_by_what_they_show(tmp_path: Path):
     alpha = capture.alpha(cut_out)
     assert alpha is not None and capture.object_names == {1: "object"}
     assert mask_iou(alpha > 128, resize_labels(torch.from_numpy(OBJECT), alpha.shape)) > 0.9
+
+
+def test_photos_before_one_colour_get_label_maps_of_what_they_show(tmp_path: Path):
+    write_photos(tmp_path / "photos", turning(np.full_like(ROOM, 255)))
+    assert_labelled(sfm(tmp_path / "photos", tmp_path / "capture"), 0.95)
 
 
 @pytest.mark.parametrize(

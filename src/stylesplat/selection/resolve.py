@@ -1,7 +1,6 @@
 """Selections, names and label ids resolved: the Gaussians of a scene that they stand for."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from typing import Any, get_args
 
 import torch
@@ -195,15 +194,19 @@ def _clicked(scene: Scene, selection: Selection) -> Bool[Tensor, " B"]:
         for places in (selection.points, selection.not_points)
     ]
     size = selection.size or ("part" if selection.of else "object")
-    found = pick_clicked(scene.base, scene.cameras, *clicks, size=size)
-    others = list[str]()
-    for other in get_args(PickSize):
-        with suppress(NothingToPick):
-            if other != size:
-                count = int(pick_clicked(scene.base, scene.cameras, *clicks, size=other).sum())
-                others.append(f"--size {other} {count:,}")
-    say("; ".join([f"{size}: {int(found.sum()):,} Gaussians", ", ".join(others)]) + ".")
-    return found
+    found, faults = dict[PickSize, Bool[Tensor, " B"]](), dict[PickSize, NothingToPick]()
+    for each in get_args(PickSize):
+        try:
+            found[each] = pick_clicked(scene.base, scene.cameras, *clicks, size=each)
+        except NothingToPick as fault:
+            faults[each] = fault
+    counts = {each: int(picked.sum()) for each, picked in found.items()}
+    others = ", ".join(f"--size {each} {n:,}" for each, n in counts.items() if each != size)
+    if size not in found:
+        offered = f" Here: {others} Gaussians." if others else ""
+        raise NothingToPick(f"{faults[size]}{offered}")
+    say(f"{size}: {counts[size]:,} Gaussians{others and '; '}{others}.")
+    return found[size]
 
 
 def _ids_at(scene: Scene, places: Sequence[tuple[str, Any]], what: str) -> list[int]:

@@ -312,14 +312,12 @@ def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, t
     )
 
 
-def two_motions(view: str, box: Sequence[float], fault: str) -> str:
-    """What to do where an object turns before a still background and could not be posed."""
-    corners = ",".join(f"{edge:.0f}" for edge in box)
-    return (
-        f"An object turns before a still background, and its poses were not found. {fault} Draw a "
-        f"box around the object in one photo, such as --object {view}:{corners}, or give its "
-        "--masks."
-    )
+class TurningNotPosed(StyleSplatError):
+    """An object turns before a still background, and its poses were not found."""
+
+    def __init__(self, fault: str, photo: str, box: Sequence[int | float]) -> None:
+        super().__init__(fault)
+        self.photo, self.box = photo, box  # around what turns
 
 
 def triangulation_angle(model: pycolmap.Reconstruction) -> float:

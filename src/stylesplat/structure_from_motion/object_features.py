@@ -227,20 +227,23 @@ def pixels_near_features(
     return enlarged[:height, :width] > 0
 
 
-def cut_out_mask(path: Path) -> Bool[np.ndarray, "H W"]:
+def cut_out_pixels(path: Path) -> Bool[np.ndarray, "H W"]:
     """What is opaque in a cut-out, or differs from its plain surroundings."""
     pixels = decode(path, upright=True)
-    mask = (
-        pixels[..., 3] >= PHOTO_OPAQUE if pixels.shape[2] > 3 else np.ones(pixels.shape[:2], bool)
-    )
-    if mask.all():
-        grey = pixels[..., :3].mean(axis=2)
-        rim = np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
-        plain = np.abs(grey - np.median(rim)) < FEATURE_PLAIN
-        parts = cv2.connectedComponents(plain.astype(np.uint8))[1]
-        outside = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
-        mask = ~(plain & np.isin(parts, outside))
-    return cv2.erode(mask.astype(np.uint8), np.ones((OUTLINE, OUTLINE)), borderValue=1) > 0
+    if pixels.shape[2] > 3 and (pixels[..., 3] < PHOTO_OPAQUE).any():
+        return pixels[..., 3] >= PHOTO_OPAQUE
+    grey = pixels[..., :3].mean(axis=2)
+    rim = np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
+    plain = np.abs(grey - np.median(rim)) < FEATURE_PLAIN
+    parts = cv2.connectedComponents(plain.astype(np.uint8))[1]
+    outside = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
+    return ~(plain & np.isin(parts, outside))
+
+
+def cut_out_mask(path: Path) -> Bool[np.ndarray, "H W"]:
+    """Where to find features in a cut-out: not at its outline."""
+    mask = cut_out_pixels(path).astype(np.uint8)
+    return cv2.erode(mask, np.ones((OUTLINE, OUTLINE)), borderValue=1) > 0
 
 
 def write_masks(masks: MaskReaders, photos: Path, names: Sequence[str], folder: Path) -> Path:

@@ -27,12 +27,12 @@ from stylesplat.structure_from_motion.config import MIN_PHOTOS, SfmConfig
 from stylesplat.structure_from_motion.crop_alike import crop_alike, find_offsets
 from stylesplat.structure_from_motion.diagnostics import (
     MANY_MOTIONS,
+    TurningNotPosed,
     are_apart,
     check_features,
     check_matches,
     check_models,
     is_without_depth,
-    two_motions,
     why_unregistered,
 )
 from stylesplat.structure_from_motion.matching import (
@@ -240,7 +240,7 @@ def _pose_what_moves(
     motions: TwoMotions,
     config: SfmConfig,
 ) -> Reconstruction:
-    """Pose what moves before a room that does not; where that fails, the error names the box."""
+    """Pose what moves before a room that does not; raises a `TurningNotPosed` where that fails."""
     say(
         f"In {motions.share:.0%} of the pairs of photos much stays while the rest moves: what "
         "moves is posed."
@@ -256,8 +256,7 @@ def _pose_what_moves(
         fault = f"Only {count} of {count_noun(total, 'photo')} fit together."
     except StyleSplatError as error:
         fault = str(error)
-    view = prepared.origins[prepared.names[motions.photo]]
-    raise StyleSplatError(two_motions(view, motions.box, fault))
+    raise TurningNotPosed(fault, prepared.names[motions.photo], motions.box)
 
 
 def _look_closer(

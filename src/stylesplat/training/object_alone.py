@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError
+from stylesplat.errors import StyleSplatError, join_names
 from stylesplat.imaging.morphology import apply_disc
 from stylesplat.imaging.still_background import (
     GAP,
@@ -73,15 +73,28 @@ def outline_moving_object(capture: Capture) -> list[Mask] | None:
     ]
 
 
-def object_alone(capture: Capture) -> Capture | None:
+def object_alone(capture: Capture, *, turns: bool = False) -> Capture | None:
     """The photos with all transparent but their objects, if the surroundings stay as they turn.
 
-    What is within `ALONE_RIM` of an outline is left out of training. None if the surroundings are
-    those of the poses, if a photo has no label map or none has an object, and for cut-outs.
+    What is within `ALONE_RIM` of an outline is left out of training, as are photos without an
+    object, which a line names. None if the surroundings are those of the poses, for cut-outs and
+    where no photo has an object.
+
+    Args:
+        capture: The photos, and their label maps.
+        turns: Whether the poses are known to be those of what turns, as they are to `sfm`.
     """
-    if capture.alphas is not None or not _stands_still_around(capture):
+    if capture.alphas is not None or capture.label_maps is None:
         return None
-    return cut_out_labels(capture)
+    small = at_most(capture, ALONE_SIDE)
+    if not (turns or _stands_still_around(small)):
+        return None
+    rows = [row for row in range(len(small)) if _objects(small, row) is not None]
+    if rows and len(rows) < len(capture):
+        unseen = [name for row, name in enumerate(capture.cameras.names) if row not in {*rows}]
+        say(f"Left out, as their label maps show no object: {join_names(unseen)}.")
+        capture = capture.only(rows)
+    return cut_out_labels(capture) if rows else None
 
 
 def as_trained(capture: Capture, info: Mapping[str, Any]) -> Capture:
@@ -115,19 +128,21 @@ def cut_out_labels(capture: Capture) -> Capture:
     return replace(capture, photos=photos, alphas=alphas, valid_masks=valid)
 
 
+def _objects(capture: Capture, row: int) -> Mask | None:
+    """The pixels of objects in a label map; None if it has none."""
+    labels = capture.labels(row)
+    return None if labels is None or not (labels != BACKGROUND).any() else labels != BACKGROUND
+
+
 def _stands_still_around(capture: Capture) -> bool:
     """Whether what is beside the objects has the same colours in all photos."""
-    if capture.label_maps is None or len({camera.size for camera in capture.cameras}) > 1:
+    rows = evenly_spaced(range(len(capture)), ALONE_PHOTOS)
+    shown = {row: mask for row in rows if (mask := _objects(capture, row)) is not None}
+    if not shown or len({camera.size for camera in capture.cameras}) > 1:
         return False
-    small = at_most(capture, ALONE_SIDE)
-    photos, around = list[UInt8[Tensor, "H W 3"]](), list[Mask]()
-    for row in evenly_spaced(range(len(small)), ALONE_PHOTOS):
-        labels = small.labels(row)
-        if labels is None or not (labels != BACKGROUND).any():
-            return False
-        photos.append(small.photos[row])
-        around.append(~apply_disc(labels != BACKGROUND, cv2.MORPH_DILATE, ALONE_MARGIN))
-    return _share_of_still(torch.stack(photos).float(), torch.stack(around)) > SURROUNDINGS
+    around = [~apply_disc(mask, cv2.MORPH_DILATE, ALONE_MARGIN) for mask in shown.values()]
+    photos = torch.stack([capture.photos[row] for row in shown]).float()
+    return _share_of_still(photos, torch.stack(around)) > SURROUNDINGS
 
 
 def _share_of_still(photos: Float[Tensor, "P H W 3"], around: Bool[Tensor, "P H W"]) -> float:

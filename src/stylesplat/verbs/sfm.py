@@ -49,10 +49,20 @@ from stylesplat.scene.frames import Frame
 from stylesplat.scene.sequences import Lazy
 from stylesplat.structure_from_motion import diagnostics
 from stylesplat.structure_from_motion.config import SfmConfig
-from stylesplat.structure_from_motion.diagnostics import MANY_MOTIONS, CaptureReport, Finding
+from stylesplat.structure_from_motion.diagnostics import (
+    MANY_MOTIONS,
+    CaptureReport,
+    Finding,
+    TurningNotPosed,
+)
 from stylesplat.structure_from_motion.earlier_capture import source_digest
 from stylesplat.structure_from_motion.image_measures import MEASURE_SIDE
-from stylesplat.structure_from_motion.object_features import MaskReaders, PhotoBox, cut_out_mask
+from stylesplat.structure_from_motion.object_features import (
+    MaskReaders,
+    PhotoBox,
+    cut_out_mask,
+    cut_out_pixels,
+)
 from stylesplat.structure_from_motion.photos import PreparedPhotos
 from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.structure_from_motion.reconstruct import (
@@ -204,21 +214,25 @@ def sfm(
             box=None if box is None else _place_box(box, photos, prepared),
             turntable=turntable is not None,
         )
-        if turntable is None or drawn is not None or box is not None:
+        if drawn is not None or box is not None:
             found = pose()
         else:
             found = _pose_or_name_box(pose, prepared, turntable, (source, "-o", output))
-        frame = move_to_working_frame(found.model)
+        frame, turns = move_to_working_frame(found.model), _is_turning(turntable, found)
         with atomic_folder(output, overwrite=overwrite, marker=SFM_FILE) as new:
             write_colmap(found.model, found.photos, new)
-            record = _record(source, digest, prepared, found, frame, config)
+            record = _record(source, digest, prepared, found, frame, config, turns=turns)
             record.settings |= {"masks": None if masks is None else str(masks), "box": box}
             write_sfm(record, new)
             report = _checked(new, output)
             if (output / OBJECT_MASK).is_dir():  # of an earlier capture; they may be handwork
                 shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
                 say(f"The label maps in {output / OBJECT_MASK} are kept.")
-            elif _is_turning(turntable, found):
+            elif prepared.cut_outs and not (capture := load(new)).alphas:
+                say("The photos have a background of one colour: what stands out is the object.")
+                shown = _cut_outs(source, prepared)
+                write_label_maps(with_drawn_maps(capture, shown), new / OBJECT_MASK)
+            elif turns:
                 _write_masks(load(new), drawn, new / OBJECT_MASK, output)
         shutil.rmtree(work, ignore_errors=True)
         with suppress(OSError):  # something else lies beside it
@@ -267,10 +281,25 @@ def _masks_of(
 def _pose_or_name_box(
     pose: Callable[[], Reconstruction],
     prepared: PreparedPhotos,
-    turntable: Turntable,
+    turntable: Turntable | None,
     arguments: tuple[object, ...],
 ) -> Reconstruction:
-    """Pose what turns; where that fails, the error names `sfm` with a box around it."""
+    """Pose the photos; where what turns is not posed, the error names `sfm` with a box."""
+    try:
+        return pose() if turntable is None else _pose_turning(pose, prepared, turntable)
+    except TurningNotPosed as error:
+        corners = ",".join(f"{edge:.0f}" for edge in error.box)
+        box = f"{prepared.origins[error.photo]}:{corners}"
+        raise StyleSplatError(
+            f"Cannot pose the object that turns before a still background. {error} Put something "
+            "with print beside it on the turntable, or draw a box around what has detail: "
+            f"{shell_command('sfm', *arguments, '--object', box)}"
+        ) from error
+
+
+def _pose_turning(
+    pose: Callable[[], Reconstruction], prepared: PreparedPhotos, turntable: Turntable
+) -> Reconstruction:
     try:
         found = pose()
         count, total = found.model.num_reg_images(), len(prepared.names)
@@ -280,12 +309,7 @@ def _pose_or_name_box(
     except StyleSplatError as error:
         fault = str(error)
     name = prepared.names[len(prepared.names) // 2]
-    box = f"{prepared.origins[name]}:{','.join(map(str, turntable.box(name)))}"
-    raise StyleSplatError(
-        f"Cannot pose the object that turns. {fault} Put something with print beside it on the "
-        "turntable, or draw a box around what has detail: "
-        f"{shell_command('sfm', *arguments, '--object', box)}"
-    )
+    raise TurningNotPosed(fault, name, turntable.box(name))
 
 
 def _is_turning(turntable: Turntable | None, found: Reconstruction) -> bool:
@@ -299,6 +323,20 @@ def _drawn_on(masks: Path, prepared: PreparedPhotos) -> FoundMasks:
     return FoundMasks(
         {n: found.maps[own] for n, own in origins.items() if own in found.maps}, found.names
     )
+
+
+def _cut_outs(source: Path, prepared: PreparedPhotos) -> FoundMasks:
+    """What photos before a plain background show."""
+
+    def drawn(own: str) -> DrawnLabels:
+        path = resolve_within(source, own)
+        return DrawnLabels(image_sizes(path)[1], partial(_object_in, path), own)
+
+    return FoundMasks({n: drawn(own) for n, own in prepared.origins.items()}, CUT_OUT_NAMES)
+
+
+def _object_in(path: Path) -> OwnLabels:
+    return torch.from_numpy(cut_out_pixels(path)).int()
 
 
 def _write_masks(capture: Capture, drawn: FoundMasks | None, folder: Path, output: Path) -> None:
@@ -351,6 +389,8 @@ def _record(
     found: Reconstruction,
     frame: Frame,
     config: SfmConfig,
+    *,
+    turns: bool,
 ) -> SfmRecord:
     origins = prepared.origins
     return SfmRecord(
@@ -373,6 +413,7 @@ def _record(
         },
         settings=asdict(config),
         numbers=dict(found.numbers),
+        turns=turns,
         lenses=[
             TakenLens(
                 camera.model_name,

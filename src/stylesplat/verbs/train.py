@@ -9,6 +9,7 @@ from typing import Any, get_args
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import Fits, evaluate_views
+from stylesplat.io.captures.capture_folder import read_sfm
 from stylesplat.options import check_arguments, with_settings
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
@@ -95,7 +96,8 @@ def train(
         say("No label maps: training without identities, so objects cannot be selected by id.")
     torch_device = pick_device(device)
     capture = capture.without_outliers()
-    alone = object_alone(capture)
+    record = None if capture.path is None else read_sfm(capture.path)
+    alone = object_alone(capture, turns=record is not None and record.turns)
     if alone is not None:
         say("What is around the objects does not turn with them: they are trained alone.")
         capture = alone

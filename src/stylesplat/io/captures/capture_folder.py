@@ -81,6 +81,8 @@ class SfmRecord(msgspec.Struct, kw_only=True):
     libraries: dict[str, OneLine]
     lenses: Annotated[list[TakenLens], Meta(max_length=MAX_PHOTOS)] = []
     """Those of all photos with a pose; older versions wrote none."""
+    turns: bool = False
+    """Whether the poses are those of what turned before a room that stood still."""
 
     def __repr__(self) -> str:
         found = f"{self.registered:,} of {count_noun(self.given, 'photo')} with a pose"
