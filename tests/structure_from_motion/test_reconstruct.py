@@ -285,16 +285,29 @@ def test_where_few_photos_fit_together_finer_features_are_found(
     assert found.numbers["registered"] == len(pictures) and not found.unregistered
 
 
-def test_where_few_photos_fit_together_all_pairs_are_compared(
-    tmp_path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("most", "what", "compared"),
+    [
+        (15, "all pairs of photos", 15),
+        (7, "the 7 most similar pairs of photos of different groups", 4 + 7),
+    ],
+)
+def test_where_few_photos_fit_together_more_pairs_are_compared(
+    tmp_path: Path,
+    said: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    most: int,
+    what: str,
+    compared: int,
 ):
     """Pairs of similar photos may join too few; of many photos, at first only these are matched."""
+    monkeypatch.setattr(module, "ALL_PAIRS", most)
     monkeypatch.setattr(module, "choose_pairs", lambda *_, **__: {(0, 1), (1, 2), (3, 4), (4, 5)})
     prepared = write_photos(tmp_path / "photos", dict([*corner(12).items()][::2]))
     found = run(tmp_path, prepared)
     (line,) = said
-    assert line == "Only 3 of 6 photos fit together so far: comparing all pairs of photos."
-    assert found.numbers["registered"] == 6 and found.numbers["compared_pairs"] == 15
+    assert line == f"Only 3 of 6 photos fit together so far: comparing {what}."
+    assert found.numbers["registered"] == 6 and found.numbers["compared_pairs"] == compared
 
 
 def test_mappers_agree_where_photos_are_turned_alike(result: Reconstruction):

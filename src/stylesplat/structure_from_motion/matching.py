@@ -1,5 +1,6 @@
 """Which pairs of photos are matched, and the matches."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -120,6 +121,23 @@ def similar_pairs(similarity: Int[Tensor, "P P"], neighbours: int) -> Pairs:
     best = others.argsort(dim=1, descending=True, stable=True)[:, :neighbours]
     chosen = ((min(a, b), max(a, b)) for a, row in enumerate(best.tolist()) for b in row)
     return {pair for pair in chosen if pair[0] != pair[1]}
+
+
+def pairs_between(similarity: Int[Tensor, "P P"], groups: Sequence[int], most: int) -> Pairs:
+    """The most similar pairs of photos that are in different groups.
+
+    Example:
+        >>> import torch
+        >>> similarity = torch.tensor([[0, 9, 1, 3], [9, 0, 2, 0], [1, 2, 0, 9], [3, 0, 9, 0]])
+        >>> sorted(pairs_between(similarity, [0, 0, 1, 1], 2))
+        [(0, 3), (1, 2)]
+    """
+    rows, columns = torch.triu_indices(len(groups), len(groups), offset=1)
+    of = torch.tensor(groups)
+    apart = of[rows] != of[columns]
+    rows, columns = rows[apart], columns[apart]
+    best = similarity[rows, columns].argsort(descending=True, stable=True)[:most]
+    return {*zip(rows[best].tolist(), columns[best].tolist(), strict=True)}
 
 
 def image_similarity(workspace: Workspace) -> Int[Tensor, "P P"]:

@@ -38,8 +38,10 @@ from stylesplat.structure_from_motion.diagnostics import (
 from stylesplat.structure_from_motion.matching import (
     MatchTable,
     choose_pairs,
+    image_similarity,
     match_pairs,
     orbit_pairs,
+    pairs_between,
 )
 from stylesplat.structure_from_motion.object_features import (
     NO_MOTION,
@@ -129,7 +131,7 @@ PAIR_MATCHES = 15, 20, 30, 40
 # of a statue from many cameras and seasons, all pairs matched, the two largest groups had 40 and 13
 # photos with 30, 65 and 28 with 15, 127 and 7 with 10: all within 12 degrees of known poses
 FEW_POINTS = 10
-ALL_PAIRS = 20_000  # that are compared before: those of 200 photos take some 4 minutes
+ALL_PAIRS = 20_000  # at most, which are compared before: those of 200 photos take some 4 minutes
 # Degrees between poses of two mappers, and shares of their spread, from which one of them is wrong
 SAME_TURN, SAME_PLACE = 5.0, 0.1
 # Times as far from the middle as most cameras are: the cape had 1.2 where it was right, 19 where a
@@ -279,8 +281,12 @@ def _look_closer(
         if _posed(models) >= MOSTLY_POSED * len(names):
             return tries[-1]
     every = set(combinations(range(len(names)), 2))
-    if table.compared < len(every) <= ALL_PAIRS and workspace.config.matching == "auto":
-        say(f"{_fit_together(models, names)}: comparing all pairs of photos.")
+    if table.compared < len(every) and workspace.config.matching == "auto":
+        what = "all pairs of photos"
+        if len(every) > ALL_PAIRS:
+            what = f"the {ALL_PAIRS:,} most similar pairs of photos of different groups"
+            every = pairs_between(image_similarity(workspace), _groups(models, names), ALL_PAIRS)
+        say(f"{_fit_together(models, names)}: comparing {what}.")
         table = match_pairs(workspace, every)
         models = mapped = _map_photos(workspace)  # poses from similar pairs alone may be wrong
         tries.append((models, counts, table))
@@ -300,6 +306,15 @@ def _look_closer(
     found, finer = match_pairs(closer, choose_pairs(closer, ordered=False)), feature_counts(closer)
     tries += [(each, finer, found) for each in _map_both_ways(closer, best[0])]
     return max(tries, key=lambda each: _posed(each[0]))
+
+
+def _groups(models: Sequence[pycolmap.Reconstruction], names: Sequence[str]) -> list[int]:
+    """A number for each photo, the same for those of one model."""
+    posed = [{i.name for i in model.images.values() if i.has_pose} for model in models]
+    return [
+        next((group for group, own in enumerate(posed) if name in own), -1 - row)
+        for row, name in enumerate(names)
+    ]
 
 
 def _fit_together(models: list[pycolmap.Reconstruction], names: Sequence[str]) -> str:
