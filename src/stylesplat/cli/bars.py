@@ -96,8 +96,8 @@ class Bars(Observer):
                 bar.tick(self._every)
 
     def fill_gaps(self) -> None:
-        """From now on show a terminal that the command works where no task is under way."""
-        self._fills_gaps = self._terminal
+        """From now on show that the command works where no task is under way."""
+        self._fills_gaps = True
         self._fill_gap("starting")
 
     def _fill_gap(self, what: str) -> None:
