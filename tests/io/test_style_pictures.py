@@ -161,6 +161,14 @@ def test_transparent_parts_are_white_and_said(tmp_path: Path, said: list[str]):
         read_style(path)
 
 
+@pytest.mark.parametrize("suffix", [".jpg", ".tif"])
+def test_pictures_for_print_have_the_colors_that_they_show(tmp_path: Path, suffix: str):
+    smooth = np.linspace(0, 255, 40 * 60 * 3).reshape(40, 60, 3).astype(np.uint8)
+    Image.fromarray(smooth).convert("CMYK").save(tmp_path / f"print{suffix}", quality=95)
+    found = read_style(tmp_path / f"print{suffix}")
+    torch.testing.assert_close(found, torch.from_numpy(smooth) / 255, atol=0.03, rtol=0)
+
+
 def test_huge_pictures_are_scaled_down(tmp_path: Path, said: list[str], capsys, monkeypatch):
     monkeypatch.setattr(pictures, "STYLE_MAX_SIDE", 50)
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 9000)  # below it Pillow would not warn

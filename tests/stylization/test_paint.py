@@ -290,6 +290,15 @@ def test_a_style_smaller_than_a_feature_is_painted(job: Painting, network: Featu
     assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
 
 
+def test_a_style_of_one_color_gives_its_color(job: Painting, network: FeatureNetwork):
+    green = torch.tensor([0.1, 0.5, 0.2]).expand(64, 64, 3)
+    splats = painted([replace(job, images=(green,))], network).splats
+    image = rasterize(splats, CAMERAS[:1])[0]
+    own = coverage(SCENE, CAMERAS[0], job.mask) > 0.9
+    mean = image[0][own].mean(dim=0)
+    torch.testing.assert_close(mean, green[0, 0], atol=0.1, rtol=0)
+
+
 def test_soft_picks_leave_what_is_not_the_object(job: Painting, network: FeatureNetwork):
     """A picked Gaussian that hangs beside the ball, large and faint, keeps every bit."""
     means, scales, opacities = (t.clone() for t in (SCENE.means, SCENE.scales, SCENE.opacities))

@@ -114,9 +114,7 @@ def test_what_moves_and_is_not_posed_is_told_with_the_remedy(tmp_path: Path):
     images = turning(ROOM)
     plain = {n: np.where(OBJECT, 40, each) for n, each in [*images.items()][::3]}
     write_photos(tmp_path / "photos", shaded(images | plain))
-    with pytest.raises(
-        StyleSplatError, match=r"Only 8 of 12.* stylesplat sfm .* --object"
-    ):
+    with pytest.raises(StyleSplatError, match=r"Only 8 of 12.* stylesplat sfm .* --object"):
         sfm(tmp_path / "photos", tmp_path / "capture")
 
 
