@@ -26,6 +26,7 @@ from stylesplat.training.densification import (
     relocate,
     relocate_and_grow,
     take_scores,
+    without_hidden,
 )
 
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN", "identities")
@@ -96,6 +97,18 @@ def test_dead_gaussians_move_to_living_ones():
     for count in (40, 30):  # fewer than there are removes none
         params, moments = refined(splats[10:], count)
         assert len(params["means"]) == 40
+
+
+def test_what_no_photo_shows_is_left_out(said: list[str]):
+    splats, cameras = random_splats(50), two_cameras()
+    splats.opacities[:10] = -9.0
+    kept = without_hidden(splats, cameras)
+    faded = (kept.means[:, None] == splats.means[None, :10]).all(dim=-1)
+    assert not faded.any() and 10 < len(kept) <= 40
+    assert said == [f"Left out, as no photo shows them: {50 - len(kept)} Gaussians."]
+    before, after = (rasterize(each, cameras)[0] for each in (splats, kept))
+    torch.testing.assert_close(before, after, atol=0.02, rtol=0)
+    assert len(without_hidden(kept, cameras)) == len(kept)
 
 
 def test_refining_keeps_what_a_scene_looks_like():

@@ -28,6 +28,7 @@ from stylesplat.training.config import (
     refuse_identity_settings,
     refuse_two_lengths,
 )
+from stylesplat.training.densification import without_hidden
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit, rank_and_processes
 from stylesplat.training.object_alone import OBJECTS_ALONE, object_alone
@@ -104,13 +105,13 @@ def train(
     rows, held_out = split_views(capture, config.test_every)
     learned = capture if segment == "joint" else replace(capture, label_maps=None)
     state = fit(learned, config, device=torch_device, checkpoint=checkpoint, finish=finish)
-    splats, seconds = state.splats.detach(), state.seconds
     capture = with_refined_cameras(capture, state, rows)
+    start = time.perf_counter()
+    splats = without_hidden(state.splats.detach(), capture.cameras[rows])
     if segment == "lift" and capture.label_maps is not None:
         learned_ids(capture, rows)  # says which objects are not learned
-        start = time.perf_counter()
         splats = _lifted(splats, capture, rows)
-        seconds += time.perf_counter() - start
+    seconds = state.seconds + time.perf_counter() - start
     fits = Fits(
         "color_maps" in state.params, "pose_shifts" in state.params, scene_extent(capture.cameras)
     )
@@ -135,7 +136,7 @@ def train(
         | {
             "seconds": round(seconds, 2),
             "steps": state.step,
-            "gaussians": len(state.splats),
+            "gaussians": len(splats),
             "steps_per_second": round(state.step / max(state.seconds, 1e-9), 2),
         },
     )
