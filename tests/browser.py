@@ -340,6 +340,7 @@ class Tab:
 
     def __init__(self, page: Page) -> None:
         self.page = page
+        self.session: Session | None = None
 
     def open(self, url: str) -> None:
         """Load the page, until it shows the exact picture and knows what lies where in it."""
@@ -391,7 +392,8 @@ class Tab:
         """No fault of what the page shows now, as axe-core finds them."""
         if not self.page.evaluate("Boolean(window.axe)"):
             self.page.evaluate(AXE.read_text(encoding="utf-8") + ";0")
-        found = self.page.evaluate("""axe.run().then(({ violations }) => violations
+        found = self.page.evaluate("""axe.run({ resultTypes: ["violations"] })
+            .then(({ violations }) => violations
             .map(({ help, nodes }) => [help, nodes.map((node) => node.html)]))""")
         assert not found, json.dumps(found, indent=1)
 

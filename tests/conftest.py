@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 
 def pytest_configure() -> None:
+    gc.disable()  # until all modules are loaded, in which it would look for garbage
     # Shells start background jobs with Ctrl-C ignored, which the processes that tests start would
     # inherit: they would not hear the Ctrl-C that they are sent
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -54,7 +55,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    gc.freeze()  # else Python looks for garbage in all modules, again and again
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -24,8 +24,10 @@ import stylesplat.functional
 from balls import CAMERAS, RED, SPLATS, VIEWS, painting_quickly
 from stylesplat.cli import main
 from stylesplat.figures.sheets import object_sheet
+from stylesplat.scene import virtual_cameras
 from stylesplat.stylization.config import StyleConfig
 
+virtual_cameras.VIRTUAL_VIEWS = len(VIEWS)
 folder = Path(sys.argv[1])
 means, quats, scales, opacities, sh = SPLATS.activated()
 scene = ss.import_(ss.from_gaussians(means, quats, scales, opacities, sh))

@@ -36,6 +36,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def nodes(root: Path) -> Iterator[dict[str, Any]]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("STYLESPLAT_KEEP_MALLOC", "STYLESPLAT_MODELS"):  # the nodes set them
+            patch.setattr("stylesplat.scene.virtual_cameras.VIRTUAL_VIEWS", 12)
             patch.setenv(name, "")
             patch.delenv(name)
         yield load_nodes(root)

@@ -85,7 +85,7 @@ def made(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         raise KeyboardInterrupt
 
     def run(**options: object) -> dict:
-        training = replace(TRAINING, steps=30)
+        training = replace(TRAINING, steps=30, max_gaussians=6000)
         return run_demo(out, archive=archive, training=training, styling=few, **options)  # type: ignore[arg-type]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -151,8 +151,9 @@ def test_the_report_shows_the_splat_in_a_browser(made: Path, chromium: Browser):
 
 
 @pytest.mark.usefixtures("quick_painting")
-def test_warm_up_calls_every_kernel(capture: Path):
-    stylize_noise(capture)  # an error in it would only cost time, so nobody would notice
+def test_warm_up_calls_every_kernel(archive: Path, tmp_path: Path):
+    # An error in it would only cost time, so nobody would notice
+    stylize_noise(copy_capture(tmp_path / "few", archive))
 
 
 def test_warm_up_ends_with_an_interruption(capture: Path, monkeypatch: pytest.MonkeyPatch):

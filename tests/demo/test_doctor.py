@@ -14,7 +14,7 @@ from stylesplat.demo.doctor import SelfTest, doctor
 from stylesplat.rendering.nvrtc import DriverState
 from stylesplat.rendering.render import render as real_render
 
-TINY = SelfTest(photos=3, gaussians=500, train_steps=25, paint_steps=40, object_size=48, renders=1)
+TINY = SelfTest(photos=3, gaussians=500, train_steps=25, paint_steps=12, object_size=48, renders=1)
 REPORT = {
     "versions": {
         **{"stylesplat": "1", "python": "3", "torch": "2", "nvrtc": "13.2", "numba": "0"},

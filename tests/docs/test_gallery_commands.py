@@ -117,6 +117,8 @@ def quick_working_splat(monkeypatch: pytest.MonkeyPatch) -> None:
         return real(capture, replace(config, steps=60), **options)
 
     monkeypatch.setattr(working_splat, "fit", short)
+    monkeypatch.setattr("stylesplat.masks.from_boxes.DRAWN_BOX_SIZE", 160)
+    monkeypatch.setattr("stylesplat.scene.virtual_cameras.VIRTUAL_VIEWS", 12)
 
 
 @pytest.mark.usefixtures("quick_painting", "quick_working_splat")

@@ -80,12 +80,13 @@ QUICK = list({shlex.join(each.words): each for each in OURS if is_run(each.words
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder in which a reader of the pages sits."""
     folder = tmp_path_factory.mktemp("reader")
-    cameras = enlarged(CAMERAS, 20)  # 960x720
+    large, cameras = enlarged(CAMERAS[:1], 20), enlarged(CAMERAS, 4)  # 960x720, 192x144
     names = ("IMG_0007.jpg", "IMG_0031.jpg", *CAMERAS.names[2:])
-    middle = project(SPLATS.means[RED].mean(dim=0, keepdim=True), cameras[0])[0][0]
-    Ks = cameras.Ks.clone()
+    middle = project(SPLATS.means[RED].mean(dim=0, keepdim=True), large)[0][0]
+    Ks, sizes = cameras.Ks.clone(), cameras.sizes.clone()
+    Ks[0], sizes[0] = large.Ks[0], large.sizes[0]
     Ks[0, :2, 2] += torch.tensor([640.0, 420.0]) - middle  # where the pages click
-    cameras = replace(cameras, Ks=Ks, names=names)
+    cameras = replace(cameras, Ks=Ks, sizes=sizes, names=names)
     table = ~(RED | GREEN | BLUE)
     masks = {"vase": RED, "pot": GREEN, "lid": BLUE, "lamp": BLUE.clone(), "table": table}
     objects = {name: SceneObject(mask) for name, mask in masks.items()}
@@ -116,6 +117,7 @@ def reader(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> I
     shutil.copytree(template, tmp_path / "reader")
     monkeypatch.chdir(tmp_path / "reader")
     monkeypatch.setattr("stylesplat.verbs.render.FRAMES", 3)
+    monkeypatch.setattr("stylesplat.stylization.sculpture.SCULPTURE_LENGTH", 48.0)
     yield tmp_path / "reader"
 
 

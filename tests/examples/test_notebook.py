@@ -10,6 +10,7 @@ from PIL import Image
 NOTEBOOK = Path(__file__).parents[2] / "examples" / "paint.ipynb"
 TINY = {
     "TRAIN_STEPS": 20,
+    "GAUSSIANS": 3000,
     "DOWNSCALE": 8.0,
     "PAINT": {"quality": "draft", "steps": 2, "object_size": 48},
 }

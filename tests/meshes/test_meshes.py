@@ -52,6 +52,7 @@ def ball(opacity: float = 4.0) -> Splats:
 BALL = ball()
 RING = ring_cameras(BALL, UP)
 CAMERAS = RING[::3]
+MOST = RING[[row for row in range(len(RING)) if row % 3 < 2]]
 LAYER = replace(
     plain_layer(BALL, torch.arange(len(BALL)), "ball", settings={}, form=0.0),
     sh0=BALL.sh0,
@@ -161,7 +162,7 @@ def test_vertices_move_to_outlines(mesh: TexturedMesh, views: MeshViews):
 
 def test_a_hole_where_it_stands_is_closed(said: list[str]):
     standing = BALL[BALL.means[:, 2] > -0.9 * RADIUS]
-    found = merged(make_mesh(standing, RING, SMALL))
+    found = merged(make_mesh(standing, MOST, SMALL))
     assert found.is_watertight and not said
     assert found.bounds[0, 2] < -0.85 * RADIUS
 
@@ -183,7 +184,7 @@ def test_a_flat_object_is_open_behind_whatever_the_faces():
 
 def test_smoke_has_no_surface():
     with pytest.raises(StyleSplatError, match=r"smoke has no surface.*see through"):
-        make_mesh(ball(opacity=-4.5), None, SMALL, name="smoke")
+        make_mesh(ball(opacity=-4.5), RING[::6], SMALL, name="smoke")
 
 
 @pytest.mark.parametrize(
@@ -207,7 +208,7 @@ def test_packages_that_are_missing(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_other_programs_read_the_files(mesh: TexturedMesh, tmp_path: Path):
-    cameras = CAMERAS.downscale(4)
+    cameras = CAMERAS[::2].downscale(4)
     picked = torch.ones(len(BALL), dtype=torch.bool)
     scene = Scene(BALL, cameras, objects={"ball": SceneObject(picked)})
     write_mesh(mesh, tmp_path / "a.obj")
@@ -242,7 +243,7 @@ def test_what_cannot_be_repainted(tmp_path: Path):
 def test_repainting_brings_the_style(
     mesh: TexturedMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("stylesplat.meshes.repaint.REPAINT_STEPS", 60)
+    monkeypatch.setattr("stylesplat.meshes.repaint.REPAINT_STEPS", 40)
     stripes = np.zeros((96, 96, 3), np.uint8)
     stripes[:, ::6], stripes[:, 1::6], stripes[:, 2::6] = 250, 250, 250
     Image.fromarray(stripes).save(tmp_path / "stripes.png")

@@ -7,7 +7,7 @@ import distill_features as distill
 from stylesplat.stylization.features import Convolution, FeatureNetwork, compact_from
 from training_pictures import training_pictures
 
-OPTIONS = distill.Options(teacher=Path(), steps=8, batch=1, crop=96)
+OPTIONS = distill.Options(teacher=Path(), steps=5, batch=1, crop=96)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def batches(pictures: torch.Tensor, seed: int = 1):
 
 @pytest.fixture(autouse=True)
 def few_batches(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(distill, "BASIS_BATCHES", 2)
+    monkeypatch.setattr(distill, "BASIS_BATCHES", 1)
     monkeypatch.setattr(distill, "WARM_UP", 1)
 
 

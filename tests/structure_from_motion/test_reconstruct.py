@@ -9,6 +9,7 @@ from PIL import ExifTags, Image, ImageCms
 
 import stylesplat
 from capture_files import corner, photograph_corner, places_around, towards, turned, write_photos
+from colmap_here import colmap_in_this_process  # noqa: F401  (a fixture)
 from processes import no_room
 from stylesplat.errors import StyleSplatError
 from stylesplat.photo_libraries import pycolmap
@@ -206,6 +207,7 @@ def test_unusable_databases_are_made_anew(tmp_path: Path, said: list[str], capfd
     assert capfd.readouterr().err == ""  # COLMAP says nothing of its own
 
 
+@pytest.mark.usefixtures("colmap_in_this_process")
 def test_lenses_are_made_simple_once(tmp_path: Path):
     prepared = write_photos(tmp_path / "photos", corner(COUNT))
     workspace = open_workspace(tmp_path / "work", tmp_path / "photos", prepared.names, FAST)
@@ -223,6 +225,7 @@ def test_lenses_are_made_simple_once(tmp_path: Path):
     assert after.params[1:].tolist() == [before[0].width / 2, before[0].height / 2, 0]
 
 
+@pytest.mark.usefixtures("colmap_in_this_process")
 def test_photos_from_one_place_make_no_scene(tmp_path: Path):
     photos = {f"{i}.jpg": photograph_corner(mat) for i, mat in enumerate(turned(7))}
     prepared = write_photos(tmp_path / "photos", photos)
@@ -260,6 +263,7 @@ def test_of_several_places_the_largest_is_taken(result: Reconstruction, prepared
     assert not are_apart([result.model, other], between) and not are_apart([other], table)
 
 
+@pytest.mark.usefixtures("colmap_in_this_process")
 def test_photos_that_share_little_are_posed_by_few_points(tmp_path: Path, said: list[str]):
     """By 30 points three or four of these six are, as COLMAP does."""
     pictures = dict([*corner(16).items()][::3])
@@ -272,6 +276,7 @@ def test_photos_that_share_little_are_posed_by_few_points(tmp_path: Path, said: 
     assert np.degrees(np.arccos(cosines.clip(-1, 1))).max() < 1
 
 
+@pytest.mark.usefixtures("colmap_in_this_process")
 def test_where_few_photos_fit_together_finer_features_are_found(
     tmp_path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
 ):
@@ -285,6 +290,7 @@ def test_where_few_photos_fit_together_finer_features_are_found(
     assert found.numbers["registered"] == len(pictures) and not found.unregistered
 
 
+@pytest.mark.usefixtures("colmap_in_this_process")
 @pytest.mark.parametrize(
     ("most", "what", "compared"),
     [

@@ -51,6 +51,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StudioSe
 def tab(opened: StudioServer, chromium: Browser, tmp_path: Path) -> Iterator[Tab]:
     (tmp_path / "downloads").mkdir()
     with studio_tab(chromium, size=SIZE, downloads=tmp_path / "downloads") as tab:
+        tab.session = opened.session
         tab.open(opened.url)
         yield tab
 
@@ -61,13 +62,7 @@ def test_the_whole_way(opened: StudioServer, tab: Tab, tmp_path: Path):
     before = settled(tab)
     picks(opened, tab)
 
-    tab.press_button("Settings")
-    tab.page.evaluate("""(() => {
-        const field = document.querySelector("dialog select");
-        field.value = "draft";
-        field.dispatchEvent(new Event("change", { bubbles: true }));
-    })()""")
-    tab.press_button("Done")
+    chooses_drafts(tab)
     tab.press_button("Paint like stripes")
     until(lambda: session.state.note == "Painted 3 like stripes", "strokes")
     painted = changed(tab, before)
@@ -87,6 +82,16 @@ def test_the_whole_way(opened: StudioServer, tab: Tab, tmp_path: Path):
     assert_shows(tab, painted)  # the same in another tab
     assert "Settings (1)" in tab.text(), "a reload keeps them"
     assert not tab.page.complaints(), json.dumps(tab.page.complaints(), indent=1)
+
+
+def chooses_drafts(tab: Tab) -> None:
+    tab.press_button("Settings")
+    tab.page.evaluate("""(() => {
+        const field = document.querySelector("dialog select");
+        field.value = "draft";
+        field.dispatchEvent(new Event("change", { bubbles: true }));
+    })()""")
+    tab.press_button("Done")
 
 
 def test_a_variant_is_swapped_by_its_thumbnail(opened: StudioServer, tab: Tab, tmp_path: Path):
@@ -176,6 +181,7 @@ def test_another_style_takes_the_place_of_that_on_a_new_layer(
     tab.click(*tab.middle_of("7"))
     until(lambda: session.state.picked == ("7",), "a pick")
     tab.press_button("New layer")
+    chooses_drafts(tab)
     tab.press_button("Paint like stripes")
     until(lambda: session.painting, "a painting")
     tab.press_button("Paint like plain")
@@ -452,6 +458,7 @@ def test_the_history_goes_back_to_any_step_after_a_restart_too(opened: StudioSer
     painted = settled(tab)
     opened.close()
     with restarted(opened) as again:
+        tab.session = again.session
         tab.open(again.url)
         settled(tab)
         assert_shows(tab, painted)
@@ -536,12 +543,17 @@ def changed(tab: Tab, from_: np.ndarray) -> np.ndarray:
 
 def settled(tab: Tab) -> np.ndarray:
     """The picture once it stays the same: a coarse one comes before the exact one."""
+    if tab.session is not None:
+        assert tab.session.worker.wait_until_idle()
+    many = 10 if tab.session is None else 3
     pictures = [tab.picture()]
 
     def same() -> np.ndarray | None:
         pictures.append(tab.picture())
-        last = pictures[-10:]
-        return last[0] if len(pictures) > 10 and np.ptp(np.stack(last), axis=0).max() < 1 else None
+        last = pictures[-many:]
+        if len(pictures) > many and np.ptp(np.stack(last), axis=0).max() < 1:
+            return last[0]
+        return None
 
     return until(same, "a picture that stays")
 

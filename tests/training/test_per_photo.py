@@ -60,7 +60,7 @@ def closeness(state: State, capture: Capture, fits: Fits = NO_FITS) -> float:
 def test_photos_of_other_exposures_train_better_with_a_correction(
     exposed: Capture, config: TrainConfig
 ):
-    config, colors = replace(config, steps=240, sh_degree=0), Fits(colors=True)
+    config, colors = replace(config, steps=120, sh_degree=0), Fits(colors=True)
     off, on = (fit(exposed, replace(config, color_correction=each)) for each in ("off", "on"))
     assert closeness(on, exposed, colors) > closeness(off, exposed, colors) + 0.5
     changes = on.params["color_maps"].detach()

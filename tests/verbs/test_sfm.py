@@ -12,6 +12,7 @@ from PIL import Image
 
 import stylesplat as ss
 from capture_files import corner, photograph_corner, places_around, towards, write_photos
+from colmap_here import colmap_in_this_process  # noqa: F401  (a fixture)
 from stylesplat.io.captures.capture_folder import read_sfm
 from stylesplat.io.captures.lens import Lens
 from stylesplat.progress import Observer, Task, observed
@@ -77,6 +78,7 @@ class InterruptedAt(Observer):
         yield self
 
 
+@pytest.mark.usefixtures("colmap_in_this_process")
 def test_each_photo_without_a_pose_is_named_once(tmp_path: Path, said: list[str]):
     elsewhere = photograph_corner(towards(places_around(COUNT))[3], seed=9)
     write_photos(tmp_path / "photos", corner(COUNT) | {"elsewhere.jpg": elsewhere})
@@ -86,6 +88,7 @@ def test_each_photo_without_a_pose_is_named_once(tmp_path: Path, said: list[str]
     assert any(line.startswith("Take more photos between") for line in said)
 
 
+@pytest.mark.usefixtures("colmap_in_this_process")
 def test_an_interrupted_call_goes_on_and_keeps_label_maps(
     capture: ss.Capture, photos: Path, tmp_path: Path
 ):

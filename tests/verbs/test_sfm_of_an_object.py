@@ -12,6 +12,7 @@ from PIL import Image
 
 import stylesplat as ss
 from capture_files import WALL, corner, places_around, write_photos
+from colmap_here import colmap_in_this_process  # noqa: F401  (a fixture)
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.similarity import mask_iou
 from stylesplat.io.captures.capture_folder import read_sfm
@@ -25,6 +26,15 @@ ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
 OBJECT = ((ROWS - 90) / 64) ** 2 + ((COLUMNS - 120) / 71) ** 2 < 1
 BOX = (45, 22, 195, 158)
 ROOM = WALL[:HEIGHT, :WIDTH, 0]
+
+
+pytestmark = pytest.mark.usefixtures("colmap_in_this_process")
+
+
+@pytest.fixture(autouse=True)
+def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stylesplat.structure_from_motion.workspace.WORKSPACE_SAMPLE", 1)
+    monkeypatch.setattr("stylesplat.structure_from_motion.one_axis.ADJUSTMENTS", 5)
 
 
 def turning(surroundings: np.ndarray) -> dict[str, np.ndarray]:

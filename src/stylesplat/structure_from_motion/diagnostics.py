@@ -235,7 +235,7 @@ def _range(values: Float[Tensor, " C"]) -> float:
 
 FEW_FEATURES = 150  # such a photo is nearly a blank wall; ordinary ones have over a thousand
 # Share of the photos, with fewer of which a scene can hardly be recognised, unless they are so many
-MIN_REGISTERED, ENOUGH = 1 / 3, 10
+MIN_REGISTERED, ENOUGH = 1 / 3, 12
 MOSTLY_PLANAR = 0.75  # share of the matched pairs; fox has 5 %
 MIN_ANGLE = 3.0  # degrees between the rays to a typical point; with less, depth is a guess
 SAMPLED_POINTS = 1000
@@ -284,7 +284,7 @@ def are_apart(models: Sequence[pycolmap.Reconstruction], table: MatchTable) -> b
 def check_models(models: Sequence[pycolmap.Reconstruction], table: MatchTable, total: int) -> None:
     """Raise a StyleSplatError unless one model shows the scene, from more than one place.
 
-    It must have a third of the photos, or 10: a collection may show several places.
+    It must have a third of the photos, or 12: a collection may show several places.
     """
     sizes = [model.num_reg_images() for model in models if model.num_reg_images() >= MIN_PHOTOS]
     if is_without_depth(models, table):

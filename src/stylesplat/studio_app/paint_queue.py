@@ -346,6 +346,6 @@ def noise_ball() -> Scene:
         sh0=points[:, :1],
         shN=torch.zeros(GAUSSIANS, 15, 3),
     )
-    cameras = ring_cameras(splats, torch.tensor([0.0, 0.0, 1.0])).at_most(64)
+    cameras = ring_cameras(splats, torch.tensor([0.0, 0.0, 1.0]))[::6].at_most(64)
     picked = torch.ones(GAUSSIANS, dtype=torch.bool)
     return Scene(splats, cameras, objects={NAME: SceneObject(picked)})
