@@ -117,7 +117,6 @@ def reader(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> I
     shutil.copytree(template, tmp_path / "reader")
     monkeypatch.chdir(tmp_path / "reader")
     monkeypatch.setattr("stylesplat.verbs.render.FRAMES", 3)
-    monkeypatch.setattr("stylesplat.stylization.sculpture.SCULPTURE_LENGTH", 48.0)
     yield tmp_path / "reader"
 
 

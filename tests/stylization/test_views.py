@@ -3,7 +3,19 @@ from dataclasses import replace
 import pytest
 import torch
 
-from balls import CAMERAS, CENTRE, COUNT, LIGHT, PICKED, SPLATS, WAYS, ball, cropped, dense_ball
+from balls import (
+    CAMERAS,
+    CENTRE,
+    COUNT,
+    LIGHT,
+    PICKED,
+    SPLATS,
+    WAYS,
+    ball,
+    cropped,
+    dense_ball,
+    enlarged,
+)
 from stylesplat.rendering.render import rasterize
 from stylesplat.rendering.weights import coverage
 from stylesplat.scene.projection import project
@@ -25,6 +37,16 @@ def test_boxes_hold_the_object():
         CAMERAS[0], viewmats=CAMERAS[0].viewmats * torch.tensor([1, 1, -1, 1])[:, None]
     )
     assert find_boxes(SPLATS, behind, ball(0)) == []
+
+
+def test_a_photo_of_many_pixels_is_looked_at_like_the_others():
+    boxes = find_boxes(SPLATS, CAMERAS, ball(0))
+    large = enlarged(CAMERAS[:1], 10)
+    sizes, Ks = CAMERAS.sizes.clone(), CAMERAS.Ks.clone()
+    sizes[0], Ks[0] = large.sizes[0], large.Ks[0]
+    mixed = find_boxes(SPLATS, replace(CAMERAS, sizes=sizes, Ks=Ks), ball(0))
+    assert [box.camera.size for box in mixed] == [box.camera.size for box in boxes]
+    assert mixed[0].length == pytest.approx(boxes[0].length, abs=2)
 
 
 @pytest.mark.parametrize("zoom", [1.0, 2.5])

@@ -117,7 +117,7 @@ def find_model(name: str, types: Collection[str], *, job: str) -> ModelFolder:
 
 
 def look_up_model(name: str, types: Collection[str], *, job: str) -> ModelFolder | HubModel:
-    """Find a model, or that it can be downloaded, of which nothing but its `config.json` is.
+    """Find a model on this machine, or what the hub says of it; no weights are downloaded.
 
     Raises a StyleSplatError as `find_model` does, before any work.
     """

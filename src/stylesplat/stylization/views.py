@@ -122,13 +122,18 @@ def total_weights(views: Sequence[PaintView]) -> Float[Tensor, " P"]:
 
 
 def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[ObjectBox]:
-    """Find the views that show an object, and where."""
+    """Find the views that show an object, and where.
+
+    Views larger than half of the others are made smaller: pixels of a photo tell its camera, not
+    how large an object is.
+    """
+    side = int(cameras.sizes.amax(dim=1).median())
     bare, rows = geometry_only(splats), mask.nonzero()[:, 0]
     order = torch.randperm(len(rows), generator=torch.Generator().manual_seed(0))
     places = rows[order[:SHOWN_PLACES].to(rows.device)]
 
     def find(index: int) -> ObjectBox | None:
-        camera = cameras[index]
+        camera = cameras[index].at_most(side)
         small = camera.at_most(SURVEY_SIZE)
         covered = coverage(bare, small, mask) > COVERED
         if not covered.any():
