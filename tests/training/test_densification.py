@@ -12,8 +12,8 @@ from stylesplat.rendering.render import rasterize
 from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import Moments
 from stylesplat.training.densification import (
+    DEAD_OPACITY,
     LEAST_CHANGE,
-    LEAST_OPACITY,
     MAX_COPIES,
     NOISE_RATE,
     NOISE_SHARPNESS,
@@ -91,7 +91,7 @@ def test_dead_gaussians_move_to_living_ones():
     splats = random_splats(50)
     splats.opacities[:10] = -9.0
     params, moments = refined(splats, 50)
-    assert (torch.sigmoid(params["opacities"]) > LEAST_OPACITY * 0.99).all()
+    assert (torch.sigmoid(params["opacities"]) > DEAD_OPACITY * 0.99).all()
     rows = rows_of(params, splats)
     assert (rows >= 10).all() and not moments.second["means"][are_copied(rows)].any()
     for count in (40, 30):  # fewer than there are removes none
@@ -154,7 +154,7 @@ def test_noise_follows_the_covariance_of_faint_gaussians():
     moved = (params["means"] - before)[:-5000]
     axes = rotation_matrices(one.quats)[0] * one.scales[0].exp()
     sigma = axes @ axes.T
-    gate = torch.sigmoid(torch.tensor(NOISE_SHARPNESS * LEAST_OPACITY))
+    gate = torch.sigmoid(torch.tensor(NOISE_SHARPNESS * DEAD_OPACITY))
     expected = (NOISE_RATE * gate) ** 2 * sigma @ sigma
     assert (moved.T.cov() - expected).norm() < 0.05 * expected.norm()
     assert torch.equal(params["means"][-5000:], before[-5000:]), "opaque ones stay"

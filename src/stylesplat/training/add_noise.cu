@@ -4,7 +4,7 @@ extern "C" __global__ void add_noise(float* means, const float* quats, const flo
     int i = row_of_thread();
     if (i >= count || opacities[i] > DENSE_OPAQUE) return;
     float opacity = 1 / (1 + expf(-opacities[i]));
-    float step = rate / (1 + expf(-NOISE_SHARPNESS * (LEAST_OPACITY - opacity)));
+    float step = rate / (1 + expf(-NOISE_SHARPNESS * (DEAD_OPACITY - opacity)));
     float a = step * noise[3 * i] * expf(2 * scales[3 * i]);
     float b = step * noise[3 * i + 1] * expf(2 * scales[3 * i + 1]);
     float c = step * noise[3 * i + 2] * expf(2 * scales[3 * i + 2]);

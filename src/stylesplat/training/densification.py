@@ -33,17 +33,13 @@ from stylesplat.scene.splats import Splats
 from stylesplat.training.adam import TensorOptimizer
 from stylesplat.training.config import TrainConfig, means_decay
 
-# Official: 0.005. There Adam still remembers large gradients of what surfaces have hidden since,
-# so that it hardly fades; with 0.005, 0.02, 0.05, 0.1 toy, desk, fox and doll have 28.18, 28.28,
-# 28.31, 28.31 dB and an SSIM of .880, .881, .883, .882 in the mean, after 1,200 steps
-DEAD_OPACITY = 0.05
-LEAST_OPACITY = 0.005  # of a copy, and from which noise is less
+DEAD_OPACITY = 0.005
 MAX_COPIES = 51  # of one Gaussian at a time (official)
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
 # Over the extent. Official: 80 (5e5 times the rate of the means) times the extent, which is as much
 # at an extent of 8
 NOISE_RATE = 5000.0
-NOISE_SHARPNESS = 100.0  # of the threshold at `LEAST_OPACITY`
+NOISE_SHARPNESS = 100.0  # of the threshold at the opacity of dead Gaussians
 # Pixels of all photos together: without Gaussians that have fewer, held-out photos of fox, desk and
 # toy stay within .003 dB, those of the cape within .02
 SHOWN_LEAST = 1.0
@@ -52,7 +48,7 @@ DENSE_OPAQUE = -1.8  # logit of 0.14; above it the noise is a millionth and not 
 OPACITY_WEIGHT = 0.01  # of the regularisers that let Gaussians die
 SCALE_WEIGHT = 0.08  # official: 0.01, at an extent of 8
 NOISE_CONSTANTS = {
-    "LEAST_OPACITY": LEAST_OPACITY,
+    "DEAD_OPACITY": DEAD_OPACITY,
     "NOISE_SHARPNESS": NOISE_SHARPNESS,
     "DENSE_OPAQUE": DENSE_OPAQUE,
 }
@@ -205,7 +201,7 @@ def _add_noise(arrays, rate):
         if opacities[i] > DENSE_OPAQUE:
             continue
         opacity = 1 / (1 + exp(-opacities[i]))
-        step = rate / (1 + exp(-NOISE_SHARPNESS * (LEAST_OPACITY - opacity)))
+        step = rate / (1 + exp(-NOISE_SHARPNESS * (DEAD_OPACITY - opacity)))
         a = step * noise[i, 0] * exp(2 * scales[i, 0])
         b = step * noise[i, 1] * exp(2 * scales[i, 1])
         c = step * noise[i, 2] * exp(2 * scales[i, 2])
@@ -310,7 +306,7 @@ def _shrink_sources(params: Params, sources: Int[Tensor, " M"]) -> Params:
         scales[sources].exp(),
         copies[sources].clamp(max=MAX_COPIES),
     )
-    opacities[sources] = torch.logit(new_opacities.clamp(LEAST_OPACITY, MAX_OPACITY))
+    opacities[sources] = torch.logit(new_opacities.clamp(DEAD_OPACITY, MAX_OPACITY))
     scales[sources] = new_scales.log()
     return {"opacities": opacities, "scales": scales}
 
