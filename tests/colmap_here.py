@@ -9,7 +9,7 @@ import pytest
 from stylesplat.photo_libraries import pycolmap
 from stylesplat.progress import Task, task
 from stylesplat.structure_from_motion import workspace
-from stylesplat.structure_from_motion.colmap_process import COLMAP_STAGES, FATAL
+from stylesplat.structure_from_motion.colmap_process import run_in_process
 
 
 class _Counts(TextIOBase):
@@ -30,11 +30,9 @@ def run_stage_here(
 ) -> None:
     """As `run_stage` does in a process of its own."""
     level = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = FATAL
-    pycolmap.set_random_seed(settings["seed"])
     try:
         with task(what, total, unit=unit, done=done) as bar, redirect_stdout(_Counts(bar, done)):
-            COLMAP_STAGES[stage](settings | {"done": done})
+            run_in_process(stage, settings | {"done": done})
     finally:
         pycolmap.logging.minloglevel = level
 

@@ -35,8 +35,8 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def nodes(root: Path) -> Iterator[dict[str, Any]]:
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stylesplat.scene.virtual_cameras.VIRTUAL_VIEWS", 12)
         for name in ("STYLESPLAT_KEEP_MALLOC", "STYLESPLAT_MODELS"):  # the nodes set them
-            patch.setattr("stylesplat.scene.virtual_cameras.VIRTUAL_VIEWS", 12)
             patch.setenv(name, "")
             patch.delenv(name)
         yield load_nodes(root)

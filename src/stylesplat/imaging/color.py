@@ -65,7 +65,7 @@ def distinct(colors: Float[Tensor, "P 3"], size: float) -> Float[Tensor, "_ 3"]:
 @torch.no_grad()
 def nearest_colors(lab: Float[Tensor, "P 3"], palette: Float[Tensor, "Q 3"]) -> Int[Tensor, " P"]:
     """The row of the nearest colour of a palette for each colour, both in Lab (CIE 1976)."""
-    if not lab.is_cuda:
+    if not lab.is_cuda:  # a tree, in a tenth of the time that all distances take
         return torch.from_numpy(KDTree(palette.numpy()).query(lab.numpy())[1])
     columns = torch.cat([-2 * palette.T, palette.square().sum(dim=1)[None]])
     rows = F.pad(lab, (0, 1), value=1.0)

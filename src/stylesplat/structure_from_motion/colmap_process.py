@@ -131,13 +131,18 @@ def run_child() -> None:
         os._exit(1)
 
     threading.Thread(target=end_with_parent, daemon=True).start()
-    pycolmap.logging.minloglevel = FATAL
-    pycolmap.set_random_seed(task["seed"])
     try:
-        COLMAP_STAGES[sys.argv[1]](task)
+        run_in_process(sys.argv[1], task)
     except Exception as error:
         print(f"failed: {error}", flush=True)
         os._exit(1)
+
+
+def run_in_process(stage: str, task: dict[str, Any]) -> None:
+    """Run one of `COLMAP_STAGES` in this process; it prints how much is done."""
+    pycolmap.logging.minloglevel = FATAL
+    pycolmap.set_random_seed(task["seed"])
+    COLMAP_STAGES[stage](task)
 
 
 def _import_photos(task: dict[str, Any]) -> None:

@@ -124,8 +124,8 @@ def total_weights(views: Sequence[PaintView]) -> Float[Tensor, " P"]:
 def find_boxes(splats: Splats, cameras: Cameras, mask: Bool[Tensor, " N"]) -> list[ObjectBox]:
     """Find the views that show an object, and where.
 
-    Views larger than half of the others are made smaller: pixels of a photo tell its camera, not
-    how large an object is.
+    Views with longer sides than the median are shrunk to it: that a photo has many pixels does not
+    mean that the object is close.
     """
     side = int(cameras.sizes.amax(dim=1).median())
     bare, rows = geometry_only(splats), mask.nonzero()[:, 0]

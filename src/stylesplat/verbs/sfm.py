@@ -228,10 +228,9 @@ def sfm(
             if (output / OBJECT_MASK).is_dir():  # of an earlier capture; they may be handwork
                 shutil.copytree(output / OBJECT_MASK, new / OBJECT_MASK, symlinks=True)
                 say(f"The label maps in {output / OBJECT_MASK} are kept.")
-            elif prepared.cut_outs and not (capture := load(new)).alphas:
+            elif prepared.cut_outs and drawn is None and (capture := load(new)).alphas is None:
                 say("The photos have a background of one colour: what stands out is the object.")
-                shown = _cut_outs(source, prepared)
-                write_label_maps(with_drawn_maps(capture, shown), new / OBJECT_MASK)
+                _write_masks(capture, _cut_outs(source, prepared), new / OBJECT_MASK, output)
             elif turns:
                 _write_masks(load(new), drawn, new / OBJECT_MASK, output)
         shutil.rmtree(work, ignore_errors=True)
@@ -340,7 +339,7 @@ def _object_in(path: Path) -> OwnLabels:
 
 
 def _write_masks(capture: Capture, drawn: FoundMasks | None, folder: Path, output: Path) -> None:
-    """Write the masks that were given, or of the object that turns; a line if there are none."""
+    """Write masks as they are drawn, or of the object that turns; a line if there are none."""
     if drawn is not None:
         write_label_maps(with_drawn_maps(capture, drawn), folder)
     elif outlines := outline_moving_object(capture):
