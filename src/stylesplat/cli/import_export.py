@@ -35,7 +35,8 @@ class Import(MakingCommand):
 
     splat: Positional[Path]
     """A .ply (also SuperSplat's compressed one), .spz, .splat, .ksplat, .sog, .glb, .gltf or .usd*
-    file, the meta.json of a SOG folder, or a checkpoint: gsplat's .pt, splatfacto's .ckpt."""
+    file, the meta.json of a SOG folder, the lod-meta.json of a streamed SOG, or a checkpoint:
+    gsplat's .pt, splatfacto's .ckpt."""
     output: Output
     """Folder of the scene to make."""
     capture: Positional[Path | None] = None

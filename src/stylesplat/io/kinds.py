@@ -20,6 +20,8 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 CHECKPOINTS = (".pt", ".ckpt")  # of gsplat and nerfstudio
 SPLATS = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".gltf", *USD, *CHECKPOINTS)
 SOG_META = "meta.json"  # of a SOG that is a folder
+SOG_LEVELS = "lod-meta.json"  # of a streamed SOG
+SOG_MEANS = "means_l.webp"  # a picture of each SOG that is a folder
 SCENE = "scene.json"  # makes a folder a scene
 CAMERAS = "cameras.json"  # of a scene
 TRANSFORMS = "transforms.json"  # makes a folder a capture, as COLMAP's files do
@@ -87,7 +89,7 @@ def kind_of(path: Path) -> FileKind:
     if _is_scene(path.parent):
         return "part of a scene"
     suffix = path.suffix.lower()
-    if suffix in SPLATS or path.name == SOG_META:
+    if suffix in SPLATS or path.name in (SOG_META, SOG_LEVELS):
         return "splat"
     if suffix in VIDEOS:
         return "video"
@@ -247,6 +249,8 @@ def _kind_of_folder(path: Path) -> FileKind:
     if _is_scene(path.parent):
         return "part of a scene"
     photos = any(_entries(path, lambda p: _is_photo(p) or any(_entries(p, _is_photo))))
+    if photos and (is_file(path / SOG_LEVELS) or is_file(path / SOG_MEANS)):
+        return "folder"  # of a SOG's pictures
     if photos and path.name.startswith(PHOTO_FOLDERS) and is_posed(path.parent):
         return "part of a capture"
     if photos:

@@ -62,8 +62,8 @@ def import_(
 
     Args:
         splat: A file that `read_splats` reads, such as a .ply, .spz, .sog, .glb or .usdz, a
-            checkpoint of gsplat or splatfacto, or a SOG folder's meta.json;
-            or splats in memory.
+            checkpoint of gsplat or splatfacto, a SOG folder's meta.json or a streamed SOG's
+            lod-meta.json; or splats in memory.
         capture: The photos that it was made from. Without them the scene gets views around
             the content, most of which show all of it.
         frame: The world frame of the splat, if it differs from the capture's.

@@ -6,9 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
+from torch import Tensor
 
 from scenes import random_splats
 from stylesplat.errors import StyleSplatError
@@ -97,12 +99,93 @@ def refused(path: Path, match: str) -> None:
 
 
 DECLARATIONS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
-    "version 1": (lambda m: m.pop("version"), "SOG of version 1, only 2 is read"),
+    "version 3": (lambda m: m.update(version=3), "SOG of version 3, only 1 and 2 are read"),
+    "no count": (lambda m: m.pop("count"), "does not say how many"),
+    "no numbers": (lambda m: m["scales"].pop("codebook"), "neither a codebook nor a range"),
     "too many": (lambda m: m.update(count=200_000_000), "claims 200000000 Gaussians, more"),
     "more than pixels": (lambda m: m.update(count=145), "pictures of 144 pixels for 145"),
     "short codebook": (lambda m: m["sh0"].update(codebook=[0.5]), "beyond a codebook of 1"),
     "palette": (lambda m: m["shN"].update(count=1), r"colours beyond the palette's 1"),
 }
+
+
+def of_version_1(meta: dict[str, Any]) -> None:
+    """Ranges of the channels in place of codebooks; opacities are logits."""
+    del meta["version"]
+    meta["means"]["shape"] = [meta.pop("count"), 3]
+    meta["scales"] = {"mins": [-6, -5, -4], "maxs": [-3, -2, -1], "files": meta["scales"]["files"]}
+    mins, maxs = [-1, -2, -3, -4], [1, 2, 3, 5]
+    meta["sh0"] = {"mins": mins, "maxs": maxs, "files": meta["sh0"]["files"]}
+    meta["shN"] = {"mins": -0.5, "maxs": 0.75, "files": meta["shN"]["files"]}
+
+
+def test_version_1_has_ranges_in_place_of_codebooks(files: Files, tmp_path: Path, said: list[str]):
+    def bytes_of(name: str) -> Tensor:
+        image = Image.open(io.BytesIO(files[name])).convert("RGBA")
+        return torch.from_numpy(np.array(image)).flatten(0, 1)[:COUNT] / 255
+
+    found = read_splats(laid_out(declaring(files, of_version_1), tmp_path / "folder"))
+    same = read_splats(laid_out(files, tmp_path / "of version 2"))
+    assert torch.equal(found.means, same.means) and torch.equal(found.quats, same.quats)
+    scales = torch.tensor([-6.0, -5, -4]) + 3 * bytes_of("scales.webp")[:, :3]
+    torch.testing.assert_close(found.scales, scales)
+    span, low = torch.tensor([2.0, 4, 6, 9]), torch.tensor([-1.0, -2, -3, -4])
+    colors = low + span * bytes_of("sh0.webp")
+    torch.testing.assert_close(found.sh0[:, 0], colors[:, :3])
+    torch.testing.assert_close(found.opacities, colors[:, 3])
+    assert found.shN.shape == same.shN.shape
+    assert -0.5 <= found.shN.min() and found.shN.max() <= 0.75
+    assert not said
+
+
+def streamed(folder: Path, **changes: object) -> Path:
+    """Two parts, of two and of one level, whose finest rows are in two files, and a sky."""
+    runs = {"fine": (0, 0, 3), "coarse": (1, 0, 2), "other": (1, 2, 4)}
+    fine, coarse, other = (
+        dict(zip(("file", "offset", "count"), run, strict=True)) for run in runs.values()
+    )
+    fine |= changes
+    children = [{"lods": {"0": fine, "1": coarse}}, {"children": [{"lods": {"1": other}}]}]
+    about = {
+        "lodLevels": 2,
+        "filenames": ["0.sog", "1.sog"],
+        "environment": "sky.sog",
+        "tree": {"children": children},
+    }
+    folder.mkdir()
+    for name, rows in {
+        "0.sog": slice(0, 5),
+        "1.sog": slice(5, 12),
+        "sky.sog": slice(12, 14),
+    }.items():
+        part = PLAIN[rows]
+        write_splats(
+            replace(part, shN=part.shN[:, :0]) if name == "sky.sog" else part, folder / name
+        )
+    (folder / "lod-meta.json").write_text(json.dumps(about))
+    return folder / "lod-meta.json"
+
+
+def test_of_a_streamed_one_the_finest_level_of_each_part_is_read(tmp_path: Path, said: list[str]):
+    path = streamed(tmp_path / "streamed")
+    found = read_splats(path)
+    fine, coarse, sky = (read_splats(path.parent / name) for name in ("0.sog", "1.sog", "sky.sog"))
+    assert torch.equal(found.means, torch.cat([fine.means[:3], coarse.means[2:6], sky.means]))
+    assert found.sh_degree == 3 and not found.shN[7:].any()
+    assert said == [f"{path} has 2 levels of detail: the finest is read, the others are not."]
+
+
+def test_a_streamed_one_whose_parts_are_not_there(tmp_path: Path):
+    refused(streamed(tmp_path / "rows", count=6), "rows beyond the 5 of 0.sog")
+    refused(streamed(tmp_path / "files", file=7), "Export it again")
+    path = streamed(tmp_path / "gone")
+    (path.parent / "1.sog").unlink()
+    refused(path, "1.sog")
+
+
+def test_the_folder_of_a_sog_is_not_taken_for_photos(files: Files, tmp_path: Path):
+    refused(laid_out(files, tmp_path / "sog").parent, "holds some: .*meta.json. Give one of them")
+    refused(streamed(tmp_path / "streamed").parent, "holds some: .*lod-meta.json")
 
 
 @pytest.mark.parametrize("case", [*DECLARATIONS])

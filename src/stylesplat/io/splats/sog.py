@@ -1,5 +1,6 @@
 """Splats as SOG, PlayCanvas's format: lossless WebP pictures that a meta.json describes.
 
+A streamed SOG is several of them, of parts and levels of detail, which a lod-meta.json lists.
 The format: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/
 """
 
@@ -10,7 +11,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -23,7 +24,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes, reason, resolve_within
-from stylesplat.io.json_yaml import PhotoName, json_object, strict_json
+from stylesplat.io.json_yaml import PhotoName, json_object, read_json, strict_json
 from stylesplat.io.kinds import SOG_META
 from stylesplat.io.splats.packing import (
     CODEBOOK_SIZE,
@@ -37,11 +38,11 @@ from stylesplat.io.splats.packing import (
     to_bytes,
     tree_kmeans,
 )
-from stylesplat.io.splats.splat_ply import BANDS, refuse_faulty
+from stylesplat.io.splats.splat_ply import BANDS, of_degree, refuse_faulty
 from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 
-SOG_VERSION = 2
+SOG_VERSION = 2  # that is written; version 1 has ranges in place of codebooks, and no number
 PALETTE = 2**16  # entries: two bytes name one
 PALETTE_COLUMNS = 64  # entries in a row of the palette's picture
 SOG_MOST = 2**28  # Gaussians: WebP has sides of 14 bits
@@ -53,6 +54,7 @@ MOST_PER_BYTE = 4  # Gaussians; real files need several bytes for one
 SOG_SMALL = 2**16  # Gaussians that are allowed whatever the file's size
 SOG_SPARE = 2  # pixels for a Gaussian; SMALL more are allowed
 MAX_META = 2**20  # bytes; three codebooks have 20,000
+MAX_LEVELS = 2**26  # bytes of a lod-meta.json: some 100 for a part of thousands of Gaussians
 ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others cannot be unpacked within bounds
 MAX_GROWTH = 4  # of what is unpacked: pictures are compressed already
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # of every entry, so that the same splats make the same file
@@ -69,6 +71,8 @@ Logarithm = Annotated[float, Meta(ge=-SOG_FARTHEST, le=SOG_FARTHEST)]
 Corner = tuple[Logarithm, Logarithm, Logarithm]
 # float32 holds it; `drawable` does the rest
 SogNumber = Annotated[float, Meta(ge=-1e30, le=1e30)]
+Count = Annotated[int, Meta(ge=0, le=SOG_MOST)]
+Channels = Annotated[tuple[SogNumber, ...], Meta(max_length=4)]
 Codebook = Annotated[tuple[SogNumber | None, ...], Meta(min_length=1, max_length=CODEBOOK_SIZE)]
 """Values of bytes; the first may be null, where splat-transform had no number for it."""
 
@@ -84,13 +88,17 @@ class _Means(msgspec.Struct):
     maxs: Corner
     files: tuple[PhotoName, PhotoName]
     """The pictures of the lower bytes and of the upper ones."""
+    shape: tuple[Count, ...] = ()
+    """In version 1, how many they are, and 3."""
 
 
 class _Coded(msgspec.Struct):
-    """Bytes that are indices of a codebook."""
+    """Bytes that are indices of a codebook or, in version 1, from each channel's range."""
 
-    codebook: Codebook
     files: tuple[PhotoName]
+    codebook: Codebook | None = None
+    mins: Channels = ()
+    maxs: Channels = ()
 
 
 class _Palette(msgspec.Struct):
@@ -102,7 +110,9 @@ class _Palette(msgspec.Struct):
 
     count: Annotated[int, Meta(ge=1, le=PALETTE)] | None = None
     bands: int | None = None
-    codebook: Codebook = ()
+    codebook: Codebook | None = None
+    mins: SogNumber | None = None
+    maxs: SogNumber | None = None
     files: Annotated[tuple[PhotoName, ...], Meta(max_length=2)] = ()
     """The picture of the entries, and that of each Gaussian's entry."""
 
@@ -110,18 +120,69 @@ class _Palette(msgspec.Struct):
 class _Meta(msgspec.Struct):
     """The meta.json, as far as it is used."""
 
-    version: Literal[2]
-    count: Annotated[int, Meta(ge=0, le=SOG_MOST)]
     means: _Means
     scales: _Coded
     quats: _Quats
     sh0: _Coded
-    """Colours, and opacities as alpha."""
+    """Colours, and opacities as alpha; in version 1 as logits in a fourth range."""
+    count: Count | None = None
     shN: _Palette | None = None
     antialias: bool | None = None
     """Whether the splats were trained for an anti-aliased rendering: the specification's mark."""
     model: str | None = None
     """The same as splat-transform writes it."""
+
+
+class _Run(msgspec.Struct):
+    """Rows of one of the files."""
+
+    file: Annotated[int, Meta(ge=0)]
+    offset: Annotated[int, Meta(ge=0)]
+    count: Annotated[int, Meta(ge=0)]
+
+
+class _Node(msgspec.Struct):
+    """A part of a streamed SOG: parts of its own, or its Gaussians by level, the finest first."""
+
+    children: tuple["_Node", ...] = ()
+    lods: dict[str, _Run] = {}
+
+
+class _Levels(msgspec.Struct):
+    """The lod-meta.json of a streamed SOG, as far as it is used."""
+
+    filenames: tuple[PhotoName, ...]
+    tree: _Node
+    environment: PhotoName | None = None
+    """What is far around, without levels."""
+
+
+def read_streamed_sog(path: Path | str) -> Splats:
+    """Read the finest level of each part of a streamed SOG, and what is around; a line says so."""
+    path = Path(path)
+    about = msgspec.convert(read_json(path, most=MAX_LEVELS), _Levels)
+    rows, levels, nodes = dict[int, list[_Run]](), set[int](), [about.tree]
+    while nodes:
+        node = nodes.pop()
+        nodes += node.children
+        levels |= {int(level) for level in node.lods}
+        if node.lods:
+            run = node.lods[min(node.lods, key=int)]
+            rows.setdefault(run.file, []).append(run)
+    parts = list[Splats]()
+    for file, runs in sorted(rows.items()):
+        part = read_sog(resolve_within(path.parent, about.filenames[file]))
+        if any(run.offset + run.count > len(part) for run in runs):
+            raise ValueError(f"it has rows beyond the {len(part)} of {about.filenames[file]}")
+        runs.sort(key=lambda run: run.offset)
+        parts += [part[run.offset : run.offset + run.count] for run in runs]
+    if about.environment is not None:
+        parts.append(read_sog(resolve_within(path.parent, about.environment)))
+    degree = max((part.sh_degree for part in parts), default=0)
+    splats = Splats.cat([of_degree(part, degree) for part in parts])
+    if len(levels) > 1:
+        say(f"{path} has {len(levels)} levels of detail: the finest is read, the others are not.")
+    return splats
 
 
 def read_sog(path: Path | str) -> Splats:
@@ -131,8 +192,8 @@ def read_sog(path: Path | str) -> Splats:
     member = _bundle_reader(path) if bundled else _folder_reader(path)
     content = json_object(member(SOG_META), path)
     version = content.get("version", 1)
-    if version != SOG_VERSION:
-        raise ValueError(f"it is SOG of version {version!s:.20}, only {SOG_VERSION} is read here")
+    if version not in (1, SOG_VERSION):
+        raise ValueError(f"it is SOG of version {version!s:.20}, only 1 and 2 are read here")
     meta = msgspec.convert(content, _Meta)
     parts = (meta.means, meta.quats, meta.scales, meta.sh0, meta.shN)
     files = {name: member(name) for part in parts if part for name in part.files}
@@ -145,6 +206,10 @@ def read_sog(path: Path | str) -> Splats:
 def _decode(meta: _Meta, files: Mapping[str, bytes], path: Path) -> Splats:
     """Splats from the pictures, which are decoded once their sizes are known to fit."""
     count, stored = meta.count, sum(map(len, files.values()))
+    if count is None:
+        if not meta.means.shape:
+            raise ValueError("it does not say how many Gaussians it has")
+        count = meta.means.shape[0]
     if count > max(MOST_PER_BYTE * stored, SOG_SMALL):
         raise ValueError(
             f"it claims {count} Gaussians, more than {stored} bytes of pictures can hold"
@@ -166,7 +231,12 @@ def _decode(meta: _Meta, files: Mapping[str, bytes], path: Path) -> Splats:
     largest = torch.from_numpy(quats[:, 3].astype(np.int64) - FIRST_TAG)
     others = torch.from_numpy(quats[:, :3] / np.float32(255)) * 2 - 1
     colors = rows(meta.sh0.files[0])
-    alphas = torch.from_numpy(colors[:, 3] / np.float32(255))
+    if len(meta.sh0.mins) == 4:
+        sh0, opacities = _look_up(colors, meta.sh0).split([3, 1], dim=1)
+    else:
+        alphas = torch.from_numpy(colors[:, 3] / np.float32(255))
+        opacities = alphas.clamp(PACKED_NEAR, 1 - PACKED_NEAR).logit()
+        sh0 = _look_up(colors[:, :3], meta.sh0)
     shN = torch.zeros(count, 0, 3)
     if meta.shN is not None and len(meta.shN.files) == 2:
         choices = rows(meta.shN.files[1]).astype(np.int64)
@@ -175,9 +245,9 @@ def _decode(meta: _Meta, files: Mapping[str, bytes], path: Path) -> Splats:
     return Splats(
         means=torch.from_numpy(np.sign(logs) * np.expm1(np.abs(logs))),
         quats=from_smallest_three(largest, others * PACKED_LARGEST),
-        scales=_look_up(rows(meta.scales.files[0])[:, :3], meta.scales.codebook),
-        opacities=alphas.clamp(PACKED_NEAR, 1 - PACKED_NEAR).logit(),
-        sh0=_look_up(colors[:, None, :3], meta.sh0.codebook),
+        scales=_look_up(rows(meta.scales.files[0])[:, :3], meta.scales),
+        opacities=opacities.flatten(),
+        sh0=sh0[:, None],
         shN=shN,
     )
 
@@ -194,7 +264,7 @@ def _palette(
     count = palette.count or PALETTE_COLUMNS * height
     if count > PALETTE:
         raise ValueError(f"its palette's picture is {height} pixels high, more than a palette has")
-    if palette.bands != degree:
+    if palette.bands != degree and palette.codebook is not None:
         told = "names no bands" if palette.bands is None else f"names {palette.bands} bands"
         say(f"{path} {told} of colour, but its palette has {degree}: these are read.")
     if degree >= len(BANDS):
@@ -205,10 +275,16 @@ def _palette(
     whole = (PALETTE_COLUMNS * bands, -(-count // PALETTE_COLUMNS))
     texels = _webp_pixels(files, palette.files[0], whole)[: count * bands, :3]
     used = texels.reshape(count, bands, 3)[:, : BANDS[-1]]
-    return _look_up(np.ascontiguousarray(used), palette.codebook)[labels]
+    return _look_up(np.ascontiguousarray(used), palette)[labels]
 
 
-def _look_up(texels: UInt8[np.ndarray, "*B"], codebook: Codebook) -> Float[Tensor, "*B"]:
+def _look_up(texels: UInt8[np.ndarray, "*B"], part: _Coded | _Palette) -> Float[Tensor, "*B"]:
+    codebook = part.codebook
+    if codebook is None:
+        if part.mins in (None, ()) or part.maxs in (None, ()):
+            raise ValueError("it has neither a codebook nor a range of its numbers")
+        low, high = (np.array(each, np.float32) for each in (part.mins, part.maxs))
+        return torch.from_numpy(low + (high - low) * (texels / np.float32(255)))
     bad = int((texels >= len(codebook)).sum())
     if bad:
         raise ValueError(f"{bad} bytes are beyond a codebook of {len(codebook)}")

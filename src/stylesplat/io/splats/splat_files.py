@@ -19,7 +19,14 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError, check_choice, join_names, shorten
 from stylesplat.io.atomic import refuse_file
 from stylesplat.io.files import is_there, open_binary, read_bytes, reading
-from stylesplat.io.kinds import CHECKPOINTS, SOG_META, SPLATS, USD, wrong_kind_error
+from stylesplat.io.kinds import (
+    CHECKPOINTS,
+    SOG_LEVELS,
+    SOG_META,
+    SPLATS,
+    USD,
+    wrong_kind_error,
+)
 from stylesplat.io.ply import BOM, read_header
 from stylesplat.io.ply import PLY_MAGIC as PLY
 from stylesplat.io.splats.checkpoints import TORCH_LIST, read_checkpoint
@@ -39,7 +46,7 @@ from stylesplat.io.splats.dot_splat import (
 from stylesplat.io.splats.gltf import VERSION_INSIDE, read_gltf, write_glb, write_gltf
 from stylesplat.io.splats.gltf_file import GLB_MAGIC as GLB
 from stylesplat.io.splats.packing import PACKED_SMALLEST, morton_order
-from stylesplat.io.splats.sog import ZIP, read_sog, write_sog
+from stylesplat.io.splats.sog import ZIP, read_sog, read_streamed_sog, write_sog
 from stylesplat.io.splats.splat_ply import (
     SMALLEST_QUAT,
     needed_degree,
@@ -57,14 +64,18 @@ from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 from stylesplat.scene.world_offset import ORIGIN, announced, choose_offset, offset_text
 
-Format = Literal["PLY", "SPZ", "SOG", "glTF", "USD", "a checkpoint", ".ksplat", ".splat"]
+Format = Literal[
+    "PLY", "SPZ", "SOG", "a streamed SOG", "glTF", "USD", "a checkpoint", ".ksplat", ".splat"
+]
 CONTENT_FORMATS: dict[str, Format] = {  # by what a name ends in
     **{".ply": "PLY", ".spz": "SPZ", ".sog": "SOG", ".glb": "glTF", ".gltf": "glTF"},
-    **{".ksplat": ".ksplat", ".splat": ".splat", SOG_META: "SOG"},
+    **{".ksplat": ".ksplat", ".splat": ".splat"},
+    **{SOG_META: "SOG", SOG_LEVELS: "a streamed SOG"},
     **dict.fromkeys(USD, "USD"),
     **dict.fromkeys(CHECKPOINTS, "a checkpoint"),
 }
-JSONS = (".gltf", SOG_META)  # names of formats that are JSON
+SOG_JSONS = (SOG_META, SOG_LEVELS)
+JSONS = (".gltf", *SOG_JSONS)  # names of formats that are JSON
 CONTENT_HEAD = 1 << 12  # bytes that are looked at
 SPLAT_ROWS = 64  # of a .splat
 CONTENT_ROUNDING = 0.1  # of the length of a quaternion whose components are bytes
@@ -96,7 +107,7 @@ CONTENT_OTHERS = {
 
 def named_format(path: Path) -> Format | None:
     """The format that a file's name stands for."""
-    return CONTENT_FORMATS.get(SOG_META if path.name == SOG_META else path.suffix.lower())
+    return CONTENT_FORMATS.get(path.name if path.name in SOG_JSONS else path.suffix.lower())
 
 
 def format_of(path: Path) -> Format:
@@ -136,6 +147,8 @@ def _marked(head: bytes, path: Path) -> Format | None:
         content = read_bytes(path)
         if b'"means"' in content and b'"quats"' in content:
             return "SOG"
+        if b'"lodLevels"' in content and b'"tree"' in content:
+            return "a streamed SOG"
         is_json = path.name.lower().endswith(JSONS)
         return "glTF" if b'"asset"' in content else named_format(path) if is_json else None
     return None
@@ -297,6 +310,7 @@ READERS: dict[Format, Callable[[Path], Splats]] = {
     "PLY": _read_ply,
     "SPZ": read_spz,
     "SOG": read_sog,
+    "a streamed SOG": read_streamed_sog,
     "glTF": read_gltf,
     "USD": read_usd,
     "a checkpoint": read_checkpoint,
@@ -309,10 +323,11 @@ def read_splats(path: Path | str) -> Splats:
     """Read splats as other programs write them, in the world frame of their file.
 
     PLY as INRIA, gsplat, nerfstudio, Postshot and Brush write it, SuperSplat's compressed PLY, SPZ,
-    .splat, .ksplat, glTF, USD, checkpoints of gsplat and splatfacto, and SOG, as a bundle or as the
-    meta.json of a folder; contents count, not names. No memory is allocated for a count that was
-    not checked against the file. Gaussians that cannot be drawn are left out, with a line. Where
-    coordinates are too large for float32 the splats get a `world_offset`, and a line says so.
+    .splat, .ksplat, glTF, USD, checkpoints of gsplat and splatfacto, and SOG, as a bundle, as the
+    meta.json of a folder or, streamed, as a lod-meta.json; contents count, not names. No memory is
+    allocated for a count that was not checked against the file. Gaussians that cannot be drawn are
+    left out, with a line. Where coordinates are too large for float32 the splats get a
+    `world_offset`, and a line says so.
     """
     return read_drawable(path)[0]
 
@@ -320,7 +335,7 @@ def read_splats(path: Path | str) -> Splats:
 def read_drawable(path: Path | str) -> tuple[Splats, Int[Tensor, " N"], int]:
     """The splats of `read_splats`, their rows in the file, and how many rows that has."""
     path = Path(path)
-    known = path.suffix.lower() in SPLATS or path.name == SOG_META
+    known = path.suffix.lower() in SPLATS or path.name in SOG_JSONS
     if path.is_dir() or not is_there(path):
         raise wrong_kind_error(path, "splat")
     with reading(path, "Export it again.", what=" as splats"):
