@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from inspect import signature
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -181,19 +182,11 @@ class Select(EditingCommand):
             say(f"Picture: {picture}, {what}.")
 
     def _select(self, scene: "ss.Scene") -> "ss.Scene":
-        same = ("box", "point", "not_point", "box3d", "sphere", "rows", "text")
-        same += ("of", "size", "all", "background", "grow", "shrink")
-        return ss.select(
-            scene,
-            self.name,
-            id=[*chain(*self.id)],
-            plus=[*chain(*self.plus)],
-            minus=[*chain(*self.minus)],
-            threshold=self.threshold,
-            remove_outliers=not self.keep_outliers,
-            model=self.model,
-            **{name: getattr(self, name) for name in same},
-        )
+        arguments = signature(ss.select).parameters
+        given = {name: getattr(self, name) for name in arguments if hasattr(self, name)}
+        given |= {name: [*chain(*given[name])] for name in ("id", "plus", "minus")}
+        given |= {"scene": scene, "remove_outliers": not self.keep_outliers}
+        return ss.select(**given)
 
     def _draw(self) -> Path | None:
         """Draw the selection in the scene as it is saved; None if there is no picture."""
