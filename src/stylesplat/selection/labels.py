@@ -283,10 +283,26 @@ def resolve_ids(
         raise StyleSplatError(
             "A box or point needs the one view it refers to. Pass camera=cameras[row]."
         )
+    (name,) = camera.names
     if point is not None:
-        return (_id_at_point(splats, point, camera, folder or UNKNOWN_SCENE),)
-    assert box is not None
-    return (_id_in_box(splats, box, camera, folder or UNKNOWN_SCENE),)
+        check_point(point, camera.size, name)
+        low, size = (int(point[0]), int(point[1])), (1, 1)
+        what, where = "point", f"at {point[0]:g},{point[1]:g}"
+    else:
+        assert box is not None
+        x0, y0, x1, y1 = check_box(box, camera.size, name)
+        low = int(x0), int(y0)
+        size = math.ceil(x1) - low[0], math.ceil(y1) - low[1]
+        what, where = "box", f"inside box {','.join(f'{edge:g}' for edge in box)}"
+    labels = render_labels(splats, camera.crop(low, size))
+    ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)
+    if not len(ids):
+        way = shell_command("objects", folder or UNKNOWN_SCENE)
+        raise StyleSplatError(
+            f"There is no object {where} in {name}. Choose another {what}, or run `{way}` and "
+            "select by id."
+        )
+    return (int(ids[counts.argmax()]),)
 
 
 def each_object(
@@ -325,29 +341,3 @@ def _known_ids(
         if id not in known:
             raise StyleSplatError(f"Object {id} does not exist. Objects that do exist: {names}.")
     return ids
-
-
-def _id_at_point(splats: Splats, point: Point, camera: Cameras, folder: Path | str) -> int:
-    check_point(point, camera.size, camera.names[0])
-    x, y = point
-    label = int(render_labels(splats, camera.crop((int(x), int(y)), (1, 1))))
-    if label == BACKGROUND:
-        raise StyleSplatError(
-            f"There is no object at {x:g},{y:g} in {camera.names[0]}. "
-            f"Choose another point, or run `{shell_command('objects', folder)}` and select by id."
-        )
-    return label
-
-
-def _id_in_box(splats: Splats, box: ViewBox, camera: Cameras, folder: Path | str) -> int:
-    x0, y0, x1, y1 = check_box(box, camera.size, camera.names[0])
-    low, high = (int(x0), int(y0)), (math.ceil(x1), math.ceil(y1))
-    labels = render_labels(splats, camera.crop(low, (high[0] - low[0], high[1] - low[1])))
-    ids, counts = labels[labels != BACKGROUND].unique(return_counts=True)
-    if not len(ids):
-        text = ",".join(f"{edge:g}" for edge in box)
-        raise StyleSplatError(
-            f"There is no object inside box {text} in {camera.names[0]}. "
-            f"Choose another box, or run `{shell_command('objects', folder)}` and select by id."
-        )
-    return int(ids[counts.argmax()])
