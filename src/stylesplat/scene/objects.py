@@ -1,8 +1,9 @@
 """Objects of a scene: the noun, names, and lists of an object's Gaussians."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -63,6 +64,12 @@ def name_fault(name: str) -> str | None:
     return (
         f"names have at most {OBJECT_MAX_NAME} characters" if len(name) > OBJECT_MAX_NAME else None
     )
+
+
+def free_name(name: str, taken: Callable[[str], object], between: str = " ") -> str:
+    """The name, or the first of `name 2`, `name 3` and so on that is not taken."""
+    names = (name if n == 1 else f"{name}{between}{n}" for n in count(1))
+    return next(each for each in names if not taken(each))
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from stylesplat.io.style_pictures import MATERIALS, PREFIX
 from stylesplat.options import PickSize
 from stylesplat.scene.content import content_of
 from stylesplat.scene.layers import RECOLOR, split_name
+from stylesplat.scene.objects import free_name
 from stylesplat.scene.virtual_cameras import has_rendered_views
 from stylesplat.studio_app import edits as layers
 from stylesplat.studio_app import messages as m
@@ -324,7 +325,7 @@ class Actions:
                 raise StyleSplatError(f"{name} is no paint. Pick an object, and click the style.")
         require_objects(state.scene, [split_name(name)[0] for name in found])
         if above:
-            found = [layers.free_layer_name(state.scene, split_name(name)[0]) for name in found]
+            found = [free_name(split_name(each)[0], state.scene.layer, "/") for each in found]
         for name in found:
             layers.refuse_locked(state, name)
         if not found:

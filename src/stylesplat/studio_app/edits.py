@@ -11,6 +11,7 @@ from torch import Tensor
 from stylesplat.errors import StyleSplatError
 from stylesplat.options import with_settings
 from stylesplat.scene.layers import RECOLOR, Blend, Layer, edited, shown_like, split_name
+from stylesplat.scene.objects import free_name
 from stylesplat.scene.scene import Scene
 from stylesplat.studio_app.history import StudioState, require_objects
 from stylesplat.stylization.config import (
@@ -174,10 +175,10 @@ def remove_rows(
 ) -> StudioState:
     """Hide Gaussians by a layer, as far as they are removed."""
     rows, base = weights.nonzero()[:, 0], state.scene.base
-    label = _free_label(state.scene, name, "removed")
+    layer = split_name(free_name(f"{name}/removed", state.scene.layer))
     bands = base.sh0[rows].cpu(), base.shN[rows].cpu()
     kept = torch.zeros(len(rows))
-    return replace_layer(state, edited(name, label, rows, kept, 1 - weights[rows], *bands), note)
+    return replace_layer(state, edited(*layer, rows, kept, 1 - weights[rows], *bands), note)
 
 
 def mend(state: StudioState, weights: Float[Tensor, " B"]) -> StudioState:
@@ -207,19 +208,6 @@ def mend(state: StudioState, weights: Float[Tensor, " B"]) -> StudioState:
     if known is not None:
         layer = replace(shown_like(layer, known, len(sh0)), strength=known.strength)
     return replace_layer(state, layer, "Mended with the brush")
-
-
-def _free_label(scene: Scene, object: str, label: str) -> str:
-    known = {layer.name for layer in scene.layers}
-    labels = (label if n == 1 else f"{label} {n}" for n in range(1, len(known) + 2))
-    return next(each for each in labels if f"{object}/{each}" not in known)
-
-
-def free_layer_name(scene: Scene, object: str) -> str:
-    """The name of another layer of paint on an object."""
-    known = {layer.name for layer in scene.layers}
-    names = (f"{object}/{number}" if number > 1 else object for number in range(1, len(known) + 2))
-    return next(name for name in names if name not in known)
 
 
 def painted_style(layer: Layer, **settings: Any) -> Style:

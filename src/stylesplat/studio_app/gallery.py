@@ -7,7 +7,6 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
-from itertools import count
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 from urllib.request import url2pathname
@@ -23,6 +22,7 @@ from stylesplat.io.images import jpeg
 from stylesplat.io.kinds import PHOTOS
 from stylesplat.io.style_pictures import PREFIX, read_style
 from stylesplat.progress import say
+from stylesplat.scene.objects import free_name
 
 MOST_BYTES = 40 * 2**20  # of an upload
 GALLERY_MOST_PICTURES = 60  # in the gallery
@@ -92,9 +92,7 @@ class Gallery:
         for known in self.pictures.values():
             if (known.url, known.size) == (url, size):
                 return known
-        title, number = name, 2
-        while title in self.pictures:
-            title, number = f"{name} {number}", number + 1
+        title = free_name(name, self.pictures.__contains__)
         own = path.parent in (self.kept, self._uploads and Path(self._uploads.name))
         found = StylePicture(title, path, size, url, frequent_colors(small), own)
         self.pictures[title] = found
@@ -151,8 +149,8 @@ class Gallery:
             folder = Path(self._uploads.name)
         stem = NO_NAME.sub("", own.stem)[:40].strip() or "picture"
         suffix = own.suffix.lower() if own.suffix.lower() in PHOTOS else ".png"
-        names = (stem if n == 1 else f"{stem} {n}" for n in count(1))
-        return next(p for n in names if not (p := folder / f"{n}{suffix}").exists())
+        name = free_name(stem, lambda each: (folder / f"{each}{suffix}").exists())
+        return folder / f"{name}{suffix}"
 
     def move_along(self, scene: Path) -> None:
         """Copy the uploads beside a scene that was saved elsewhere, for later studios."""

@@ -22,7 +22,7 @@ from stylesplat.rendering.weights import expected_depth, pixels_in
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import opaque_rows
 from stylesplat.scene.layers import split_name
-from stylesplat.scene.objects import SceneObject
+from stylesplat.scene.objects import SceneObject, free_name
 from stylesplat.scene.projection import project
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.selection import IN_MEMORY, Selection
@@ -331,8 +331,7 @@ def with_object_of_selection(state: StudioState, kind: str) -> StudioState:
 
 def free_part_name(state: StudioState, kind: str) -> str:
     taken = {*state.scene.objects, *state.scene.painted_objects}
-    names = (f"{kind} part{f' {n}' if n > 1 else ''}" for n in range(1, len(taken) + 2))
-    return next(each for each in names if each not in taken)
+    return free_name(f"{kind} part", taken.__contains__)
 
 
 def rename_picked(state: StudioState, name: str) -> StudioState:
