@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.projection import is_in_image, project
 from stylesplat.scene.sequences import evenly_spaced
-from stylesplat.scene.splats import LUMA, Splats, map_bands
+from stylesplat.scene.splats import LUMA, Splats, linear_rgb, map_bands
 
 TO_XYZ = ((0.4124564, 0.3575761, 0.1804375), (0.2126729, 0.7151522, 0.0721750))
 TO_XYZ += ((0.0193339, 0.1191920, 0.9503041),)  # sRGB, IEC 61966-2-1
@@ -21,11 +21,6 @@ D65 = (0.95047, 1.0, 1.08883)
 LOWEST, RANGE = -128.0, 256.0  # L, a and b of all sRGB colours lie well within
 COLOR_PIXELS = 2**14  # of a picture that stand for all
 COLOR_DISTANCES_AT_ONCE = 2**22  # bounds the colours x colours matrix
-
-
-def linear_rgb(colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
-    """Intensities of light, 0 to 1, of sRGB colours (IEC 61966-2-1)."""
-    return torch.where(colors > 0.04045, ((colors + 0.055) / 1.055) ** 2.4, colors / 12.92)
 
 
 def lab_from_rgb(colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:

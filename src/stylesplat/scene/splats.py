@@ -331,6 +331,11 @@ def rgb_from_sh0(sh0: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
     return 0.5 + SH_C0 * sh0
 
 
+def linear_rgb(colors: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 3"]:
+    """Intensities of light, 0 to 1, of sRGB colours (IEC 61966-2-1)."""
+    return torch.where(colors > 0.04045, ((colors + 0.055) / 1.055) ** 2.4, colors / 12.92)
+
+
 def map_bands(
     sh0: Float[Tensor, "N 1 3"], shN: Float[Tensor, "N _ 3"], color_map: Float[Tensor, "3 4"]
 ) -> tuple[Float[Tensor, "N 1 3"], Float[Tensor, "N _ 3"]]:

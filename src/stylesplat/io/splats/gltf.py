@@ -46,7 +46,7 @@ from stylesplat.io.splats.splat_ply import BANDS, of_degree, refuse_faulty
 from stylesplat.io.splats.spz import OWN_AXES, SPZ_LARGEST_RATIO, pack_spz, unpack_spz
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats, similarity_frame
-from stylesplat.scene.splats import Splats, rgb_from_sh0
+from stylesplat.scene.splats import Splats, linear_rgb, rgb_from_sh0
 from stylesplat.scene.world_offset import Offset
 
 SPZ = (f"{SPLATTING}_compression_spz_2", f"{SPLATTING}_compression_spz")  # now, and before
@@ -279,9 +279,8 @@ def _columns(splats: Splats, path: Path) -> dict[str, Shaped[Tensor, "N D"]]:
             "Export a .ply."
         )
     opacities = splats.opacities.sigmoid()[:, None]
-    # Linear colours and alpha for programs that draw points; sRGB's decoding, from its standard
-    shown = rgb_from_sh0(splats.sh0[:, 0]).clamp_(0, 1)
-    linear = torch.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    # Linear colours and alpha for programs that draw points
+    linear = linear_rgb(rgb_from_sh0(splats.sh0[:, 0]).clamp_(0, 1))
     points = torch.cat([linear, opacities], dim=1)
     bands = (splats.sh0[:, 0], *splats.shN.unbind(dim=1))
     return {
