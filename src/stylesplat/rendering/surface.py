@@ -24,6 +24,7 @@ from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.visibility import in_view
 from stylesplat.rendering.weights import COVERED, coverage, expected_depth, geometry_only
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.projection import normals_towards, pixel_centres, project, unproject
 from stylesplat.scene.splats import Splats
 
@@ -248,13 +249,10 @@ def project_into_silhouettes(
         points[beyond] -= size * normals[beyond]
         beyond = beyond[outside(points[beyond])]
     spare = spare[~torch.isin(spare, beyond)]
-    places = points.double().cpu().numpy()
-    spares = places[spare.cpu().numpy()]
-    far, _ = KDTree(places[kept.cpu().numpy()]).query(spares, workers=-1)
-    far = torch.from_numpy(far).to(points) / size
-    amid = (far > SURFACE_HOLE).cpu().numpy()
-    near, _ = KDTree(spares[amid]).query(spares, workers=-1)
-    kept[spare] = (far > SURFACE_BESIDE) & (torch.from_numpy(near).to(points) < SURFACE_HOLE * size)
+    spares = points[spare]
+    far = nearest_points(points[kept], spares)[0][:, 0].to(points) / size
+    near = nearest_points(spares[far > SURFACE_HOLE], spares)[0][:, 0].to(points)
+    kept[spare] = (far > SURFACE_BESIDE) & (near < SURFACE_HOLE * size)
     return kept
 
 
@@ -262,10 +260,7 @@ def project_to_planes(
     points: Float[Tensor, "P 3"], normals: Float[Tensor, "P 3"], rows: Int[Tensor, " L"]
 ) -> tuple[Float[Tensor, "L 3"], Float[Tensor, "L 3"]]:
     """Some points moved onto the planes of their neighbours, and the normals of the planes."""
-    coordinates = points.double().cpu().numpy()
-    count = min(SURFACE_PLANE, len(points))
-    _, near = KDTree(coordinates).query(coordinates[rows.cpu().numpy()], k=count, workers=-1)
-    near = torch.from_numpy(near).to(rows).view(len(rows), -1)
+    _, near = nearest_points(points, points[rows], SURFACE_PLANE)
     smooth = F.normalize(normals[near].mean(dim=1), dim=1)
     above = ((points[rows] - points[near].mean(dim=1)) * smooth).sum(dim=1, keepdim=True)
     return points[rows] - above * smooth, smooth

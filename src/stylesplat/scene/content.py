@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 from torch import Tensor
 
+from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.splats import Splats
 
 # Opacity below which a Gaussian is no surface. In two trained scenes 30 to 70 % of an object's are
@@ -150,8 +151,8 @@ def _is_content(points: Float[Tensor, "M 3"], weights: Float[Tensor, " M"]) -> B
     everything = torch.ones(len(points), dtype=torch.bool)
     if len(points) <= EXTENT_NEIGHBOURS:
         return everything
-    distances, _ = KDTree(points.numpy()).query(points.numpy(), k=EXTENT_NEIGHBOURS + 1, workers=-1)
-    gaps = torch.from_numpy(distances[:, 1:]).mean(dim=1)  # column 0 is the point itself
+    distances, _ = nearest_points(points, points, EXTENT_NEIGHBOURS + 1)
+    gaps = distances[:, 1:].mean(dim=1)  # column 0 is the point itself
     reach = SPARSE * float(_quantile(gaps, weights, 0.5))
     if not reach:
         return everything

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, shell_command
@@ -22,6 +21,7 @@ from stylesplat.rendering.weights import COVERED
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
 from stylesplat.scene.content import EXTENT_FAINT
+from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.projection import overlapping
 from stylesplat.scene.selection import THRESHOLD, Point, ViewBox
 from stylesplat.scene.splats import Classifier, Splats
@@ -157,11 +157,8 @@ def fill_gaps(
     wanted = others[doubtful(others)]
     if not len(wanted):
         return nobody
-    tree = KDTree(means[rows].double().cpu().numpy())
-    places = means[wanted].double().cpu().numpy()
-    _, near = tree.query(places, k=min(GAP_NEIGHBOURS + 1, len(rows)), workers=-1)
-    near = torch.from_numpy(near).view(len(wanted), -1)[:, 1:]  # the first is each itself
-    mostly = picked[rows[near.to(rows.device)]].double().mean(dim=1) > 0.5
+    _, near = nearest_points(means[rows], means[wanted], GAP_NEIGHBOURS + 1)
+    mostly = picked[rows[near[:, 1:]]].double().mean(dim=1) > 0.5  # the first is each itself
     return nobody.index_fill(0, wanted[mostly], True)
 
 
@@ -196,9 +193,9 @@ def inliers(
     if len(points) < MEMBER_FEWEST:
         return keep
     neighbours = min(OUTLIER_NEIGHBOURS, len(points) // 2)
-    positions = points.detach().cpu().double().numpy()
-    distances, _ = KDTree(positions).query(positions, k=neighbours + 1, workers=-1)
-    gaps = torch.from_numpy(distances[:, 1:]).mean(dim=1)  # column 0 is the point itself
+    positions = points.detach().cpu()
+    distances, _ = nearest_points(positions, positions, neighbours + 1)
+    gaps = distances[:, 1:].mean(dim=1)  # column 0 is the point itself
     log_gaps = gaps.clamp(min=torch.finfo(torch.float32).tiny).log()
     usual = log_gaps <= log_gaps.mean() + MEMBER_SPREAD * log_gaps.std()
     if reaches is not None:

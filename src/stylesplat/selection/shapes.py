@@ -12,6 +12,7 @@ from stylesplat.options import check_point
 from stylesplat.rendering.weights import COVERED, expected_depth
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.content import EXTENT_FAINT, Extent, opaque_rows
+from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.projection import overlapping, unproject
 from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.scene.world_offset import place_text
@@ -184,10 +185,7 @@ def grow_by_similarity(
     )
     rows = rows.nonzero()[:, 0]
     points = splats.means[rows].detach().cpu().double()
-    _, neighbours = KDTree(points.numpy()).query(
-        points.numpy(), k=min(SHAPE_NEIGHBOURS, len(points)), workers=-1
-    )
-    neighbours = torch.from_numpy(neighbours).view(len(points), -1)
+    _, neighbours = nearest_points(points, points, SHAPE_NEIGHBOURS)
     around = points[neighbours] - points[neighbours].mean(dim=1, keepdim=True)  # [M, k, 3]
     normals = torch.linalg.eigh(around.transpose(1, 2) @ around).eigenvectors[:, :, 0]
     colors = rgb_from_sh0(splats.sh0[rows, 0]).cpu().double()[neighbours].mean(dim=1)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int, Int32
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.rendering.view_pool import per_view
@@ -17,6 +16,7 @@ from stylesplat.rendering.visibility import VISIBLE_LARGE, bounds, in_view, pixe
 from stylesplat.rendering.weights import COVERED, contributions, geometry_only
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.capture import BACKGROUND
+from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.projection import overlapping
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import Splats
@@ -68,11 +68,8 @@ def object_shares(
     parts = inside / everywhere.clamp(min=UNSEEN_PIXELS)
     seen, unseen = picked & (everywhere >= UNSEEN_PIXELS), picked & (everywhere < UNSEEN_PIXELS)
     if seen.any() and unseen.any():
-        tree = KDTree(splats.means[seen].double().cpu().numpy())
-        count = min(SHARE_NEIGHBOURS, int(seen.sum()))
-        _, rows = tree.query(splats.means[unseen].double().cpu().numpy(), k=count)
-        rows = torch.from_numpy(rows).to(splats.device)
-        parts[unseen] = parts[seen][rows.view(-1, count)].median(dim=1).values
+        _, near = nearest_points(splats.means[seen], splats.means[unseen], SHARE_NEIGHBOURS)
+        parts[unseen] = parts[seen][near].median(dim=1).values
     return ((parts - SHARE_OUTSIDE) / (SHARE_INSIDE - SHARE_OUTSIDE)).clamp(0, 1) * picked
 
 

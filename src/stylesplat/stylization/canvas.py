@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -37,6 +36,7 @@ from stylesplat.rendering.weights import (
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import Layer, Source, appearance_only, split_name
+from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.sequences import shuffled_repeats
 from stylesplat.scene.splats import SH_C0, Splats, sh0_from_rgb
 from stylesplat.stylization.config import Precision, plain_settings
@@ -170,9 +170,7 @@ def build_surfels(
         spacing *= math.sqrt(len(rows) / most)
     means, normals = project_to_planes(points, normals, rows)
     own = mask.nonzero()[:, 0]
-    tree = KDTree(splats.means[own].double().cpu().numpy())
-    _, nearest = tree.query(means.double().cpu().numpy(), workers=-1)
-    parents = own[torch.from_numpy(nearest).to(own)]
+    parents = own[nearest_points(splats.means[own], means)[1][:, 0]]
     opaque = points.new_full((len(rows),), CANVAS_OPACITY)
     discs = replace(
         discs_at(splats[parents], means, normals, spacing, opaque),

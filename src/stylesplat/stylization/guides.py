@@ -12,12 +12,12 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import affine_transform
-from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.rendering.weights import composite
 from stylesplat.scene.cameras import Cameras
+from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.projection import project
 from stylesplat.scene.splats import LUMA, Splats
 from stylesplat.scene.world_offset import from_world
@@ -69,12 +69,8 @@ class Guides:
 
     def tensors(self, means: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3 3"]:
         """The mean of `d d^T` over the directions d near places, times their weight of 0 to 1."""
-        count = min(GUIDE_NEAREST, len(self.places))
-        tree = KDTree(self.places.double().cpu().numpy())
-        far, near = tree.query(means.double().cpu().numpy(), k=count, workers=-1)
-        far = torch.from_numpy(far).to(means).view(len(means), -1)
-        near = torch.from_numpy(near).to(means.device).view(len(means), -1)
-        weights = (-(far / self.reach).square() / 2).exp()
+        far, near = nearest_points(self.places, means, GUIDE_NEAREST)
+        weights = (-(far.to(means) / self.reach).square() / 2).exp()
         d = self.directions[near]
         mean = torch.einsum("nk,nki,nkj->nij", weights, d, d)
         total = weights.sum(dim=1).clamp(min=1e-12)

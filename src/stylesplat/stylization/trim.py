@@ -12,11 +12,9 @@ from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_dilation, minimum_filter
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.imaging.morphology import disc
@@ -36,6 +34,7 @@ from stylesplat.rendering.weights import (
 )
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.layers import UNSEEN
+from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.splats import LUMA, Splats, rgb_from_sh0
@@ -214,10 +213,8 @@ def align_to_strokes(
     rows = discs.nonzero()[:, 0]
     means, axes = splats.means[rows], rotation_matrices(splats.quats[rows])
     tangents, normals = axes[:, :, :2], axes[:, :, 2]
-    points = means.double().cpu().numpy()
-    far, near = KDTree(points).query(points, k=min(SPILL_NEIGHBOURS, len(rows)), workers=-1)
-    far = torch.from_numpy(far).to(means).view(len(rows), -1) / distance
-    near = torch.from_numpy(near).to(rows).view(len(rows), -1)
+    far, near = nearest_points(means, means, SPILL_NEIGHBOURS)
+    far = far.to(means) / distance
     same_side = (normals[near] * normals[:, None]).sum(dim=2).clamp(min=0)  # [D, k]
 
     def weights(width: float) -> Tensor:
@@ -404,10 +401,9 @@ def _follow_neighbours(canvas: Canvas, is_gone: Bool[Tensor, " M"]) -> Bool[Tens
     rows = canvas.is_disc.nonzero()[:, 0]
     if len(rows) <= REVEAL_NEIGHBOURS:
         return is_gone
-    points = canvas.splats.means[rows].double().cpu().numpy()
-    _, near = KDTree(points).query(points, k=REVEAL_NEIGHBOURS + 1, workers=-1)
-    gone = is_gone[rows]
-    share = gone[torch.from_numpy(np.asarray(near)[:, 1:]).to(rows)].float().mean(dim=1)
+    points, gone = canvas.splats.means[rows], is_gone[rows]
+    _, near = nearest_points(points, points, REVEAL_NEIGHBOURS + 1)
+    share = gone[near[:, 1:]].float().mean(dim=1)
     followed = is_gone.clone()
     followed[rows] = (gone & (share >= FOLLOWS_STAYING)) | (share > FOLLOWS_GONE)
     return followed

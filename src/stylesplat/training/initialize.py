@@ -7,13 +7,13 @@ from math import log
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.progress import say
 from stylesplat.scene.cameras import Cameras, focus_point
 from stylesplat.scene.capture import Capture
+from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.projection import is_in_image, project
 from stylesplat.scene.splats import IDENTITY_SIZE, Classifier, Splats, sh0_from_rgb, sh_bases
 from stylesplat.training.plane_sweep import SWEEP_SIDE, sweep_planes
@@ -111,9 +111,8 @@ def neighbor_distances(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
     """Mean distance of each point to its nearest neighbours, positive; 1 if there are none."""
     if len(points) < 2:
         return torch.ones(len(points))
-    array = points.numpy()
-    count = min(FIRST_NEIGHBORS, len(array) - 1)
-    distances = KDTree(array).query(array, k=count + 1)[0][:, 1:]  # 0 is the point itself
+    distances, _ = nearest_points(points, points, FIRST_NEIGHBORS + 1)
+    distances = distances[:, 1:].numpy()  # 0 is the point itself
     typical = float(np.median(distances)) or 1.0
     return torch.from_numpy(distances.mean(axis=1).clip(1e-3 * typical)).float()
 
