@@ -99,6 +99,11 @@ def render_pictures(
     return map_views(lambda row: draw(cameras[row]).cpu(), range(len(cameras)), splats.device)
 
 
+def render_picture(splats: Splats, camera: Cameras, background: str | None = None) -> ColorPicture:
+    """The picture of `render_pictures` that one camera sees."""
+    return next(iter(render_pictures(splats, camera, background=background)))
+
+
 def label_colors(labels: Int[Tensor, "H W"]) -> UInt8[Tensor, "H W 3"]:
     """A label map in colours to look at: a fixed, distinct one per id, background black."""
     ids = labels.double()

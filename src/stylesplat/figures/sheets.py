@@ -20,7 +20,7 @@ from stylesplat.figures.best_views import (
     survey_view,
 )
 from stylesplat.figures.grid import CARD, GRID_CELL, Row, add_legend, draw_grid, wrap_cells
-from stylesplat.figures.pictures import label_colors, render_pictures, to_uint8
+from stylesplat.figures.pictures import label_colors, render_picture, to_uint8
 from stylesplat.imaging.similarity import psnr
 from stylesplat.io.captures.capture_folder import open_capture
 from stylesplat.io.captures.photos import PHOTO_OPAQUE
@@ -191,7 +191,7 @@ def before_after(
     if not found:
         return None
     camera = scene.cameras[most_detailed(base, scene.cameras, found).row].at_most(SHEET_LONGEST)
-    pair = [_render(each.to(base.device), camera) for each in (base, scene.splats)]
+    pair = [render_picture(each.to(base.device), camera) for each in (base, scene.splats)]
     return camera.names[0], draw_grid([Row([*zip(pair, ("before", "after"), strict=True)])])
 
 
@@ -225,7 +225,7 @@ def beside_photo(
 @torch.no_grad()
 def one_view(scene: Scene, name: str, *, device: str = "auto") -> UInt8[Tensor, "H W 3"]:
     camera = scene.cameras[scene.cameras.index(name)].at_most(SHEET_LONGEST)
-    return _render(scene.splats.to(pick_device(device)), camera)
+    return render_picture(scene.splats.to(pick_device(device)), camera)
 
 
 def _portrait(
@@ -268,10 +268,6 @@ def _panel(
     return to_uint8(panel + line * (panel.new_tensor(OUTLINE_COLOR) / 255 - panel))
 
 
-def _render(splats: Splats, camera: Cameras) -> UInt8[Tensor, "H W 3"]:
-    return next(iter(render_pictures(splats, camera)))
-
-
 def _photo_and_render(
     scene: Scene, splats: Splats, capture: Capture, name: str
 ) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W 3"]]:
@@ -287,4 +283,4 @@ def _photo_and_render(
         background = "white"
         photo = photo + (255 - alpha[..., None]).minimum(255 - photo)
     photo = photo if valid is None else photo * valid[..., None]
-    return photo, next(iter(render_pictures(splats, camera, background=background)))
+    return photo, render_picture(splats, camera, background)

@@ -16,7 +16,7 @@ from stylesplat.evaluation.photos import evaluate_views, fits_of, measured_rows
 from stylesplat.evaluation.style import measure_look, measure_style
 from stylesplat.evaluation.summary import metric_differences
 from stylesplat.figures.html_page import SceneColumn
-from stylesplat.figures.pictures import render_pictures
+from stylesplat.figures.pictures import render_picture
 from stylesplat.imaging.similarity import ssim
 from stylesplat.options import check_arguments, with_settings
 from stylesplat.progress import say
@@ -112,8 +112,8 @@ def compare(
             notes.append(f"{name} is painted, and its photos are not: paint counts as error.")
         cameras = scene.cameras[[*map(scene.cameras.names.index, names)]]
         splats = scene.splats.to(pick_device(device))
-        each = (render_pictures(splats, camera.at_most(EVALUATE_LONGEST)) for camera in cameras)
-        pictures = tuple(picture for (picture,) in each)
+        small = (camera.at_most(EVALUATE_LONGEST) for camera in cameras)
+        pictures = tuple(render_picture(splats, camera) for camera in small)
         base = found[0] if found else None
         differences = metric_differences(metrics, base.metrics if base else metrics)
         from_first = picture_differences(pictures, base.pictures if base else pictures)

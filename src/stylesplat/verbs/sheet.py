@@ -5,21 +5,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, count_noun, noun_repr
 from stylesplat.figures.best_views import close_up
 from stylesplat.figures.grid import GridPicture, Row, draw_grid
-from stylesplat.figures.pictures import to_uint8
+from stylesplat.figures.pictures import render_picture, to_uint8
 from stylesplat.io.style_pictures import Picture
 from stylesplat.options import check_arguments
 from stylesplat.progress import track
-from stylesplat.rendering.render import pick_device, render
-from stylesplat.scene.cameras import Cameras
+from stylesplat.rendering.render import pick_device
 from stylesplat.scene.scene import Scene
-from stylesplat.scene.splats import Splats
 from stylesplat.selection.resolve import find_object
 from stylesplat.stylization.config import Network
 from stylesplat.stylization.painting import Painting, check_paintings
@@ -109,7 +106,7 @@ def sheet(
         painted = stylize(bare, {name: style}, **how)
         for row, column, intensity in places:
             blended = painted.with_strengths({name: intensity}).splats
-            pictures[row, column] = _picture(blended.to(splats.device), camera)
+            pictures[row, column] = render_picture(blended.to(splats.device), camera)
     rows, last = list[Row](), ()
     for row, (label, cells) in enumerate(grid):
         captioned = [
@@ -119,7 +116,7 @@ def sheet(
         own = cells[0][1].pictures
         is_new = [*map(id, own)] != [*map(id, last)]  # style pictures lead where they change
         leading = [to_uint8(image) for image in Style(*own).read()] if is_new else []
-        before = None if rows else (_picture(splats, camera), "before")
+        before = None if rows else (render_picture(splats, camera), "before")
         rows.append(Row([before, *captioned], label, leading))
         last = own
     return StyleSheet(draw_grid(rows), camera.names[0], len(pictures), len(runs))
@@ -175,8 +172,3 @@ def _value_text(value: Any) -> str:
     if isinstance(value, tuple):
         return ", ".join(map(_value_text, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-@torch.no_grad()
-def _picture(splats: Splats, camera: Cameras) -> GridPicture:
-    return to_uint8(render(splats, camera)[0]).cpu()
