@@ -100,13 +100,12 @@ class Layer:
     layers of earlier versions."""
 
     def __repr__(self) -> str:
-        pictures = join_names(each.path.name if each.path else "a picture" for each in self.styles)
-        if self.kind != "paint":
-            shown = f"strength {self.strength:g}" if self.visible else "hidden"
-            return noun_repr(self, self.name, count_noun(len(self.rows), "Gaussian"), shown)
         gaussians = count_noun(len(self.rows), "Gaussian")
-        new = f"{len(self.surfels):,} new" if len(self.surfels) else None
         shown = f"strength {self.strength:g}" if self.visible else "hidden"
+        if self.kind != "paint":
+            return noun_repr(self, self.name, gaussians, shown)
+        pictures = join_names(each.path.name if each.path else "a picture" for each in self.styles)
+        new = f"{len(self.surfels):,} new" if len(self.surfels) else None
         return noun_repr(
             self, f"{self.object} like {pictures}", gaussians, new, shown, self.features
         )
