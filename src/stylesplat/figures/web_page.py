@@ -24,7 +24,7 @@ from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.io.atomic import atomic_path, refuse_file
 from stylesplat.io.splats.packing import PACKED_LARGEST, kmeans, morton_order, smallest_three
 from stylesplat.io.splats.splat_files import say_left_out
-from stylesplat.io.splats.splat_ply import needed_degree, of_degree
+from stylesplat.io.splats.splat_ply import MAX_DEGREE, needed_degree, of_degree
 from stylesplat.progress import track
 from stylesplat.rendering.reference import MIN_ALPHA
 from stylesplat.scene.cameras import Cameras
@@ -163,7 +163,6 @@ def _rounded(values: Tensor, low: float, high: float) -> Column:
 
 WEB_PARTS = Path(__file__).with_name("viewer_page")
 WEB_SUFFIX = ".html"
-WEB_MAX_DEGREE = 3
 MODULAR = re.compile(r"^(import .*\n|export )", re.MULTILINE)  # needless in one script
 CODE = ("unpack.js", "sort.js", "draw.js", "camera.js", "hands.js", "main.js")
 
@@ -172,8 +171,8 @@ def write_page(
     what: Scene | Splats, path: Path, *, overwrite: bool = False, sh_degree: int | None = None
 ) -> None:
     """Write the page of `page_of`, called like its file."""
-    degree = WEB_MAX_DEGREE if sh_degree is None else sh_degree
-    check_choice(degree, "degree of colour", range(WEB_MAX_DEGREE + 1))
+    degree = MAX_DEGREE if sh_degree is None else sh_degree
+    check_choice(degree, "degree of colour", range(MAX_DEGREE + 1))
     refuse_file(path, overwrite=overwrite)
     page = page_of(what, title=path.stem, sh_degree=degree)
     with atomic_path(path) as temporary:
@@ -181,7 +180,7 @@ def write_page(
     say_left_out(what.splats if isinstance(what, Scene) else what, path)
 
 
-def page_of(what: Scene | Splats, *, title: str, sh_degree: int = WEB_MAX_DEGREE) -> str:
+def page_of(what: Scene | Splats, *, title: str, sh_degree: int = MAX_DEGREE) -> str:
     """A page that shows splats, from the first photo or from where all is in sight.
 
     Of a scene that is painted, a handle lies between before and after; buttons bring each object

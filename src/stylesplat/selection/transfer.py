@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.splats.splat_ply import of_degree
+from stylesplat.io.splats.splat_ply import MAX_DEGREE, of_degree
 from stylesplat.photo_libraries import cv2
 from stylesplat.progress import say
 from stylesplat.scene.capture import BACKGROUND
@@ -20,7 +20,6 @@ from stylesplat.scene.objects import SceneObject
 from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 
-DEGREE = 3  # of the splats of scenes
 # Largest differences between two Gaussians that may be the same; rounding of formats is smaller
 TRANSFER_NEAR = 0.002  # of the splat's extent, for positions
 TRANSFER_SIZES = 0.35  # for logarithms of standard deviations
@@ -45,7 +44,7 @@ def transfer_annotations(splats: Splats, scene: Scene, *, name: str = "The splat
     Its metrics are `gaussians`, `matched`, `new_gaussians`, `lost_gaussians` and `moved`: empty, or
     the number of `gaussians`, the `scale` and the `degrees` of the motion.
     """
-    splats = in_frame_of(of_degree(splats.to("cpu"), DEGREE), scene.world_offset)
+    splats = in_frame_of(of_degree(splats.to("cpu"), MAX_DEGREE), scene.world_offset)
     frame, rows = match_gaussians(splats, scene.splats)
     here = rows >= 0
     if int(here.sum()) < min(TRANSFER_LEAST, len(splats)):
@@ -212,8 +211,8 @@ def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M
     layers, order, end = list[Layer](), [mine], len(known)
     for layer in scene.layers:
         covered[layer.rows] = True
-        paint = of_degree(replace(known[layer.rows], sh0=layer.sh0, shN=layer.shN), DEGREE)
-        surfels = move_splats(of_degree(layer.surfels, DEGREE), frame)
+        paint = of_degree(replace(known[layer.rows], sh0=layer.sh0, shN=layer.shN), MAX_DEGREE)
+        surfels = move_splats(of_degree(layer.surfels, MAX_DEGREE), frame)
         layer = replace(layer, shN=move_splats(paint, frame).shN, surfels=surfels)
         part = layer_subset(layer, places)
         if layer.is_shown:
@@ -228,7 +227,7 @@ def _with_layers(scene: Scene, found: Scene, frame: Frame, rows: Int[Tensor, " M
     if not layers:
         return found
     hidden = (covered[base_rows.clamp(min=0)] & (base_rows >= 0)).nonzero()[:, 0]
-    before = of_degree(move_splats(known[base_rows[hidden]], frame), DEGREE)
+    before = of_degree(move_splats(known[base_rows[hidden]], frame), MAX_DEGREE)
     looks = {n: getattr(before, n) for n in ("sh0", "shN", "opacities")}
     base = found.base[mine].with_rows(hidden, looks)
     painted = replace(found, base=base, layers=tuple(layers))

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from stylesplat.errors import join_names
 from stylesplat.io.files import reason
-from stylesplat.io.splats.splat_ply import BANDS
+from stylesplat.io.splats.splat_ply import BANDS, MAX_DEGREE
 from stylesplat.io.tensors import GAUSSIANS, check_form
 from stylesplat.progress import say
 from stylesplat.scene.splats import Splats, sh0_from_rgb, sh_bases
@@ -98,7 +98,7 @@ def _checked(found: Mapping[str, Any]) -> Splats:
     degree = math.isqrt(sizes["bands"] + 1) - 1
     if sh_bases(degree) != sizes["bands"] + 1:
         raise ValueError(f"its {sizes['bands']} higher bands of colour fit no degree")
-    if degree >= len(BANDS):
+    if degree > MAX_DEGREE:
         say(f"Its colours are of degree {degree}: the bands above 3 are left out.")
     tensors = {name: found[name].detach().float() for name in GAUSSIANS}
     tensors["shN"] = tensors["shN"][:, : BANDS[-1]]

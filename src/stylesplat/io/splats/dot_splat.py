@@ -18,7 +18,7 @@ from torch import Tensor
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.packing import PACKED_SMALLEST, to_bytes, to_floats, unit_quats
-from stylesplat.io.splats.splat_ply import BANDS, of_degree
+from stylesplat.io.splats.splat_ply import MAX_DEGREE, of_degree
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 
 DOT_SPLAT_ROW = np.dtype(
@@ -111,7 +111,7 @@ def _read_section(
 ) -> tuple[Splats, int]:
     """The splats of the section that starts there, and where the next one does."""
     count, bucket_size, buckets, block, storage, half, full, partial, degree = section
-    if degree >= len(BANDS):
+    if degree > MAX_DEGREE:
         raise ValueError(f"it has colours of degree {degree}, not 0 to 3")
     place, size, band = DOT_SPLAT_LEVELS[level]
     dtype = np.dtype(

@@ -38,7 +38,7 @@ from stylesplat.io.splats.packing import (
     to_bytes,
     tree_kmeans,
 )
-from stylesplat.io.splats.splat_ply import BANDS, of_degree, refuse_faulty
+from stylesplat.io.splats.splat_ply import BANDS, MAX_DEGREE, of_degree, refuse_faulty
 from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 
@@ -267,7 +267,7 @@ def _palette(
     if palette.bands != degree and palette.codebook is not None:
         told = "names no bands" if palette.bands is None else f"names {palette.bands} bands"
         say(f"{path} {told} of colour, but its palette has {degree}: these are read.")
-    if degree >= len(BANDS):
+    if degree > MAX_DEGREE:
         say(f"{path} has colours of degree {degree}: the bands above 3 are left out.")
     bad = int((labels >= count).sum())
     if bad:

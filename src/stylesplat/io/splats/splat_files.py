@@ -48,6 +48,7 @@ from stylesplat.io.splats.gltf_file import GLB_MAGIC as GLB
 from stylesplat.io.splats.packing import PACKED_SMALLEST, morton_order
 from stylesplat.io.splats.sog import ZIP, read_sog, read_streamed_sog, write_sog
 from stylesplat.io.splats.splat_ply import (
+    MAX_DEGREE,
     SMALLEST_QUAT,
     needed_degree,
     of_degree,
@@ -295,7 +296,6 @@ WRITERS: dict[str, Callable[[Splats, Path], None]] = {  # of all formats but pla
 }
 SPZ_INSIDE = {".glb": write_glb, ".gltf": write_gltf}  # if a version of SPZ is asked for
 UNMARKED = (".splat", ".glb", ".gltf", *USD)  # formats without a place for the anti-aliasing mark
-DRAWABLE_DEGREE = 3
 WITH_OFFSET = (".ply", ".glb", ".gltf", *USD)  # formats that hold coordinates in 64 bits
 
 
@@ -402,7 +402,7 @@ def write_splats(
             f"Use .ply, {', '.join(WRITERS)}, or .html for a page."
         )
     if sh_degree is not None:
-        check_choice(sh_degree, "degree of colour", range(DRAWABLE_DEGREE + 1))
+        check_choice(sh_degree, "degree of colour", range(MAX_DEGREE + 1))
     if suffix == ".splat" and sh_degree:
         raise StyleSplatError(
             f"Cannot export to {path}: a .splat has one colour per Gaussian, which is degree 0. "
@@ -423,7 +423,7 @@ def write_splats(
         refuse_file(path)
     splats = splats.detach().to("cpu")
     if sh_degree is None:
-        sh_degree = DRAWABLE_DEGREE if suffix == ".ply" else needed_degree(splats)
+        sh_degree = MAX_DEGREE if suffix == ".ply" else needed_degree(splats)
     splats = of_degree(splats, sh_degree)
     if splats.antialiased and suffix in UNMARKED and spz_version is None:
         say(

@@ -21,6 +21,7 @@ from stylesplat.scene.world_offset import ORIGIN, to_world
 
 FULL_BANDS = 15  # higher bands of spherical harmonics at degree 3
 BANDS = (0, 3, 8, FULL_BANDS)  # at each degree
+MAX_DEGREE = len(BANDS) - 1
 MEANS, NORMALS = ("x", "y", "z"), ("nx", "ny", "nz")  # normals are 0; some viewers count on them
 SH0, SCALES = (tuple(f"{name}_{i}" for i in range(3)) for name in ("f_dc", "scale"))
 OPACITY, QUATS = ("opacity",), tuple(f"rot_{i}" for i in range(4))

@@ -22,7 +22,7 @@ from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.compressed_ply import to_gsply
 from stylesplat.io.splats.packing import PACKED_LARGEST, PACKED_NEAR, from_smallest_three, to_floats
-from stylesplat.io.splats.splat_ply import BANDS
+from stylesplat.io.splats.splat_ply import BANDS, MAX_DEGREE
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats
@@ -84,7 +84,7 @@ def read_spz(path: Path | str) -> Splats:
 def unpack_spz(content: bytes, path: Path | str) -> tuple[Splats, str]:
     """The splats of an SPZ file's content, and their axes; `path` is for messages."""
     header, streams, records = _sections(content)
-    count, degree = header.rows, min(header.degree, len(BANDS) - 1)
+    count, degree = header.rows, min(header.degree, MAX_DEGREE)
     places, alphas, colors, sizes, turns, bands = (
         np.frombuffer(stream, np.uint8).reshape(count, width)
         for stream, width in zip(streams, header.widths, strict=True)

@@ -24,7 +24,7 @@ from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.packing import PACKED_SMALLEST, logits, unit_quats
-from stylesplat.io.splats.splat_ply import BANDS, THICKNESS_2D, of_degree, refuse_faulty
+from stylesplat.io.splats.splat_ply import MAX_DEGREE, THICKNESS_2D, of_degree, refuse_faulty
 from stylesplat.progress import say
 from stylesplat.scene.frames import move_splats, similarity_frame
 from stylesplat.scene.splats import Splats, sh_bases
@@ -202,10 +202,10 @@ def _harmonics(prim: Any, count: int, path: Path, time: Any) -> Float[Tensor, "N
     if found is None or not 0 <= degree or len(found) < count * sh_bases(degree):
         say(f"{path} has no colours for each of {prim.GetPath()}: they are grey.")
         return torch.zeros(count, 1, 3)
-    if degree >= len(BANDS):
+    if degree > MAX_DEGREE:
         say(f"{path} has colours of degree {degree}: the bands above 3 are left out.")
     bands = found[: count * sh_bases(degree)].reshape(count, sh_bases(degree), 3)
-    return bands[:, : sh_bases(len(BANDS) - 1)]
+    return bands[:, : sh_bases(MAX_DEGREE)]
 
 
 def _color_space(prim: Any) -> str:
