@@ -180,7 +180,8 @@ def _placed_splats(gltf: Gltf) -> Iterator[tuple[Primitive, Frame | None]]:
             raise ValueError(f"{fault}. Export it with {SPLATTING} alone, or as .ply or .spz")
         raise ValueError(f"it holds no splats, but an ordinary model (no mesh has {SPLATTING})")
     for primitive, matrix in shown:
-        yield primitive, _frame(matrix)
+        pose = HALF_TURN @ matrix[:3, :3], HALF_TURN @ matrix[:3, 3]
+        yield primitive, similarity_frame(*pose, "a node")
 
 
 def _shown(gltf: Gltf) -> Iterator[tuple[Primitive, Float[np.ndarray, "4 4"]]]:
@@ -219,11 +220,6 @@ def matrix_of(node: Node) -> Float[np.ndarray, "4 4"]:
     matrix[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
     matrix[:3, 3] = node.translation
     return matrix
-
-
-def _frame(matrix: Float[np.ndarray, "4 4"]) -> Frame | None:
-    """A transform to glTF's world as one to ours; None for the identity."""
-    return similarity_frame(HALF_TURN @ matrix[:3, :3], HALF_TURN @ matrix[:3, 3], "a node")
 
 
 def write_glb(splats: Splats, path: Path | str, *, spz: bool = False) -> None:
