@@ -19,7 +19,7 @@ from stylesplat.io.models.model import PaintedPart, Part, Unwrapped, base_colors
 from stylesplat.io.splats.gltf import HALF_TURN
 from stylesplat.meshes.rasterize import NOTHING, draw_triangles
 from stylesplat.meshes.repaint import repaint
-from stylesplat.meshes.surface import face_areas, mesh_views
+from stylesplat.meshes.surface import face_areas, face_normals, mesh_views
 from stylesplat.meshes.texture import TexturedMesh, bake, baked_length
 from stylesplat.meshes.unwrap import unwrap_faces
 from stylesplat.rendering.surface import poisson_disk_sample
@@ -102,7 +102,7 @@ def sample_discs(
         root, along = np.sqrt(random.random(count)), random.random(count)
         weights = np.stack([1 - root, root * (1 - along), root * along], axis=1)
         corners = own[part.faces[faces]]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = face_normals(own, part.faces[faces])
         points = np.einsum("mkd,mk->md", corners, weights)
         found.append((points, normals, base_colors(part, faces, weights)))
     points, normals, colors = (
@@ -207,8 +207,7 @@ def _vertex_normals(
     points: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "V 3"]:
     """The normals of the faces around each vertex, by their areas; seams of UVs are no edges."""
-    corners = points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = face_normals(points, faces)
     _, same = np.unique(points, axis=0, return_inverse=True)
     sums = np.zeros((same.max() + 1, 3))
     np.add.at(sums, same.ravel()[faces.ravel()], normals.repeat(3, axis=0))
