@@ -218,7 +218,8 @@ def sfm(
             found = pose()
         else:
             found = _pose_or_name_box(pose, prepared, turntable, (source, "-o", output))
-        frame, turns = move_to_working_frame(found.model), _is_turning(turntable, found)
+        frame = move_to_working_frame(found.model)
+        turns = turntable is not None or found.numbers["pairs_with_two_motions"] >= MANY_MOTIONS
         with atomic_folder(output, overwrite=overwrite, marker=SFM_FILE) as new:
             write_colmap(found.model, found.photos, new)
             record = _record(source, digest, prepared, found, frame, config, turns=turns)
@@ -309,10 +310,6 @@ def _pose_turning(
         fault = str(error)
     name = prepared.names[len(prepared.names) // 2]
     raise TurningNotPosed(fault, name, turntable.box(name))
-
-
-def _is_turning(turntable: Turntable | None, found: Reconstruction) -> bool:
-    return turntable is not None or found.numbers["pairs_with_two_motions"] >= MANY_MOTIONS
 
 
 def _drawn_on(masks: Path, prepared: PreparedPhotos) -> FoundMasks:
