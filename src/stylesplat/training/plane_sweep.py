@@ -194,7 +194,7 @@ def _confirmed(
             continue
         some = (is_in_image(points, other.camera) & ~is_same).nonzero()[:, 0]
         places, depths = project(points[some], other.camera)
-        x, y = places.long().unbind(dim=1)
+        x, y = torch.minimum(places.long(), other.camera.sizes[0].to(rows) - 1).unbind(dim=1)
         near = (other.depths[y, x] - depths).abs() < SAME_DEPTH * depths
         is_same[some] = near & other.is_found[y, x]
     return points[is_same], photo.colors.reshape(-1, 3)[rows[is_same]]

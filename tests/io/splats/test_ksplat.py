@@ -71,3 +71,8 @@ def test_a_file_that_is_cut_off(tmp_path: Path):
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(StyleSplatError, match="smaller than requested"):
         read_splats(path)
+
+
+def test_a_file_without_sections_is_refused(tmp_path: Path):
+    with pytest.raises(StyleSplatError, match="no part with Gaussians"):
+        read_splats(write_ksplat(tmp_path / "a.ksplat", [], 1, 1))

@@ -181,6 +181,8 @@ def test_a_streamed_one_whose_parts_are_not_there(tmp_path: Path):
     path = streamed(tmp_path / "gone")
     (path.parent / "1.sog").unlink()
     refused(path, "1.sog")
+    path.write_text('{"lodLevels": 0, "filenames": [], "tree": {}}')
+    refused(path, "no part with Gaussians")
 
 
 def test_the_folder_of_a_sog_is_not_taken_for_photos(files: Files, tmp_path: Path):

@@ -18,7 +18,7 @@ from torch import Tensor
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.packing import PACKED_SMALLEST, to_bytes, to_floats, unit_quats
-from stylesplat.io.splats.splat_ply import MAX_DEGREE, of_degree
+from stylesplat.io.splats.splat_ply import MAX_DEGREE, joined
 from stylesplat.scene.splats import Splats, rgb_from_sh0, sh0_from_rgb
 
 DOT_SPLAT_ROW = np.dtype(
@@ -102,8 +102,7 @@ def read_ksplat(path: Path | str) -> Splats:
     total = sum(map(len, parts))
     if total != count:
         raise ValueError(f"its sections hold {total} Gaussians instead of {count}")
-    degree = max((part.sh_degree for part in parts), default=0)
-    return Splats.cat([of_degree(part, degree) for part in parts])
+    return joined(parts)
 
 
 def _read_section(

@@ -42,7 +42,7 @@ from stylesplat.io.splats.gltf_file import (
     padded_json,
 )
 from stylesplat.io.splats.packing import PACKED_SMALLEST, logits, unit_quats
-from stylesplat.io.splats.splat_ply import BANDS, of_degree, refuse_faulty
+from stylesplat.io.splats.splat_ply import BANDS, joined, refuse_faulty
 from stylesplat.io.splats.spz import OWN_AXES, SPZ_LARGEST_RATIO, pack_spz, unpack_spz
 from stylesplat.progress import say
 from stylesplat.scene.frames import Frame, move_splats, similarity_frame
@@ -84,8 +84,7 @@ def read_gltf(path: Path | str) -> Splats:
         ratio = 1 if _spz_view(primitive) is None else SPZ_LARGEST_RATIO
         if count * GLTF_SMALLEST_ROW > gltf.size * ratio:
             raise ValueError(f"it shows {count} Gaussians, which {gltf.size} bytes cannot hold")
-    degree = max(part.sh_degree for part in parts)
-    return Splats.cat([of_degree(part, degree) for part in parts])
+    return joined(parts)
 
 
 def _splats(gltf: Gltf, primitive: Primitive) -> Splats:

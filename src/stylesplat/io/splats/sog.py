@@ -38,7 +38,7 @@ from stylesplat.io.splats.packing import (
     to_bytes,
     tree_kmeans,
 )
-from stylesplat.io.splats.splat_ply import BANDS, MAX_DEGREE, of_degree, refuse_faulty
+from stylesplat.io.splats.splat_ply import BANDS, MAX_DEGREE, joined, refuse_faulty
 from stylesplat.progress import say
 from stylesplat.scene.splats import Splats
 
@@ -178,8 +178,7 @@ def read_streamed_sog(path: Path | str) -> Splats:
         parts += [part[run.offset : run.offset + run.count] for run in runs]
     if about.environment is not None:
         parts.append(read_sog(resolve_within(path.parent, about.environment)))
-    degree = max((part.sh_degree for part in parts), default=0)
-    splats = Splats.cat([of_degree(part, degree) for part in parts])
+    splats = joined(parts)
     if len(levels) > 1:
         say(f"{path} has {len(levels)} levels of detail: the finest is read, the others are not.")
     return splats

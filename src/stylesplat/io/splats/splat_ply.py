@@ -237,6 +237,14 @@ def of_degree(splats: Splats, degree: int) -> Splats:
     return replace(splats, shN=pad_bands(splats.shN)[:, : BANDS[degree]])
 
 
+def joined(parts: Sequence[Splats]) -> Splats:
+    """Splats of any degrees as one; a ValueError if there are no parts."""
+    if not parts:
+        raise ValueError("it has no part with Gaussians")
+    degree = max(part.sh_degree for part in parts)
+    return Splats.cat([of_degree(part, degree) for part in parts])
+
+
 def needed_degree(splats: Splats) -> int:
     """The lowest degree that drops only zeros."""
     used = splats.shN.ne(0).any(dim=2).any(dim=0).nonzero()

@@ -24,7 +24,7 @@ from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.atomic import atomic_path
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.packing import PACKED_SMALLEST, logits, unit_quats
-from stylesplat.io.splats.splat_ply import MAX_DEGREE, THICKNESS_2D, of_degree, refuse_faulty
+from stylesplat.io.splats.splat_ply import MAX_DEGREE, THICKNESS_2D, joined, refuse_faulty
 from stylesplat.progress import say
 from stylesplat.scene.frames import move_splats, similarity_frame
 from stylesplat.scene.splats import Splats, sh_bases
@@ -56,8 +56,7 @@ def read_usd(path: Path | str) -> Splats:
         turn = USD_TURNS[str(pxr.UsdGeom.GetStageUpAxis(stage)).upper()]
         fields = _fields(stage, path, pxr)
         parts = [_placed(prim, kernel, turn, path, pxr) for prim, kernel in fields]
-    degree = max(part.sh_degree for part in parts)
-    return Splats.cat([of_degree(part, degree) for part in parts])
+    return joined(parts)
 
 
 def _library(path: Path) -> Any:
