@@ -190,11 +190,11 @@ def jpeg(pixels: UInt8[np.ndarray, "H W 3"], quality: int = LOOK_QUALITY) -> byt
     return content.getvalue()
 
 
-def picture_bytes(pixels: UInt8[np.ndarray, "H W 4"], form: Literal["png", "jpeg"]) -> bytes:
+def picture_bytes(pixels: UInt8[np.ndarray, "H W D"], form: Literal["png", "jpeg"]) -> bytes:
     """A picture to put into a file; alpha is left out where it hides nothing, and of JPEG."""
     if form == "jpeg":
         return jpeg(np.ascontiguousarray(pixels[..., :3]), QUALITY)
-    file, opaque = BytesIO(), pixels[..., 3].min() == WHITE
+    file, opaque = BytesIO(), pixels[..., 3:].min(initial=WHITE) == WHITE
     Image.fromarray(pixels[..., :3] if opaque else pixels).save(
         file, "png", compress_level=PNG_LEVEL
     )

@@ -1,22 +1,21 @@
 """Textured meshes as files: glTF in one file (`.glb`), or Wavefront OBJ with its material."""
 
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.atomic import atomic_path, refuse_file
+from stylesplat.io.images import picture_bytes
 from stylesplat.io.splats.gltf import HALF_TURN, VERTICES, half_turned_node
-from stylesplat.io.splats.gltf_file import GL_FLOAT, GLB_VERSION, glb_head, padded_json
+from stylesplat.io.splats.gltf_file import GL_FLOAT, GL_UINT32, GLB_VERSION, glb_head, padded_json
 from stylesplat.meshes.texture import TexturedMesh
 from stylesplat.scene.world_offset import ORIGIN, Offset
 
 SUFFIXES = (".glb", ".obj")
 UNLIT = "KHR_materials_unlit"
-INDICES, INTEGERS = 34963, 5125  # the target of a view that holds indices; uint32
+INDICES = 34963  # the target of a view that holds indices
 LINEAR, MIPMAPS = 9729, 9987  # filters of a texture: between texels, between its sizes
 WORLD_DIGITS = 13  # millionths of millions
 MATERIAL = "newmtl paint\nKd 1 1 1\nillum 0\nmap_Kd {}\n"  # illum 0: colours without light
@@ -52,10 +51,7 @@ def _beside(path: Path) -> tuple[Path, ...]:
 
 
 def _png(mesh: TexturedMesh) -> bytes:
-    file = BytesIO()
-    colors = np.rint(mesh.texture.clip(0, 1) * 255).astype(np.uint8)
-    Image.fromarray(colors).save(file, "png", compress_level=4)
-    return file.getvalue()
+    return picture_bytes(np.rint(mesh.texture.clip(0, 1) * 255).astype(np.uint8), "png")
 
 
 def _obj(mesh: TexturedMesh, material: str, offset: Offset) -> str:
@@ -85,7 +81,7 @@ def _glb(mesh: TexturedMesh, offset: Offset) -> bytes:
     accessors = [
         {
             "bufferView": number,
-            "componentType": INTEGERS if kind == "SCALAR" else GL_FLOAT,
+            "componentType": GL_UINT32 if kind == "SCALAR" else GL_FLOAT,
             "count": len(array),
             "type": kind,
         }

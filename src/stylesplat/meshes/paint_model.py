@@ -101,10 +101,9 @@ def sample_discs(
         faces = random.choice(len(each), count, p=each / each.sum())
         root, along = np.sqrt(random.random(count)), random.random(count)
         weights = np.stack([1 - root, root * (1 - along), root * along], axis=1)
-        corners = own[part.faces[faces]]
-        normals = face_normals(own, part.faces[faces])
-        points = np.einsum("mkd,mk->md", corners, weights)
-        found.append((points, normals, base_colors(part, faces, weights)))
+        rows = part.faces[faces]
+        points = np.einsum("mkd,mk->md", own[rows], weights)
+        found.append((points, face_normals(own, rows), base_colors(part, faces, weights)))
     points, normals, colors = (
         torch.from_numpy(np.concatenate(each)).float() for each in zip(*found, strict=True)
     )
@@ -207,10 +206,9 @@ def _vertex_normals(
     points: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "V 3"]:
     """The normals of the faces around each vertex, by their areas; seams of UVs are no edges."""
-    normals = face_normals(points, faces)
     _, same = np.unique(points, axis=0, return_inverse=True)
     sums = np.zeros((same.max() + 1, 3))
-    np.add.at(sums, same.ravel()[faces.ravel()], normals.repeat(3, axis=0))
+    np.add.at(sums, same.ravel()[faces.ravel()], face_normals(points, faces).repeat(3, axis=0))
     found = sums[same.ravel()]
     return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-20)
 

@@ -110,3 +110,36 @@ def pixel_of(matrix, x, y, z):
     u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / w
     v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w
     return u, v, w
+
+
+@no_type_check
+@inner
+def facing(normals, n, position, x, y, z):
+    """The cosine between a normal and the ray from its point to a camera."""
+    dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
+    along = dx * normals[n, 0] + dy * normals[n, 1] + dz * normals[n, 2]
+    return along / np.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@no_type_check
+@inner
+def interpolated(image, depths, least, u, v, w):
+    """The last channel and the three others of an image between pixels, of those of more depth.
+
+    All are 0 at places outside the image.
+    """
+    height, width = depths.shape
+    u, v = u - 0.5, v - 0.5
+    share, red, green, blue = 0.0, 0.0, 0.0, 0.0
+    if w > 0 and u >= 0 and v >= 0 and u < width - 1 and v < height - 1:
+        column, row = int(u), int(v)
+        right, down = u - column, v - row
+        for i in range(2):
+            for j in range(2):
+                if depths[row + i, column + j] > least:
+                    part = (down if i == 1 else 1 - down) * (right if j == 1 else 1 - right)
+                    share += part * image[row + i, column + j, 3]
+                    red += part * image[row + i, column + j, 0]
+                    green += part * image[row + i, column + j, 1]
+                    blue += part * image[row + i, column + j, 2]
+    return share, red, green, blue

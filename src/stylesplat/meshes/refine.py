@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numba import prange
 from scipy.sparse import csr_array, diags_array
 
-from stylesplat.meshes.rasterize import draw_mesh, pixel_of, projection_of
+from stylesplat.meshes.rasterize import draw_mesh, facing, interpolated, pixel_of, projection_of
 from stylesplat.meshes.surface import FusedSurface, MeshViews, face_normals, vertex_normals
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.render import render
@@ -175,9 +175,7 @@ def _collect(points, directions, offsets, image, matrix, position, depths, margi
         u, v, w = pixel_of(matrix, x, y, z)
         if not (w > 0 and u >= 0 and v >= 0 and u < width and v < height):
             continue
-        dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
-        along = dx * directions[n, 0] + dy * directions[n, 1] + dz * directions[n, 2]
-        cosine = along / np.sqrt(dx * dx + dy * dy + dz * dz)
+        cosine = facing(directions, n, position, x, y, z)
         if cosine < REFINE_LEAST_COSINE or depths[int(v), int(u)] < w - margin:
             continue
         for k in range(offsets.shape[0]):
@@ -185,19 +183,7 @@ def _collect(points, directions, offsets, image, matrix, position, depths, margi
             y = points[n, 1] + offsets[k] * directions[n, 1]
             z = points[n, 2] + offsets[k] * directions[n, 2]
             u, v, w = pixel_of(matrix, x, y, z)
-            u, v = u - 0.5, v - 0.5
-            if not (w > 0 and u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
-                continue
-            column, row = int(u), int(v)
-            right, down = u - column, v - row
-            share, red, green, blue = 0.0, 0.0, 0.0, 0.0
-            for i in range(2):
-                for j in range(2):
-                    part = (down if i == 1 else 1 - down) * (right if j == 1 else 1 - right)
-                    share += part * image[row + i, column + j, 3]
-                    red += part * image[row + i, column + j, 0]
-                    green += part * image[row + i, column + j, 1]
-                    blue += part * image[row + i, column + j, 2]
+            share, red, green, blue = interpolated(image, depths, -np.inf, u, v, w)
             if share < REFINE_OPAQUE:
                 continue
             sums[k, n, 0] += cosine * red
@@ -220,14 +206,13 @@ def _add_gaps(points, normals, shown, matrix, position, focal, depths, margin, s
         u, v, w = pixel_of(matrix, x, y, z)
         if not (w > 0 and u >= 0 and v >= 0 and u < width and v < height):
             continue
-        nx, ny, nz = normals[n, 0], normals[n, 1], normals[n, 2]
-        dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
-        cosine = (dx * nx + dy * ny + dz * nz) / np.sqrt(dx * dx + dy * dy + dz * dz)
+        cosine = facing(normals, n, position, x, y, z)
         if cosine < -REFINE_LEAST_COSINE or depths[int(v), int(u)] < w - margin:
             continue
         if cosine > REFINE_LEAST_COSINE:
             sums[n, 2] += cosine
             continue
+        nx, ny, nz = normals[n, 0], normals[n, 1], normals[n, 2]
         pixel = w / focal
         right, down, _ = pixel_of(matrix, x + pixel * nx, y + pixel * ny, z + pixel * nz)
         length = np.sqrt((right - u) ** 2 + (down - v) ** 2)

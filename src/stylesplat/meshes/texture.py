@@ -15,6 +15,8 @@ from stylesplat.meshes.rasterize import (
     NOTHING,
     draw_mesh,
     draw_triangles,
+    facing,
+    interpolated,
     pixel_of,
     projection_of,
 )
@@ -108,9 +110,10 @@ def bake(mesh: TexturedMesh, splats: Splats, views: MeshViews) -> TexturedMesh:
 
     def look(row: int) -> tuple[int, np.ndarray, np.ndarray]:
         image, covered = render(splats, views.cameras[row])
-        colors = (image / covered.clamp(min=TINY_COVERAGE)).clamp(0, 1)
+        solid = (covered > TEXTURE_SOLID).float()
+        colors = (image / covered.clamp(min=TINY_COVERAGE)).clamp(0, 1) * solid
         depths = draw_mesh(mesh.vertices, mesh.faces, views.cameras[row]).depths
-        return row, torch.cat([colors, (covered > TEXTURE_SOLID).float()], dim=2).numpy(), depths
+        return row, torch.cat([colors, solid], dim=2).numpy(), depths
 
     for row, image, depths in per_view(look, range(len(views.cameras)), "rendering the texture"):
         camera = views.cameras[row]
@@ -143,31 +146,13 @@ def _filled(
 @kernel
 def _gather(points, normals, image, matrix, position, depths, margin, sums):
     """Add to `sums` what an image shows of texels, and its weight."""
-    height, width = depths.shape
     for n in prange(points.shape[0]):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         u, v, w = pixel_of(matrix, x, y, z)
-        u, v = u - 0.5, v - 0.5
-        if not (w > 0 and u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
-            continue
-        dx, dy, dz = position[0] - x, position[1] - y, position[2] - z
-        cosine = (dx * normals[n, 0] + dy * normals[n, 1] + dz * normals[n, 2]) / np.sqrt(
-            dx * dx + dy * dy + dz * dz
-        )
+        cosine = facing(normals, n, position, x, y, z)
         if cosine < TEXTURE_LEAST_COSINE:
             continue
-        column, row = int(u), int(v)
-        right, down = u - column, v - row
-        share, red, green, blue = 0.0, 0.0, 0.0, 0.0
-        for i in range(2):
-            for j in range(2):
-                part = (down if i == 1 else 1 - down) * (right if j == 1 else 1 - right)
-                if depths[row + i, column + j] > w - margin:
-                    part *= image[row + i, column + j, 3]
-                    share += part
-                    red += part * image[row + i, column + j, 0]
-                    green += part * image[row + i, column + j, 1]
-                    blue += part * image[row + i, column + j, 2]
+        share, red, green, blue = interpolated(image, depths, w - margin, u, v, w)
         if share < 0.5:
             continue
         factor = cosine**SHARP
