@@ -13,7 +13,7 @@ from PIL import Image
 
 import stylesplat as ss
 from glb_models import png, write_model_glb
-from scenes import glb_of, glb_parts, random_splats
+from scenes import changed_glb, glb_of, glb_parts, random_splats
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.models.model import base_colors, displayed
 from stylesplat.io.models.model_files import read_model, write_model
@@ -138,6 +138,16 @@ def corners(path: Path, name: str, *, target: bool = False) -> np.ndarray:
     if "indices" not in primitive:
         return rows
     return rows[gltf.stored(primitive["indices"], "indices")[:, 0]]
+
+
+def test_a_glb_without_scenes_shows_all_that_no_node_holds(tmp_path: Path):
+    path = write_model_glb(tmp_path)
+    before = read_model(path).parts
+    changed_glb(path, lambda d: d["nodes"].append({"name": "both", "children": [0, 1]}))
+    changed_glb(path, lambda d: [d.pop(name) for name in ("scene", "scenes")])
+    for found, part in zip(read_model(path).parts, before, strict=True):
+        assert found.names == ("both", *part.names)
+        assert np.array_equal(found.vertices, part.vertices)
 
 
 def test_bones_and_morphs_follow_vertices_that_are_split(tmp_path: Path):

@@ -5,7 +5,7 @@ follow the bytes that the file had, which stay, too.
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,17 +16,16 @@ from jaxtyping import Float, Int, Shaped, UInt8
 
 from stylesplat.io.images import decode_embedded, picture_bytes
 from stylesplat.io.models.model import Model, PaintedPart, Part
-from stylesplat.io.splats.gltf import matrix_of
 from stylesplat.io.splats.gltf_file import (
     GL_FLOAT,
     GL_UINT32,
     GLB_KINDS,
     SPLATTING,
     Gltf,
-    Node,
     glb_head,
     padded_json,
     parse_gltf,
+    placed_nodes,
     split_glb,
 )
 
@@ -64,9 +63,10 @@ def parse_glb(path: Path, content: bytes) -> Model:
     if binary is None or "uri" in document["buffers"][0]:
         raise ValueError("its numbers lie outside it. Export it as one .glb")
     names, places = dict[int, tuple[str, ...]](), dict[int, Float[np.ndarray, "4 4"]]()
-    for mesh, place, above in _shown(document):
-        places.setdefault(mesh, place)
-        names[mesh] = names.get(mesh, ()) + above
+    for node, place, own in placed_nodes(gltf.document):
+        if node.mesh is not None:  # a skin places its mesh, whatever the node does
+            places.setdefault(node.mesh, place if node.skin is None else np.eye(4))
+            names[node.mesh] = names.get(node.mesh, ()) + own
     parts = [
         _part(gltf, document, (mesh, row), place, names[mesh])
         for mesh, place in places.items()
@@ -74,26 +74,6 @@ def parse_glb(path: Path, content: bytes) -> Model:
         if primitive.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN)
     ]
     return Model(parts, GlbContent(gltf, text, bytes(rest)))
-
-
-def _shown(document: Json) -> Iterator[tuple[int, Float[np.ndarray, "4 4"], tuple[str, ...]]]:
-    """The meshes of the default scene, their places, and the names of the nodes above them."""
-    nodes = document.get("nodes", [])
-    scenes = document.get("scenes") or [{"nodes": [*range(len(nodes))]}]
-    roots = scenes[min(document.get("scene", 0), len(scenes) - 1)].get("nodes", [])
-    stack, visited = [(root, np.eye(4), ()) for root in reversed(roots)], set[int]()
-    while stack:
-        index, above, names = stack.pop()
-        if index in visited:
-            raise ValueError(f"its nodes are no tree (at node {index})")
-        visited.add(index)
-        node = nodes[index]
-        keys = ("matrix", "translation", "rotation", "scale")
-        matrix = above @ matrix_of(Node(**{key: node[key] for key in keys if key in node}))
-        own = (*names, *([node["name"]] if node.get("name") else []))
-        if "mesh" in node:  # a skin places its mesh, whatever the node does
-            yield node["mesh"], (np.eye(4) if "skin" in node else matrix), own
-        stack += [(child, matrix, own) for child in reversed(node.get("children", []))]
 
 
 def _part(

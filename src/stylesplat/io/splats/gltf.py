@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float, Shaped
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, shorten
@@ -31,7 +30,6 @@ from stylesplat.io.splats.gltf_file import (
     SHORT,
     SPLATTING,
     Gltf,
-    Node,
     Primitive,
     Splatting,
     attribute,
@@ -40,6 +38,7 @@ from stylesplat.io.splats.gltf_file import (
     harmonics,
     open_gltf,
     padded_json,
+    placed_nodes,
 )
 from stylesplat.io.splats.packing import PACKED_SMALLEST, logits, unit_quats
 from stylesplat.io.splats.splat_ply import BANDS, joined, refuse_faulty
@@ -169,8 +168,15 @@ def _placed_splats(gltf: Gltf) -> Iterator[tuple[Primitive, Frame | None]]:
 
     If no node of the scene shows splats, all splats of the file count, without a transform.
     """
-    meshes = range(len(gltf.document.meshes))
-    shown = [*_shown(gltf)] or [(p, np.eye(4)) for mesh in meshes for p in _primitives(gltf, mesh)]
+    shown = [
+        (each, matrix)
+        for node, matrix, _ in placed_nodes(gltf.document)
+        if node.mesh is not None
+        for each in _primitives(gltf, node.mesh)
+    ]
+    if not shown:
+        meshes = range(len(gltf.document.meshes))
+        shown = [(each, np.eye(4)) for mesh in meshes for each in _primitives(gltf, mesh)]
     if not shown:
         names = gltf.document.extensions_used
         other = next((name for name in names if "splat" in name and name != SPLATTING), None)
@@ -183,42 +189,11 @@ def _placed_splats(gltf: Gltf) -> Iterator[tuple[Primitive, Frame | None]]:
         yield primitive, similarity_frame(*pose, "a node")
 
 
-def _shown(gltf: Gltf) -> Iterator[tuple[Primitive, Float[np.ndarray, "4 4"]]]:
-    """The splats that the scene shows, with their transforms to glTF's world."""
-    document, visited = gltf.document, set[int]()
-    if document.scenes:
-        roots = document.scenes[min(document.scene, len(document.scenes) - 1)].nodes
-    else:
-        children = {child for node in document.nodes for child in node.children}
-        roots = [index for index in range(len(document.nodes)) if index not in children]
-    stack = [(root, np.eye(4)) for root in reversed(roots)]
-    while stack:
-        index, above = stack.pop()
-        if index in visited or index >= len(document.nodes):
-            raise ValueError(f"its nodes are no tree (at node {index} of {len(document.nodes)})")
-        visited.add(index)
-        node = document.nodes[index]
-        matrix = above @ matrix_of(node)
-        if node.mesh is not None:
-            yield from ((each, matrix) for each in _primitives(gltf, node.mesh))
-        stack += [(child, matrix) for child in reversed(node.children)]
-
-
 def _primitives(gltf: Gltf, mesh: int) -> list[Primitive]:
     meshes = gltf.document.meshes
     if mesh >= len(meshes):
         raise ValueError(f"a node shows mesh {mesh} of {len(meshes)}")
     return [each for each in meshes[mesh].primitives if each.extensions.splatting is not None]
-
-
-def matrix_of(node: Node) -> Float[np.ndarray, "4 4"]:
-    """The transform of a node to that above it."""
-    if node.matrix is not None:
-        return np.array(node.matrix).reshape(4, 4).T  # column-major
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
-    matrix[:3, 3] = node.translation
-    return matrix
 
 
 def write_glb(splats: Splats, path: Path | str, *, spz: bool = False) -> None:

@@ -9,6 +9,7 @@ import base64
 import json
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -18,6 +19,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Shaped
 from msgspec import Meta, Struct
+from scipy.spatial.transform import Rotation
 
 from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.files import read_bytes, resolve_within
@@ -120,7 +122,9 @@ class Mesh(_Part, frozen=True):
 
 
 class Node(_Part, frozen=True):
+    name: Any = None
     mesh: Natural | None = None
+    skin: Any = None
     children: list[Natural] = []
     matrix: Annotated[list[float], Meta(min_length=16, max_length=16)] | None = None
     translation: Three = (0.0, 0.0, 0.0)
@@ -244,6 +248,38 @@ def _part(parts: list[T], index: int, name: str) -> T:
     if index >= len(parts):
         raise ValueError(f"it has no {name}: number {index} of {len(parts)}")
     return parts[index]
+
+
+def placed_nodes(
+    document: Document,
+) -> Iterator[tuple[Node, Float[np.ndarray, "4 4"], tuple[str, ...]]]:
+    """The scene's nodes, their transforms to its world, and the names down to each of them."""
+    nodes, visited = document.nodes, set[int]()
+    if document.scenes:
+        roots = document.scenes[min(document.scene, len(document.scenes) - 1)].nodes
+    else:
+        children = {child for node in nodes for child in node.children}
+        roots = [index for index in range(len(nodes)) if index not in children]
+    stack = [(root, np.eye(4), ()) for root in reversed(roots)]
+    while stack:
+        index, above, names = stack.pop()
+        if index in visited or index >= len(nodes):
+            raise ValueError(f"its nodes are no tree (at node {index} of {len(nodes)})")
+        visited.add(index)
+        node = nodes[index]
+        matrix, names = above @ _matrix_of(node), (*names, *([node.name] if node.name else []))
+        yield node, matrix, names
+        stack += [(child, matrix, names) for child in reversed(node.children)]
+
+
+def _matrix_of(node: Node) -> Float[np.ndarray, "4 4"]:
+    """The transform of a node to that above it."""
+    if node.matrix is not None:
+        return np.array(node.matrix).reshape(4, 4).T  # column-major
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
+    matrix[:3, 3] = node.translation
+    return matrix
 
 
 def attribute(name: str) -> str:
