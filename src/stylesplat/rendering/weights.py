@@ -258,8 +258,8 @@ class Contributions:
 
     @property
     def nbytes(self) -> int:
-        """Memory of what is stored of weights, or of tiles."""
-        return 0
+        """Memory of the images, and of what is kept of weights or tiles."""
+        return self.gaussians.nbytes + self.background.nbytes + self.coverage.nbytes
 
     def render(self, colors: Float[Tensor, "M 3"]) -> Float[Tensor, "H W 3"]:
         """The image when the Gaussians have these colours, which gradients reach."""
@@ -290,8 +290,7 @@ class StoredContributions(Contributions):
 
     @property
     def nbytes(self) -> int:
-        images = self.background.nbytes + self.coverage.nbytes
-        return images + self.gaussians.nbytes + sum(array.nbytes for array in self.blocks)
+        return super().nbytes + sum(array.nbytes for array in self.blocks)
 
     def render(self, colors: Float[Tensor, "M 3"]) -> Float[Tensor, "H W 3"]:
         return _cpu().compose_blocks(colors, self.blocks, self.background)
@@ -318,32 +317,8 @@ def _threes(values: Float[Tensor, "*B D"]) -> Iterator[Float[Tensor, "*B 3"]]:
 
 
 @dataclass(frozen=True, eq=False)
-class RasterizedContributions(Contributions):
-    """Without stored weights: they are rasterised again for every question."""
-
-    scene: Splats
-    """Whose geometry and opacities stay."""
-    camera: Cameras
-    near: Int[Tensor, " L"]
-    """Rows of all Gaussians that reach the image."""
-    places: Int[Tensor, " M"]
-    """Where among these are `gaussians`."""
-
-    def _view(self) -> TiledView:
-        near = self.scene.map(lambda tensor: tensor.index_select(0, self.near))
-        return tiled(project_splats(near, self.camera), self.camera.size)
-
-    def composite(self, values: Float[Tensor, "M D"]) -> Float[Tensor, "H W D"]:
-        every = values.new_zeros(len(self.near), values.shape[1]).index_copy(0, self.places, values)
-        return self._view().composite(every)
-
-    def backproject(self, image: Float[Tensor, "H W D"]) -> Float[Tensor, "M D"]:
-        return self._view().backproject(image).index_select(0, self.places)
-
-
-@dataclass(frozen=True, eq=False)
 class TiledContributions(Contributions):
-    """Without stored weights; on a GPU, which keeps all that is visible sorted into tiles."""
+    """Without stored weights: all that is visible is kept projected, on a GPU sorted into tiles."""
 
     view: TiledView
     """Of these Gaussians and, behind them in memory, of the others."""
@@ -351,8 +326,7 @@ class TiledContributions(Contributions):
 
     @property
     def nbytes(self) -> int:
-        images = self.background.nbytes + self.coverage.nbytes
-        return images + self.gaussians.nbytes + self.view.nbytes
+        return super().nbytes + self.view.nbytes
 
     def composite(self, values: Float[Tensor, "M D"]) -> Float[Tensor, "H W D"]:
         return self.view.composite(pad(values, (0, 0, 0, self.others)))
@@ -400,10 +374,7 @@ def contributions(
     rows = near.rows[torch.from_numpy(lists.order[drawn].astype(np.int64))]
     if blocks is not None:
         return StoredContributions(len(splats), rows, *_split(image), blocks)
-    near = visible(near, camera).rows
-    places = mask[near].nonzero()[:, 0]
-    shared = len(splats), near[places], *_split(image)
-    return RasterizedContributions(*shared, geometry_only(splats), camera, near, places)
+    return _tiled_contributions(splats, camera, mask, near)
 
 
 def _tiled_contributions(
