@@ -33,12 +33,8 @@ class Deliveries:
     """Makes what the page that asks downloads."""
 
     def __init__(self, pictures: Pictures, views: KeptViews, files: Files) -> None:
-        self.session, self.pictures, self.views, self._files = (
-            pictures.session,
-            pictures,
-            views,
-            files,
-        )
+        self.session, self.pictures, self.views = pictures.session, pictures, views
+        self._files = files
         self.exporter = Exporter(self.session)
         self._content = content_of(self.session.state.scene.splats).extent
 

@@ -84,7 +84,7 @@ class _Record(msgspec.Struct):
             name: (each.mask, msgspec.structs.asdict(each.selection))  # defaults as well
             for name, each in self.objects.items()
         }
-        return _digest(msgspec.json.encode((self.layers, objects), order="deterministic"))
+        return content_digest(msgspec.json.encode((self.layers, objects), order="deterministic"))
 
     def files(self) -> set[str]:
         """The names of its files."""
@@ -279,7 +279,7 @@ class HistoryFolder:
     def _record_of(self, step: Step) -> _Record:
         if step in self._records:
             record = self._records[step]
-            picture = _digest(step.picture) if step.picture else None
+            picture = content_digest(step.picture) if step.picture else None
             return msgspec.structs.replace(record, picture=picture)
         assert step.kept is not None  # what is on the disk alone has a record
         state = step.kept.bare
@@ -303,7 +303,7 @@ class HistoryFolder:
             solo=None if state.solo is None else (state.solo[0], dict(state.solo[1])),
             selection=selection
             and _Selected(self._mask_digest(selection.weights), selection.record, selection.origin),
-            picture=_digest(step.picture) if step.picture else None,
+            picture=content_digest(step.picture) if step.picture else None,
         )
 
     def _write_files(self, state: StudioState, picture: bytes, record: _Record) -> None:
@@ -333,14 +333,14 @@ class HistoryFolder:
         key = layer_identity(layer)
         if key not in self._digests:
             tensors = layer_tensors(layer).values()
-            content = (_bytes(tensor) for tensor in tensors)
-            self._digests[key] = layer, f"00-{_digest(*content)}.safetensors"
+            content = (tensor_bytes(tensor) for tensor in tensors)
+            self._digests[key] = layer, f"00-{content_digest(*content)}.safetensors"
         return self._digests[key][1]
 
     def _mask_digest(self, mask: Tensor) -> str:
         key = (id(mask),)
         if key not in self._digests:
-            self._digests[key] = mask, _digest(_mask_bytes(mask))
+            self._digests[key] = mask, content_digest(_mask_bytes(mask))
         return self._digests[key][1]
 
     def _bound(self) -> None:
@@ -375,14 +375,15 @@ class HistoryFolder:
         self._digests = {key: own for key, own in self._digests.items() if key in alive}
 
 
-def _digest(*contents: bytes | memoryview) -> str:
+def content_digest(*contents: bytes | memoryview) -> str:
+    """What names a file, or tells one layer from others."""
     found = blake2b(digest_size=16)
     for content in contents:
         found.update(content)
     return found.hexdigest()
 
 
-def _bytes(tensor: Tensor) -> memoryview:
+def tensor_bytes(tensor: Tensor) -> memoryview:
     return tensor.detach().cpu().contiguous().numpy().reshape(-1).view(np.uint8).data
 
 
@@ -395,8 +396,8 @@ def _mask_bytes(mask: Tensor) -> bytes:
 def _base_digest(base: Splats) -> str:
     """What tells a base from others, of some of its rows."""
     rows = torch.linspace(0, len(base) - 1, min(len(base), SAMPLED)).long().to(base.device)
-    parts = (_bytes(each[rows]) for each in (base.means, base.sh0, base.opacities))
-    return _digest(str(len(base)).encode(), *parts)
+    parts = (tensor_bytes(each[rows]) for each in (base.means, base.sh0, base.opacities))
+    return content_digest(str(len(base)).encode(), *parts)
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:

@@ -119,10 +119,7 @@ class PaintQueue:
             if name in before:
                 job = replace(job, weights=before[name].weights, merge=before[name].merge)
             self.waiting.append(job)
-        if self.session.painting:
-            self.session.on_change.call()
-        else:
-            self._start()
+        self._start()
 
     def paint_selection(self, style: Style, title: str) -> None:
         """Make an object of the selection and paint it, in one step of the history."""
@@ -133,10 +130,7 @@ class PaintQueue:
         number = next(self._numbers)
         job = PaintJob(number, "the selection", style, title, selected=selected, merge=object())
         self.waiting.append(job)
-        if self.session.painting:
-            self.session.on_change.call()
-        else:
-            self._start()
+        self._start()
 
     def remove(self, number: int) -> None:
         self.waiting = deque(each for each in self.waiting if each.number != number)
@@ -177,10 +171,14 @@ class PaintQueue:
         return True
 
     def _start(self) -> None:
-        """Begin the next painting, and show the colours of its picture at once."""
+        """Begin the next painting if none is under way, and show its picture's colours at once."""
+        session = self.session
+        if session.painting:
+            session.on_change.call()
+            return
         if not self.waiting:
             return
-        job, session = self.waiting.popleft(), self.session
+        job = self.waiting.popleft()
         if job.selected is not None:
             job = self._as_object(job, job.selected)
         state = session.state

@@ -51,6 +51,7 @@ ALIKE = 0.95  # of the largest share: of objects that show alike, the smallest i
 QUALITY, MOVING_QUALITY = 92, 75  # of JPEGs
 
 RgbColor = tuple[float, float, float]
+BEHIND: RgbColor = (0.086, 0.086, 0.094)  # what pages draw until they ask for another colour
 
 
 def camera_of(look: ViewRequest, pixels: int = STUDIO_PICTURE_PIXELS) -> Cameras:
@@ -80,7 +81,7 @@ def render_pixels(splats: Splats, camera: Cameras, background: RgbColor) -> Thum
 class Pictures:
     def __init__(self, session: Session, before: Callable[[], Display]) -> None:
         self.session, self._before = session, before
-        self.background: RgbColor = (0.086, 0.086, 0.094)
+        self.background = BEHIND
         self.looks = dict[int, ViewRequest]()
         self.on_rest = Callbacks()
         """Called with what is displayed and a picture of it that a page gets."""

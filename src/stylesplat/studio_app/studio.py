@@ -113,12 +113,12 @@ def studio(
     session = Session(scene, folder=scene.path)
     store, kept = SceneStore(session), HistoryFolder(session)
     kept.resume()
-    local = host in LOOPBACK
-    actions = Actions(session, gallery, store, kept, is_local=local, **options)
+    is_local = host in LOOPBACK
+    actions = Actions(session, gallery, store, kept, is_local=is_local, **options)
     server = PageServer("StyleSplat studio", actions)
     server.start(host, port)
     opened = StudioServer(server, store, kept)
-    if host not in LOOPBACK:
+    if not is_local:
         say(
             f"{host} is open to the network: whoever has this address sees, changes, saves and "
             f"downloads {scene.path}. The connection is not encrypted."

@@ -2,7 +2,6 @@
 
 import shutil
 from dataclasses import dataclass, replace
-from hashlib import blake2b
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from weakref import WeakKeyDictionary
@@ -30,6 +29,7 @@ from stylesplat.studio_app.edits import (
 )
 from stylesplat.studio_app.gallery import Files
 from stylesplat.studio_app.history import Selected, StudioState, hidden_rows, object_names
+from stylesplat.studio_app.history_files import content_digest, tensor_bytes
 from stylesplat.studio_app.messages import ShortText, Variant
 from stylesplat.studio_app.selecting import with_object_of_selection
 from stylesplat.studio_app.session import Display, Session
@@ -285,16 +285,13 @@ class Variants:
         mask = self._session.masks.of(scene, name)
         known = self._rows.get(name)
         if known is None or known[0] is not mask:
-            found = blake2b(mask.cpu().numpy().tobytes(), digest_size=16).hexdigest()
-            known = self._rows[name] = mask, found
+            known = self._rows[name] = mask, content_digest(tensor_bytes(mask))
         return known[1]
 
     def _digest(self, layer: Layer) -> str:
         if layer not in self._digests:
-            found = blake2b(digest_size=16)
-            for colors in (layer.sh0, layer.surfels.sh0):
-                found.update(colors.detach().cpu().contiguous().numpy().tobytes())
-            self._digests[layer] = found.hexdigest()
+            colors = layer.sh0, layer.surfels.sh0
+            self._digests[layer] = content_digest(*map(tensor_bytes, colors))
         return self._digests[layer]
 
     def _url(self, folder: Path) -> str:

@@ -21,13 +21,12 @@ from stylesplat.scene.sequences import evenly_spaced
 from stylesplat.scene.virtual_cameras import has_rendered_views, path_of, smooth_path
 from stylesplat.studio_app.gallery import Files
 from stylesplat.studio_app.messages import ShortText, ViewCard, ViewVector
-from stylesplat.studio_app.pictures import render_pixels
+from stylesplat.studio_app.pictures import BEHIND, render_pixels
 from stylesplat.studio_app.session import Session
 
 KEPT = "studio-views.json"  # in the scene's folder
 MOST_KEPT, MOST_SHOWN = 100, 48  # views, and photos in the strip
 CARD_SIDE = 160  # pixels of a picture of a view
-BEHIND = 0.086, 0.086, 0.094
 NO_TURN = 1e-6  # of the length of what a view looks along, beside the up direction
 
 
@@ -121,7 +120,7 @@ class KeptViews:
             self._pictures.pop(each, None)
         self._write(_Kept(up, self._kept.views))
 
-    def path(self, count: int, size: tuple[int, int], *, closed: bool = False) -> Cameras:
+    def path(self, count: int, size: tuple[int, int]) -> Cameras:
         """The cameras of a smooth path through the kept views, as `render --path` takes it."""
         views = self._kept.views
         if len(views) < 2:
@@ -129,7 +128,7 @@ class KeptViews:
         cameras = [_camera(each, self.up, self._slopes, size) for each in views]
         viewmats = torch.cat([each.viewmats for each in cameras]).double()
         focals = torch.stack([each.Ks[0, 1, 1] / size[1] for each in cameras])
-        return smooth_path(viewmats, focals, count, size, closed=closed)
+        return smooth_path(viewmats, focals, count, size)
 
     def write(self) -> None:
         """Write them into the session's folder, which may be another one by now."""
