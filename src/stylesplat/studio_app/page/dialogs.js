@@ -49,8 +49,8 @@ function Settings({ onClose }) {
     <p class="hint">They count for the next painting. Draft is quick, for trying things.</p>
     <section aria-label="Presets"><h3>Presets</h3>
       ${Object.keys(presets.value).map((name) => html`<div class="line" key=${name}><span>${name}</span>
-        <${Button} small text="Use" label=${`Use the settings ${name}`} onClick=${() => (settings.value = presets.value[name])} />
-        <${Button} small icon="trash" label=${`Delete the preset ${name}`} onClick=${() => forget(name)} /></div>`)}
+        <${Button} text="Use" label=${`Use the settings ${name}`} onClick=${() => (settings.value = presets.value[name])} />
+        <${Button} icon="trash" label=${`Delete the preset ${name}`} onClick=${() => forget(name)} /></div>`)}
       <${Entry} key=${Object.keys(presets.value).length} label="Keep these settings as" button="Keep" onEnter=${(name) => name.trim() && (presets.value = { ...presets.value, [name.trim()]: settings.value })} /></section>
     <div class="row"><${Button} text="Defaults" label="Use the defaults" onClick=${() => (settings.value = {})} />
       <span class="grow"></span><${Button} primary text="Done" label="Close" onClick=${onClose} /></div>

@@ -9,7 +9,7 @@ export function Snapshots() {
   return html`<section aria-label="Snapshots"><h3>Snapshots</h3>
     <ul class="steps">${now.snapshots.map((each) => html`<li class="line" key=${each.number}>
       <${StepButton} step=${each} title=${`Restore ${each.note}`} onClick=${() => act("restore", { number: each.number })} />
-      <${Button} small icon="trash" label=${`Delete the snapshot ${each.note}`} onClick=${() => act("forget_snapshot", { number: each.number })} /></li>`)}</ul>
+      <${Button} icon="trash" label=${`Delete the snapshot ${each.note}`} onClick=${() => act("forget_snapshot", { number: each.number })} /></li>`)}</ul>
     <${Entry} key=${now.snapshots.length} label="Keep the whole scene as" button="Keep" value=${`Snapshot ${now.snapshots.length + 1}`} onEnter=${(name) => act("snapshot", { name })} /></section>`;
 }
 

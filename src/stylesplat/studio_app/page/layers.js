@@ -63,9 +63,9 @@ export function Layers() {
         <button type="button" class="card" aria-pressed=${each.current} title=${`${each.object}: ${each.title}. ${each.settings}`} onClick=${() => act("use_variant", { id: each.id })}>
           <img src=${each.thumbnail} alt="" /><span class="name">${chosen.length === 1 ? "" : `${each.object}: `}${each.title}</span>
           <span class="name quiet">${each.settings}</span></button>
-        <span class="corner-buttons"><${Button} small icon="star" label=${`${each.starred ? "Unstar" : "Star"} ${each.object}: ${each.title}`} active=${each.starred} onClick=${() => act("star_variant", { id: each.id, starred: !each.starred })} />
-        <${Button} small icon="more" label=${`Name or delete ${each.object}: ${each.title}`} onClick=${() => (variant.value = each.id)} />
-        <${Button} small icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.id} onClick=${() => compare(each.id)} /></span></li>`)}</ul></section>`}
+        <span class="corner-buttons"><${Button} icon="star" label=${`${each.starred ? "Unstar" : "Star"} ${each.object}: ${each.title}`} active=${each.starred} onClick=${() => act("star_variant", { id: each.id, starred: !each.starred })} />
+        <${Button} icon="more" label=${`Name or delete ${each.object}: ${each.title}`} onClick=${() => (variant.value = each.id)} />
+        <${Button} icon="compare" label=${`Compare with ${each.object}: ${each.title}`} active=${now.compared === each.id} onClick=${() => compare(each.id)} /></span></li>`)}</ul></section>`}
     <${Snapshots} /><${History} />
   </aside>`;
 }
@@ -87,11 +87,11 @@ function Layer({ layer, lowest, grip, folded, dragged, place }) {
     if (found ? !found.picked : now.objects.some((each) => each.picked)) act("pick_names", { names: found ? [object] : [] });
   };
   return html`<li class=${`layer ${layer.visible ? "" : "off"} ${dragged ? "dragged" : ""} ${place}`}>
-    <div class="line"><button type="button" class="square small grip" aria-label=${`Move ${what}: drag, or the arrow keys`} title="Drag to reorder" ...${grip}><${Icon} name="grip" /></button>
+    <div class="line"><button type="button" class="square grip" aria-label=${`Move ${what}: drag, or the arrow keys`} title="Drag to reorder" ...${grip}><${Icon} name="grip" /></button>
       <button type="button" class="card flat" aria-pressed=${chosen} aria-expanded=${chosen && !folded} title=${layer.settings} onClick=${choose}>
         ${found?.thumbnail ? html`<img src=${found.thumbnail} alt="" />` : html`<span class="blank"></span>`}
         <span><b>${object}${layer.kind === "paint" && label ? ` ${label}` : ""}</b>${layer.title !== object && html`<br />${layer.title}`}${layer.masked ? ", masked" : ""}</span></button>
-      <${Button} small icon=${layer.visible ? "eye" : "hidden"} label=${`${layer.visible ? "Hide" : "Show"} ${what}`} onClick=${() => act("set_visible", { name, visible: !layer.visible })} /></div>
+      <${Button} icon=${layer.visible ? "eye" : "hidden"} label=${`${layer.visible ? "Hide" : "Show"} ${what}`} onClick=${() => act("set_visible", { name, visible: !layer.visible })} /></div>
     <${Slider} label="Strength" value=${layer.strength} high=${1.5} show=${percent} disabled=${fixed} onInput=${(strength) => act("adjust_layer", { name, strength })} />
     ${chosen && !folded && html`<${Controls} layer=${layer} what=${what} fixed=${fixed} lowest=${lowest} />`}</li>`;
 }

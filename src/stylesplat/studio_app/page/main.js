@@ -78,8 +78,8 @@ const HINTS = [
 function Hints() {
   const words = HINTS[hint.value];
   return words && html`<section class="hints" aria-label="Hint"><p>${words}</p><div class="row"><span>${hint.value + 1} of ${HINTS.length}</span><span class="grow"></span>
-    ${hint.value < HINTS.length - 1 && html`<${Button} small text="Skip" label="No more hints" onClick=${() => (hint.value = HINTS.length)} />`}
-    <${Button} small text=${hint.value < HINTS.length - 1 ? "Next" : "Start"} label="The next hint" onClick=${() => (hint.value += 1)} /></div></section>`;
+    ${hint.value < HINTS.length - 1 && html`<${Button} text="Skip" label="No more hints" onClick=${() => (hint.value = HINTS.length)} />`}
+    <${Button} text=${hint.value < HINTS.length - 1 ? "Next" : "Start"} label="The next hint" onClick=${() => (hint.value += 1)} /></div></section>`;
 }
 
 function Progress() {
@@ -89,22 +89,22 @@ function Progress() {
   const time = left == null ? "" : left < 90 ? `${Math.round(left)} s left` : `${Math.round(left / 60)} min left`;
   return html`<section class="progress" aria-label="Progress">
     ${busy.value.what && html`<div class="line busy" role="status"><span>${busy.value.what}…</span>
-      ${busy.value.cancel && html`<${Button} small icon="stop" text="Cancel" label="Cancel this" onClick=${() => act("interrupt")} />`}</div>`}
+      ${busy.value.cancel && html`<${Button} icon="stop" text="Cancel" label="Cancel this" onClick=${() => act("interrupt")} />`}</div>`}
     ${what && html`<div class="line"><span>${what}${doing && !share ? `: ${doing}` : ""}</span><span>${time}</span>
-      <${Button} small icon="stop" text=${exporting ? "Cancel" : "Stop"} label=${exporting ? "Cancel the export" : "Stop and keep what is painted so far"}
+      <${Button} icon="stop" text=${exporting ? "Cancel" : "Stop"} label=${exporting ? "Cancel the export" : "Stop and keep what is painted so far"}
         onClick=${() => act(exporting ? "cancel" : "stop")} /></div>
       <div class="meter" role="progressbar" aria-label=${what} aria-valuenow=${percent} aria-valuemin="0" aria-valuemax="100"><i style=${`width:${percent}%`}></i></div>`}
     ${now.waiting.map(([number, object, title]) => html`<div class="line waiting" key=${number}><span>Next: ${object} like ${title}</span>
-      <${Button} small icon="close" label=${`Do not paint ${object}`} onClick=${() => act("remove", { number })} /></div>`)}
+      <${Button} icon="close" label=${`Do not paint ${object}`} onClick=${() => act("remove", { number })} /></div>`)}
     ${!what && now.stopped && html`<div class="line"><span>${now.stopped}</span>
-      <${Button} small icon="play" text="Continue" label="Go on with this painting" onClick=${() => act("resume")} /></div>`}
+      <${Button} icon="play" text="Continue" label="Go on with this painting" onClick=${() => act("resume")} /></div>`}
   </section>`;
 }
 
 const Notes = () => html`<div class="notes" role="status" aria-live="polite">
   ${!online.value && html`<p class="failure">${renewed.value ? "The studio was started anew. Open the address that it printed; this page then goes on, too." : "The studio does not answer. What you do now is not done; trying again."}</p>`}
   ${notes.value.map((each) => html`<p key=${each.number} class=${each.failure ? "failure" : ""}><span>${each.text}</span>
-    <${Button} small icon="close" label="Dismiss" onClick=${() => dismiss(each.number)} /></p>`)}</div>`;
+    <${Button} icon="close" label="Dismiss" onClick=${() => dismiss(each.number)} /></p>`)}</div>`;
 
 const TABS = [["objects", "Objects"], ["styles", "Styles"], ["layers", "Layers"]];
 
@@ -116,7 +116,7 @@ function App() {
     <${Header} />
     <${Objects} viewport=${() => viewport} />
     <main class="stage"><${Picture} /><${Toolbar} /><${Hints} /><${Progress} /></main>
-    <${Layers} viewport=${() => viewport} />
+    <${Layers} />
     <nav class="tabs">${TABS.map(([key, words]) => html`<button type="button" aria-pressed=${tab.value === key} onClick=${() => (tab.value = key)}>${words}</button>`)}</nav>
     <${Strip} viewport=${() => viewport} />
     <${Notes} /><${Dialogs} viewport=${() => viewport} />

@@ -304,37 +304,38 @@ function glowing(names) {
   return painting || objects.some((each) => each.painted && names.includes(each.name)) ? 0 : TINT;
 }
 
-// A tint with an outline, on a canvas of the map's size
-function outlined(canvas, [width, height], inside, color, tint = TINT) {
+// A canvas of the map's size, each pixel in the colour that a function gives it, if it gives one
+function colored(canvas, [width, height], colorOf) {
   canvas.width = width;
   canvas.height = height;
   const context = canvas.getContext("2d");
   const image = context.createImageData(width, height);
   for (let row = 0, y = 0; y < height; y++) {
     for (let x = 0; x < width; x++, row++) {
-      if (!inside(row)) continue;
-      const whole = x > 0 && y > 0 && x < width - 1 && y < height - 1 &&
-        inside(row - 1) && inside(row + 1) && inside(row - width) && inside(row + width);
-      image.data.set([...color, whole ? tint : EDGE], 4 * row);
+      const color = colorOf(row, x, y);
+      if (color) image.data.set(color, 4 * row);
     }
   }
   context.putImageData(image, 0, 0);
 }
 
+// A tint with an outline
+function outlined(canvas, [width, height], inside, color, tint = TINT) {
+  colored(canvas, [width, height], (row, x, y) => {
+    if (!inside(row)) return null;
+    const whole = x > 0 && y > 0 && x < width - 1 && y < height - 1 &&
+      inside(row - 1) && inside(row + 1) && inside(row - width) && inside(row + width);
+    return [...color, whole ? tint : EDGE];
+  });
+}
+
 // A selection: a tint as strong as its share, and a dashed line where that is a half
 function faded(canvas, [width, height], shares, inside) {
-  canvas.width = width;
-  canvas.height = height;
-  const context = canvas.getContext("2d");
-  const image = context.createImageData(width, height);
-  for (let row = 0, y = 0; y < height; y++) {
-    for (let x = 0; x < width; x++, row++) {
-      const edge = inside(row) && !(inside(row - 1) && inside(row + 1) && inside(row - width) && inside(row + width));
-      const dash = (x + y) & 4 ? 255 : 0;
-      image.data.set(edge ? [dash, dash, dash, 255] : [...SELECTED, (SELECTED_TINT * shares[row]) / 255], 4 * row);
-    }
-  }
-  context.putImageData(image, 0, 0);
+  colored(canvas, [width, height], (row, x, y) => {
+    const edge = inside(row) && !(inside(row - 1) && inside(row + 1) && inside(row - width) && inside(row + width));
+    const dash = (x + y) & 4 ? 255 : 0;
+    return edge ? [dash, dash, dash, 255] : [...SELECTED, (SELECTED_TINT * shares[row]) / 255];
+  });
 }
 
 function half(bits) {

@@ -27,6 +27,10 @@ const STEP = 0.05; // of its extent, by which an object grows or shrinks
 
 export const picked = () => state.value.objects.filter((each) => each.picked);
 
+const brushSize = () => html`<${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005}
+  show=${percent} onInput=${(value) => (brush.value = value)} />`;
+const softBrush = () => html`${brushSize()}<${Slider} label="Soft edge" value=${soft.value} show=${percent} onInput=${(value) => (soft.value = value)} />`;
+
 export function Toolbar() {
   const chosen = tool.value, { extent } = hello.value;
   return html`<div class="toolbar" role="toolbar" aria-label="Picking tools">
@@ -40,17 +44,14 @@ export function Toolbar() {
       </div>`}
     ${chosen === "color" && html`<div class="options"><${Slider} label="Tolerance" value=${tolerance.value} low=${0.02} high=${0.6} step=${0.01}
       show=${percent} onInput=${(value) => { tolerance.value = value; window.studio.tools.reachAgain(); }} /></div>`}
-    ${chosen === "mend" && html`<div class="options"><p>Brush over a fault.</p><${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005} show=${percent} onInput=${(value) => (brush.value = value)} />
-      <${Slider} label="Soft edge" value=${soft.value} show=${percent} onInput=${(value) => (soft.value = value)} /></div>`}
+    ${chosen === "mend" && html`<div class="options"><p>Brush over a fault.</p>${softBrush()}</div>`}
     ${chosen === "ball" && html`<div class="options"><${Slider} label="Radius" value=${radius.value} low=${extent / 200} high=${extent / 2} step=${extent / 400}
       show=${(value) => value.toPrecision(2)} onInput=${(value) => (radius.value = value)} /></div>`}
-    ${chosen === "brush" && html`<div class="options"><${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005}
-      show=${percent} onInput=${(value) => (brush.value = value)} /></div>`}
+    ${chosen === "brush" && html`<div class="options">${brushSize()}</div>`}
     ${chosen === "mask" && html`<div class="options"><p>${activeLayer() ? `Brush over ${activeLayer().object}.` : "Choose a layer on the right."}</p>
       <div class="segments" role="group" aria-label="What the brush does">${[[false, "Out"], [true, "In"]].map(([key, words]) =>
         html`<button type="button" aria-pressed=${shows.value === key} onClick=${() => (shows.value = key)}>${words}</button>`)}</div>
-      <${Slider} label="Brush size" value=${brush.value} low=${0.005} high=${0.15} step=${0.005} show=${percent} onInput=${(value) => (brush.value = value)} />
-      <${Slider} label="Soft edge" value=${soft.value} show=${percent} onInput=${(value) => (soft.value = value)} /></div>`}
+      ${softBrush()}</div>`}
     ${chosen === "guide" && html`<${GuideOptions} />`}
     ${chosen === "strokes" && html`<div class="options"><p>${strokesHint()}</p>
       ${hello.value.settings.filter(({ name }) => ["scale", "rotate"].includes(name)).map((each) => html`<${Slider} label=${each.label} value=${settings.value[each.name] ?? each.value}
@@ -95,7 +96,7 @@ export function Objects({ viewport }) {
         onMouseEnter=${() => viewport()?.overlay.setPointed(each.name)} onMouseLeave=${() => viewport()?.overlay.setPointed(null)}>
         ${each.thumbnail ? html`<img src=${each.thumbnail} alt="" />` : html`<span class="blank"></span>`}
         <span class="name">${each.name}</span></button>
-      <${Button} small icon=${each.hidden ? "hidden" : "eye"} label=${`${each.hidden ? "Show" : "Hide"} ${each.name}`}
+      <${Button} icon=${each.hidden ? "hidden" : "eye"} label=${`${each.hidden ? "Show" : "Hide"} ${each.name}`}
         onClick=${() => act("hide_objects", { names: [each.name], hide: !each.hidden })} /></li>`)}</ul>
     <${Pick} />
     ${(now.objects.length > 0 || now.selection) && html`<section aria-label="Colours"><${Recolor} /></section>`}

@@ -91,8 +91,8 @@ function StyleCard({ style, preview }) {
       ${preview ? html`<img src=${preview} alt="" draggable="false" /><img class="corner" src=${style.url} alt="" />` : html`<${Sample} style=${style} region=${region} />`}
       <span class="swatches" aria-hidden="true">${style.colors.map((color) => html`<i style=${`background:${color}`}></i>`)}</span>
       <span class="name">${title}</span></button>
-    <span class="corner-buttons">${style.own && html`<${Button} small icon="trash" label=${`Remove ${title} from the shelf`} onClick=${() => act("forget_style", { title })} />`}
-      <${Button} small icon="crop" label=${`Choose a part of ${title}`} active=${Boolean(region)} onClick=${() => (part.value = style)} /></span></li>`;
+    <span class="corner-buttons">${style.own && html`<${Button} icon="trash" label=${`Remove ${title} from the shelf`} onClick=${() => act("forget_style", { title })} />`}
+      <${Button} icon="crop" label=${`Choose a part of ${title}`} active=${Boolean(region)} onClick=${() => (part.value = style)} /></span></li>`;
 }
 
 // A style picture as it is used: the part that was chosen, turned as the settings say

@@ -114,25 +114,26 @@ export class Tools {
       this.pickIn(begin, at, how);
       return;
     }
+    const ends = tool.value === "rectangle" ? [begin, at] : thinned(line);
+    const points = ends.map((each) => this.share(each));
     if (tool.value === "mend") {
-      act("mend_drawn", { points: thinned(line).map((each) => this.share(each)), radius: brush.value, soft: soft.value });
+      act("mend_drawn", { points, radius: brush.value, soft: soft.value });
       return;
     }
     if (tool.value === "guide") {
       const layer = activeLayer();
       if (layer?.kind !== "paint") note("Paint an object first, then draw the lines that its strokes follow.", true);
-      else act("guide_drawn", { name: layer.name, points: thinned(line).map((each) => this.share(each)), reach: guideReach.value });
+      else act("guide_drawn", { name: layer.name, points, reach: guideReach.value });
       return;
     }
     if (tool.value === "mask") {
       const layer = activeLayer();
       if (!layer) note("Choose a layer on the right: its mask is what the brush paints.", true);
-      else act("mask_drawn", { name: layer.name, points: thinned(line).map((each) => this.share(each)), shows: { add: true, away: false }[how] ?? shows.value, radius: brush.value, soft: soft.value });
+      else act("mask_drawn", { name: layer.name, points, shows: { add: true, away: false }[how] ?? shows.value, radius: brush.value, soft: soft.value });
       return;
     }
-    const shape = tool.value, points = shape === "rectangle" ? [begin, at] : thinned(line);
-    const wanted = shape === "brush" && how === "new" && (state.value.selection || state.value.objects.some((each) => each.picked)) ? "add" : how;
-    act("pick_drawn", { shape, points: points.map((each) => this.share(each)), how: wanted, radius: brush.value });
+    const wanted = tool.value === "brush" && how === "new" && (state.value.selection || state.value.objects.some((each) => each.picked)) ? "add" : how;
+    act("pick_drawn", { shape: tool.value, points, how: wanted, radius: brush.value });
   }
 
   click({ how }, at) {

@@ -29,8 +29,8 @@ export function ViewStrip({ viewport }) {
       <button type="button" class="card" title=${`Fly to ${each.name}`} onClick=${() => fly(each)}>
         ${each.url ? html`<img src=${each.url} alt="" />` : html`<span class="blank"></span>`}<span class="name">${each.name}</span></button>
       ${each.position && html`<span class="corner-buttons">
-        ${row > 0 && html`<${Button} small icon="left" label=${`Move ${each.name} to the left`} onClick=${() => act("move_view", { number: row, to: row - 1 })} />`}
-        <${Button} small icon="close" label=${`Remove ${each.name}`} onClick=${() => act("forget_view", { number: row })} /></span>`}</li>`)}
+        ${row > 0 && html`<${Button} icon="left" label=${`Move ${each.name} to the left`} onClick=${() => act("move_view", { number: row, to: row - 1 })} />`}
+        <${Button} icon="close" label=${`Remove ${each.name}`} onClick=${() => act("forget_view", { number: row })} /></span>`}</li>`)}
     ${!kept.length && !views.length && html`<li class="hint">Keep views here: they are bookmarks, and a path for a video leads through them.</li>`}</ul>`;
 }
 

@@ -44,8 +44,6 @@ const PATHS = {
   stop: "M6 6h12v12H6z",
   play: "M7 5l12 7-12 7z",
   alone: "M12 8a4 4 0 1 0 0 8 4 4 0 0 0 0-8M12 2v3M12 19v3M2 12h3M19 12h3",
-  grow: "M12 9a3 3 0 1 0 0 6 3 3 0 0 0 0-6M12 3v2M12 19v2M3 12h2M19 12h2M5.600 5.600 7 7M17 17l1.400 1.400M5.600 18.400 7 17M17 7l1.400-1.400",
-  pencil: "M4 20l1-4L16 5l3 3L8 19z",
   copy: "M8 8h12v12H8zM4 16V4h12",
   help: "M9 9a3 3 0 1 1 4 2.800c-.8.4-1 1-1 2.200M12 17.500v.5M12 2a10 10 0 1 0 0 20 10 10 0 0 0 0-20",
 };
@@ -54,8 +52,8 @@ export const Icon = ({ name }) =>
   html`<svg class="icon" viewBox="0 0 24 24" aria-hidden="true"><path d=${PATHS[name]} /></svg>`;
 
 // A button with a picture and perhaps words; `label` says what it does
-export function Button({ icon, label, text, active, primary, danger, small, ...rest }) {
-  const kind = [primary && "primary", danger && "danger", small && "small", !text && "square"];
+export function Button({ icon, label, text, active, primary, danger, ...rest }) {
+  const kind = [primary && "primary", danger && "danger", !text && "square"];
   return html`<button type="button" class=${kind.filter(Boolean).join(" ")} title=${label} aria-label=${text ? undefined : label}
     aria-pressed=${active} ...${rest}>${icon && html`<${Icon} name=${icon} />`}${text && html`<span>${text}</span>`}</button>`;
 }
@@ -79,7 +77,7 @@ export function Select({ label, value, choices, onChange, disabled }) {
 }
 
 // A field whose words are sent by Enter or the button
-export function Entry({ label, button, value = "", primary, onEnter }) {
+export function Entry({ label, button, value = "", onEnter }) {
   const field = useRef(null);
   useEffect(() => {
     field.current.value = value; // once: what is typed outlives news of the server
@@ -90,7 +88,7 @@ export function Entry({ label, button, value = "", primary, onEnter }) {
   };
   return html`<form class="entry" onSubmit=${enter}><label class="field"><span>${label}</span>
     <input ref=${field} type="text" maxlength="100" /></label>
-    <button type="submit" class=${primary ? "primary" : ""}>${button}</button></form>`;
+    <button type="submit">${button}</button></form>`;
 }
 
 export function Dialog({ title, onClose, children, wide }) {
