@@ -19,7 +19,7 @@ from stylesplat.scene.scene import Scene
 from stylesplat.scene.splats import Splats
 from stylesplat.studio_app import history, history_files
 from stylesplat.studio_app.edits import adjust_layer, recolor_objects, remove_rows
-from stylesplat.studio_app.history_files import HISTORY, INDEX, MOST_HISTORY_BYTES, NEAR
+from stylesplat.studio_app.history_files import HISTORY, HISTORY_INDEX, MOST_HISTORY_BYTES, NEAR
 from stylesplat.studio_app.selecting import feather_picked, pick_names, rename_picked
 from stylesplat.studio_app.session import Change, Session
 from stylesplat.studio_app.studio import StudioServer, studio
@@ -160,13 +160,13 @@ def test_a_damaged_history_is_told_and_moved_aside(
 ):
     with opened(folder) as first:
         do(first.session, red)
-    damage(folder / HISTORY / INDEX)
-    content = (folder / HISTORY / INDEX).read_bytes()
+    damage(folder / HISTORY / HISTORY_INDEX)
+    content = (folder / HISTORY / HISTORY_INDEX).read_bytes()
     with opened(folder) as again:
         assert not again.session.unsaved and notes(again.session) == ["Opened"]
-        assert INDEX in said[-1] and f"{HISTORY}.1" in said[-1]
+        assert HISTORY_INDEX in said[-1] and f"{HISTORY}.1" in said[-1]
         do(again.session, red)
-    assert (folder / f"{HISTORY}.1" / INDEX).read_bytes() == content
+    assert (folder / f"{HISTORY}.1" / HISTORY_INDEX).read_bytes() == content
     with opened(folder) as last:
         assert notes(last.session) == ["Opened", "Named 3 red"]
 
@@ -255,10 +255,10 @@ def test_another_studio_of_the_same_scene_overwrites_nothing(folder: Path, said:
     with opened(folder) as first:
         with opened(folder) as second:
             do(second.session, red)
-        content = (folder / HISTORY / INDEX).read_bytes()
+        content = (folder / HISTORY / HISTORY_INDEX).read_bytes()
         do(first.session, hue(40))
     assert "Another studio has written" in said[-1]
-    assert (folder / HISTORY / INDEX).read_bytes() == content
+    assert (folder / HISTORY / HISTORY_INDEX).read_bytes() == content
 
 
 def test_a_scene_saved_elsewhere_takes_its_history_along(folder: Path):

@@ -86,7 +86,7 @@ SLOW = {
     "go_to": "Going back or forth",
 }
 """What is said while an action takes long."""
-WHOLE = ("save", "save_as")  # what nobody cancels
+NEVER_CANCELLED = ("save", "save_as")  # what nobody cancels
 
 
 class Actions:
@@ -161,7 +161,7 @@ class Actions:
         def change(state: StudioState) -> StudioState | None:
             self.pictures.client = client
             try:
-                if name in WHOLE:
+                if name in NEVER_CANCELLED:
                     return self._methods[name](**values)
                 with self.session.worker.interruptible(client):
                     if name in self._changes:
@@ -188,7 +188,7 @@ class Actions:
 
         with self.session.telling(client):
             self.session.do(change, merge=merge, kind=str(key or ""))
-        return m.Busy(SLOW.get(name, "Working"), cancel=name not in WHOLE)
+        return m.Busy(SLOW.get(name, "Working"), cancel=name not in NEVER_CANCELLED)
 
     def warm_up(self) -> None:
         """What takes long and is wanted soon, though not for the first picture."""

@@ -43,7 +43,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.studio_app.history import CompactState, Selected, Step, StudioState
 from stylesplat.studio_app.session import Session
 
-HISTORY, INDEX = "studio-history", "history.json"
+HISTORY, HISTORY_INDEX = "studio-history", "history.json"
 MOST_HISTORY_BYTES = 2 * 2**30  # of the files of a history: the oldest steps make room
 NEAR = 10  # steps from the present one that stay in memory
 SAMPLED = 10_000  # Gaussians of a base whose values tell it from others
@@ -113,7 +113,7 @@ class HistoryFolder:
         """Of layers and masks in memory, by their identities."""
         self._scenes = WeakValueDictionary[str, Scene]()
         self._written = self._tried = self._key()
-        self._stamp = _stamp(self._folder / INDEX)
+        self._stamp = _stamp(self._folder / HISTORY_INDEX)
         session.history.read = self._read
 
     @property
@@ -166,7 +166,7 @@ class HistoryFolder:
         if self._tried == self._written:
             return not session.unsaved
         refuse_unwritable(session.folder)
-        if _stamp(folder / INDEX) != self._stamp:
+        if _stamp(folder / HISTORY_INDEX) != self._stamp:
             raise StyleSplatError(
                 f"Another studio has written {folder}. Close one of the two; until then the "
                 "history of this one is not kept."
@@ -184,9 +184,9 @@ class HistoryFolder:
         saved = self._record_of(Step(1, "", CompactState(session.saved))).content
         now = history.step_now.number
         index = _Index(1, self._base, saved, now, steps, snapshots)
-        with atomic_path(folder / INDEX) as draft:
+        with atomic_path(folder / HISTORY_INDEX) as draft:
             draft.write_bytes(msgspec.json.encode(index))
-        self._stamp, self._written = _stamp(folder / INDEX), self._key()
+        self._stamp, self._written = _stamp(folder / HISTORY_INDEX), self._key()
         self._sweep([*steps, *snapshots])
         self._release()
         return not session.unsaved
@@ -197,7 +197,7 @@ class HistoryFolder:
             shutil.move(before / HISTORY, self._folder)
 
     def _read_index(self) -> _Index | None:
-        path = self._folder / INDEX
+        path = self._folder / HISTORY_INDEX
         if not path.exists():
             return None
         try:

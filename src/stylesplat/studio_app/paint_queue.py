@@ -38,7 +38,7 @@ LONGEST_DRAWING = 0.5  # seconds; what lasts longer is another job, and the next
 RECENT = 20  # steps whose speed is that of the rest
 FIRST_GUESS = 2.0  # seconds of painting before the rest is estimated
 QUEUE_SAMPLE = 20_000  # pixels of a style picture whose colours are measured
-GAUSSIANS, NAME = 300, "noise"  # of the scene for the warm-up
+NOISE_GAUSSIANS, NOISE_NAME = 300, "noise"  # of the scene for the warm-up
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class PaintQueue:
         """Paint a ball of noise for a step, which loads kernels, libraries and the network."""
         style = Style(torch.rand(64, 64, 3), config=StyleConfig(steps=1, object_size=48))
         with suppress(Stopped), self.session.listening(self.session.stopping.is_set):
-            for _ in stylize_live(noise_ball(), NAME, style, **self.options):
+            for _ in stylize_live(noise_ball(), NOISE_NAME, style, **self.options):
                 pass
 
     def stop(self) -> bool:
@@ -335,15 +335,15 @@ def seconds_left(
 
 
 def noise_ball() -> Scene:
-    points = torch.randn(GAUSSIANS, 2, 3, generator=torch.Generator().manual_seed(0))
+    points = torch.randn(NOISE_GAUSSIANS, 2, 3, generator=torch.Generator().manual_seed(0))
     splats = Splats(
         means=torch.nn.functional.normalize(points[:, 0], dim=1),
-        quats=torch.eye(4)[:1].repeat(GAUSSIANS, 1),
-        scales=torch.full((GAUSSIANS, 3), -1.6),
-        opacities=torch.full((GAUSSIANS,), 3.0),
+        quats=torch.eye(4)[:1].repeat(NOISE_GAUSSIANS, 1),
+        scales=torch.full((NOISE_GAUSSIANS, 3), -1.6),
+        opacities=torch.full((NOISE_GAUSSIANS,), 3.0),
         sh0=points[:, :1],
-        shN=torch.zeros(GAUSSIANS, 15, 3),
+        shN=torch.zeros(NOISE_GAUSSIANS, 15, 3),
     )
     cameras = ring_cameras(splats, torch.tensor([0.0, 0.0, 1.0]))[::6].at_most(64)
-    picked = torch.ones(GAUSSIANS, dtype=torch.bool)
-    return Scene(splats, cameras, objects={NAME: SceneObject(picked)})
+    picked = torch.ones(NOISE_GAUSSIANS, dtype=torch.bool)
+    return Scene(splats, cameras, objects={NOISE_NAME: SceneObject(picked)})

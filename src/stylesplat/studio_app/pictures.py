@@ -48,7 +48,7 @@ MAP = STUDIO_PICTURE_PIXELS // 4  # of a map
 STUDIO_PICTURE_MOST = 500_000  # Gaussians that a browser draws; a laptop turns 300,000 smoothly
 MOST_NAMES = 255  # objects that a map tells apart
 ALIKE = 0.95  # of the largest share: of objects that show alike, the smallest is meant
-QUALITY, MOVING_QUALITY = 92, 75  # of JPEGs
+STILL_QUALITY, MOVING_QUALITY = 92, 75  # of JPEGs
 
 RgbColor = tuple[float, float, float]
 BEHIND: RgbColor = (0.086, 0.086, 0.094)  # what pages draw until they ask for another colour
@@ -168,7 +168,7 @@ class Pictures:
                     self._sent.pop((client, f"{which} sharp"), None)  # it takes the place of that
                 if which == "after" and not look.moving:
                     self.on_rest.call(display, content)
-                content = jpeg(content, MOVING_QUALITY if look.moving else QUALITY)
+                content = jpeg(content, MOVING_QUALITY if look.moving else STILL_QUALITY)
                 header = {"which": which, "moving": look.moving, "drawn": self._has_splats(client)}
                 self._send(client, which, "picture", content, look, **header)
 
@@ -201,7 +201,7 @@ class Pictures:
                 rows += len(image)
                 header = {"moving": False, "drawn": self._has_splats(client), "last": rows == total}
                 header |= {"which": which, "top": top, "size": size}
-                content = jpeg(to_uint8(image).cpu().numpy(), QUALITY)
+                content = jpeg(to_uint8(image).cpu().numpy(), STILL_QUALITY)
                 self._send(client, f"{which} {top}", "picture", content, look, **header)
                 self.session.worker.run_urgent_jobs()
                 now = self.looks.get(client), self._displays(look)[which], self.background

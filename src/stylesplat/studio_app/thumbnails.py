@@ -33,14 +33,14 @@ from stylesplat.stylization.style import Style
 from stylesplat.verbs.stylize import Live, stylize_live
 
 THUMBNAIL_SIDE = 160  # pixels along a thumbnail
-CARD = 0.15  # grey around an object
+CARD_GREY = 0.15  # grey around an object
 SELECTION = "the selection"  # the name of a temporary object
 
 
 @torch.no_grad()
 def object_picture(splats: Splats, camera: Cameras, picked: Bool[Tensor, " N"]) -> bytes:
     image, share = colors_and_coverage(splats, camera, picked)
-    return jpeg(to_uint8(share * image + (1 - share) * CARD).cpu().numpy())
+    return jpeg(to_uint8(share * image + (1 - share) * CARD_GREY).cpu().numpy())
 
 
 class ObjectThumbnails:

@@ -37,7 +37,7 @@ from stylesplat.studio_app.thumbnails import SELECTION, ObjectThumbnails
 
 VARIANTS = "studio-variants"  # in the scene's folder: a folder each
 ABOUT, PICTURE = "variant.json", "picture.jpg"
-ROWS = "rows.npy"  # of a draft of a selection: its Gaussians, as bits
+ROWS_FILE = "rows.npy"  # of a draft of a selection: its Gaussians, as bits
 MOST_VARIANTS = 60  # the oldest without a star make room
 
 
@@ -157,7 +157,7 @@ class Variants:
             write_json(msgspec.to_builtins(about), unfinished / ABOUT)
             if layer.object == SELECTION:
                 mask = self._session.masks.of(scene, SELECTION)
-                np.save(unfinished / ROWS, np.packbits(mask.cpu().numpy()))
+                np.save(unfinished / ROWS_FILE, np.packbits(mask.cpu().numpy()))
         kept, drafts = _Kept(folder, about, self._url(folder)), self._replaceable()
         same = self._made_from(kept)
         earlier = [each for each in drafts if about.draft and self._made_from(each) == same]
@@ -224,7 +224,7 @@ class Variants:
 
     def _shown(self, state: StudioState, id: str) -> StudioState:
         layer, title = self.layer(id)
-        rows = self._item(id).folder / ROWS
+        rows = self._item(id).folder / ROWS_FILE
         if layer.object not in object_names(state.scene) and rows.is_file():
             state = _with_object_of(state, rows)
             layer = replace(layer, object=state.picked[0])

@@ -24,7 +24,7 @@ from stylesplat.studio_app.messages import ShortText, ViewCard, ViewVector
 from stylesplat.studio_app.pictures import BEHIND, render_pixels
 from stylesplat.studio_app.session import Session
 
-KEPT = "studio-views.json"  # in the scene's folder
+VIEWS_FILE = "studio-views.json"  # in the scene's folder
 MOST_KEPT, MOST_SHOWN = 100, 48  # views, and photos in the strip
 CARD_SIDE = 160  # pixels of a picture of a view
 NO_TURN = 1e-6  # of the length of what a view looks along, beside the up direction
@@ -47,9 +47,10 @@ class KeptViews:
         self._session, self._files, self._slopes = session, files, slopes
         self._kept = _Kept()
         self._damaged = False
-        if (session.folder / KEPT).exists():
+        place = session.folder / VIEWS_FILE
+        if place.exists():
             try:
-                self._kept = read_json_as(session.folder / KEPT, _Kept, "Keep the views again.")
+                self._kept = read_json_as(place, _Kept, "Keep the views again.")
             except StyleSplatError as error:
                 self._damaged = True
                 say(str(error))
@@ -138,7 +139,7 @@ class KeptViews:
     def _write(self, kept: _Kept) -> None:
         self._kept = kept
         self._session.on_change.call()
-        place = self._session.folder / KEPT
+        place = self._session.folder / VIEWS_FILE
         refuse_unwritable(place.parent)
         if self._damaged and place.exists():
             place.replace(place.with_suffix(".damaged.json"))

@@ -30,7 +30,7 @@ from stylesplat.io.splats.gltf_file import (
 )
 
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives that have faces
-TRANSFORM, WEBP = "KHR_texture_transform", "EXT_texture_webp"
+TRANSFORM, WEBP_TEXTURE = "KHR_texture_transform", "EXT_texture_webp"
 # How meshes or base colours may be stored, which is not read here
 GLB_UNREAD = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
 GLB_UNREAD |= {"KHR_materials_pbrSpecularGlossiness", "KHR_texture_basisu"}
@@ -170,7 +170,7 @@ def _picture(gltf: Gltf, document: Json, info: Json | None) -> UInt8[np.ndarray,
 
 def _image(document: Json, texture: Json) -> Json:
     """The image of a texture, as WebP if that is the only one."""
-    other = texture.get("extensions", {}).get(WEBP, {}).get("source")
+    other = texture.get("extensions", {}).get(WEBP_TEXTURE, {}).get("source")
     return document["images"][texture.get("source", other)]
 
 

@@ -22,9 +22,9 @@ from stylesplat.io.models.glb import SPLATS_FOUND, painted_glb, parse_glb
 from stylesplat.io.models.model import Model, PaintedPart
 from stylesplat.io.models.obj import (
     BASE_COLOR,
-    MATERIALS,
     MERGED,
     OBJ,
+    OBJ_MATERIALS,
     Obj,
     beside,
     file_beside,
@@ -66,7 +66,7 @@ def refuse_model_file(source: Path, output: Path, *, overwrite: bool) -> None:
         raise StyleSplatError(f"{fact}. Use a name in {' or '.join(kinds)}.")
     refuse_file(output, overwrite=overwrite)
     if output.suffix.lower() == OBJ:
-        refuse_file(output.with_suffix(MATERIALS), overwrite=overwrite)
+        refuse_file(output.with_suffix(OBJ_MATERIALS), overwrite=overwrite)
 
 
 def read_model(path: Path) -> Model:
@@ -109,10 +109,10 @@ def write_model(
             draft.write_bytes(painted_glb(model, painted, pictures))
         return
     obj, name_of = model.obj, _naming(model.obj, path, overwrite=overwrite)
-    library = path.with_suffix(MATERIALS).name
+    library = path.with_suffix(OBJ_MATERIALS).name
     if obj is not None and obj.path.resolve() != path.resolve():
         if path.with_name(library).resolve() in {each.resolve() for each in obj.libraries}:
-            library = name_of(f"materials{MATERIALS}")
+            library = name_of(f"materials{OBJ_MATERIALS}")
     named = {each.part.names[-1]: each.picture for each in painted}
     keeps_uvs = all(each.unwrapped is None for each in painted)
     if obj is not None and keeps_uvs and obj.can_keep({*named}):

@@ -18,8 +18,8 @@ from stylesplat.io.files import is_file, read_bytes, resolve_within
 from stylesplat.io.images import open_image
 from stylesplat.progress import say
 
-OBJ, MATERIALS = ".obj", ".mtl"
-BASE_COLOR, NORMALS, BUMPS = "map_kd", "norm", ("map_bump", "bump")
+OBJ, OBJ_MATERIALS = ".obj", ".mtl"
+BASE_COLOR, NORMAL_MAP, BUMPS = "map_kd", "norm", ("map_bump", "bump")
 METAL, ROUGH, LIGHT = "map_pm", "map_pr", "map_ke"
 NORMAL_COLOR = (128, 128, 255)  # of a surface that is not bent, in a map of normals
 NEW_MATERIAL = "newmtl"
@@ -194,9 +194,9 @@ def physically_based(material: Any, obj: Path) -> tuple[Any, set[str]]:
         with open_image(path) as image:
             return image.convert("RGB")
 
-    maps = {kind: picture(kind) for kind in (NORMALS, *BUMPS, METAL, ROUGH, LIGHT)}
+    maps = {kind: picture(kind) for kind in (NORMAL_MAP, *BUMPS, METAL, ROUGH, LIGHT)}
     maps = {kind: image for kind, image in maps.items() if image is not None}
-    normals = [kind for kind in (NORMALS, *BUMPS) if _is_of_normals(maps.get(kind))]
+    normals = [kind for kind in (NORMAL_MAP, *BUMPS) if _is_of_normals(maps.get(kind))]
     metal, rough = maps.get(METAL), maps.get(ROUGH)
     both = None
     if sizes := [each.size for each in (rough, metal) if each is not None]:

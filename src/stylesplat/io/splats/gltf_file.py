@@ -32,7 +32,7 @@ DISPLAYED = "srgb_rec709_display"  # the colour space of all our splats
 GLB_MAGIC = b"glTF"
 GLB_HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file
 GLB_CHUNK = struct.Struct("<I4s")  # bytes of the chunk, kind
-JSON, BINARY = b"JSON", b"BIN\0"
+JSON, GLB_BINARY = b"JSON", b"BIN\0"
 GLB_VERSION = 2
 MAX_COMMAS = 2**20  # in the JSON, which may take 200 bytes of memory for each; buffers have one
 GL_FLOAT, SHORT, BYTE = 5126, 5123, 5121
@@ -66,7 +66,7 @@ def glb_head(text: bytes, size: int) -> bytes:
     head = GLB_HEADER.pack(GLB_MAGIC, GLB_VERSION, glb_size(text, size)) + GLB_CHUNK.pack(
         len(text), JSON
     )
-    return head + text + GLB_CHUNK.pack(size, BINARY)
+    return head + text + GLB_CHUNK.pack(size, GLB_BINARY)
 
 
 class _Part(Struct, frozen=True, rename="camel"):
@@ -332,4 +332,4 @@ def split_glb(content: bytes) -> tuple[bytes, memoryview | None, memoryview]:
         rest = rest[size:]
     if JSON not in chunks:
         raise ValueError("it has no chunk of JSON")
-    return bytes(chunks[JSON]), chunks.get(BINARY), rest
+    return bytes(chunks[JSON]), chunks.get(GLB_BINARY), rest

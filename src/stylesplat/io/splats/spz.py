@@ -28,7 +28,7 @@ from stylesplat.scene.frames import Frame, move_splats
 from stylesplat.scene.splats import Splats
 
 SPZ_VERSIONS = (4, 3, 2)  # that are written; 3 is larger by a twelfth, 2 has coarser rotations
-POSITION = 2**23 - 1  # largest fixed-point coordinate
+SPZ_LARGEST_PLACE = 2**23 - 1  # largest fixed-point coordinate
 FRACTION = range(1, 21)  # bits behind the point; 20 resolve a millionth
 SPZ_SURE = 30.0  # a logit beyond which the byte of an opacity is 0 or 255; exp(88) overflows
 COLOR_SCALE = 0.15  # of the constant band in a byte
@@ -42,7 +42,7 @@ ROTATIONS = 16  # bytes of a Gaussian before its rotation: place, opacity, colou
 SPZ_SMALLEST_ROW = 16  # bytes of a Gaussian without higher bands, before compression
 SPZ_EXTENSIONS = 2**20  # bytes that may follow the Gaussians
 SPZ_LARGEST_RATIO = 200  # of compression: real files reach 20, zeros 1000
-HALVES, SMALLEST_THREE, TABLES = 1, 3, 4  # versions of half floats, good rotations, tables
+HALF_FLOATS, SMALLEST_THREE, TABLES = 1, 3, 4  # versions of half floats, good rotations, tables
 DEGREES = range(5)  # of colour that a file may have
 FLAG_ANTIALIASED, FLAG_EXTENDED = 1, 2
 FLAGS = 14  # their byte
@@ -69,7 +69,7 @@ class _Header(NamedTuple):
     @property
     def widths(self) -> tuple[int, ...]:
         """Bytes of a Gaussian: place, opacity, colour, size, rotation, higher bands."""
-        place, turn = 6 if self.version == HALVES else 9, 3 + (self.version >= SMALLEST_THREE)
+        place, turn = 6 if self.version == HALF_FLOATS else 9, 3 + (self.version >= SMALLEST_THREE)
         return place, 1, 3, 3, turn, 3 * ((self.degree + 1) ** 2 - 1)
 
 
@@ -116,7 +116,7 @@ def pack_spz(splats: Splats, path: Path, *, version: int = SPZ_VERSIONS[0]) -> b
     """The content of an SPZ file, for `path`, of splats in SPZ's own axes."""
     check_choice(version, "version of SPZ", SPZ_VERSIONS)
     reach = float(splats.means.abs().max()) if len(splats) else 0.0
-    bits = [b for b in FRACTION if reach * 2**b <= POSITION]
+    bits = [b for b in FRACTION if reach * 2**b <= SPZ_LARGEST_PLACE]
     if not bits:
         raise StyleSplatError(
             f"Cannot export to {path}: the splats reach {reach:.0f} units from the origin, which "
@@ -159,7 +159,7 @@ def _of_version_2(unpacked: bytes, splats: Splats) -> bytes:
 
 
 def _positions(places: UInt8[np.ndarray, "N D"], header: _Header) -> Float[np.ndarray, "N 3"]:
-    if header.version == HALVES:
+    if header.version == HALF_FLOATS:
         return places.view("<f2").astype(np.float32)
     low, middle, high = np.moveaxis(places.reshape(-1, 3, 3).astype(np.int32), 2, 0)
     fixed = low | middle << 8 | (high ^ 128) - 128 << 16  # the highest bit is the sign
@@ -231,7 +231,7 @@ def _sections(content: bytes) -> tuple[_Header, list[bytes], bytes]:
     header = _Header(*numbers)
     if magic != MAGIC:
         raise ValueError("it has no SPZ header")
-    if not HALVES <= header.version <= TABLES or header.degree not in DEGREES:
+    if not HALF_FLOATS <= header.version <= TABLES or header.degree not in DEGREES:
         kind = f"version {header.version}, degree {header.degree}"
         raise ValueError(f"its SPZ header is of {kind}, which is not read here")
     if header.rows * SPZ_SMALLEST_ROW > SPZ_LARGEST_RATIO * len(content):
