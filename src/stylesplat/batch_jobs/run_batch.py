@@ -26,7 +26,7 @@ from stylesplat.errors import StyleSplatError, error_context, join_names
 from stylesplat.evaluation.summary import flat
 from stylesplat.figures.html_page import data_url
 from stylesplat.interrupts import wait_until
-from stylesplat.io.atomic import PARTIAL, atomic_path, locked_folder, refuse_occupied
+from stylesplat.io.atomic import PARTIAL, locked_folder, refuse_occupied, write_file
 from stylesplat.io.files import is_file
 from stylesplat.io.images import jpeg_thumbnail
 from stylesplat.io.kinds import PHOTOS, SOG_LEVELS, SOG_META
@@ -51,8 +51,7 @@ def write_job_page(path: Path, jobs: Sequence[tuple[Job, JobRecord]], *, of: int
         summary=f"Jobs: {of}. {', '.join(ends) or 'none has ended'}.",
         jobs="\n".join(articles),
     )
-    with atomic_path(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_file(path, page)
     return path
 
 
@@ -140,8 +139,7 @@ def run_batch(
             and (output / name).exists()
         }
         kept = [r for n, r in earlier.items() if n in done or n not in prints]
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(b"".join(map(_line, kept)))
+        write_file(path, b"".join(map(_line, kept)))
         records, todo = dict(done), [job for job in jobs if job.name not in done]
         slots, runner = workers, local_processes(output, workers)
         if ray is not None:

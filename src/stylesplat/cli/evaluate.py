@@ -16,7 +16,7 @@ from stylesplat.cli.command import (
     next_command,
 )
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import atomic_path, locked_folder, refuse_file, refuse_unwritable
+from stylesplat.io.atomic import locked_folder, refuse_file, refuse_unwritable, write_file
 from stylesplat.io.json_yaml import write_json
 from stylesplat.progress import say
 
@@ -128,8 +128,7 @@ class Evaluate(MakingCommand):
             found = ss.compare(scenes, captures, device=self.device)
             title = "Scenes compared"
             text = comparison_page(found.scenes, found.views, title=title, notes=found.notes)
-            with atomic_path(page) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+            write_file(page, text)
         values = {**found.summary(), "page": page}
         about = f"Page: {page}, with all numbers and {len(found.views)} views of each."
         return Answer(values, [*map(_comparison_line, values["scenes"]), about])

@@ -19,7 +19,7 @@ from stylesplat.evaluation.summary import painted_gaussians, style_lines
 from stylesplat.figures.html_page import Figure, Section, file_url, page_style, section_html
 from stylesplat.figures.pictures import label_colors
 from stylesplat.figures.sheets import object_sheet
-from stylesplat.io.atomic import atomic_folder, atomic_path, refuse_occupied
+from stylesplat.io.atomic import atomic_folder, refuse_occupied, write_file
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.images import write_image
 from stylesplat.io.kinds import SCENE, TRANSFORMS
@@ -68,8 +68,7 @@ def write_report(
             for name, value in numbers.items()
         ),
     )
-    with atomic_path(output / REPORT) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_file(output / REPORT, page)
 
 
 def _sections(

@@ -21,7 +21,7 @@ from scipy.cluster.vq import vq
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, check_choice
-from stylesplat.io.atomic import atomic_path, refuse_file
+from stylesplat.io.atomic import refuse_file, write_file
 from stylesplat.io.splats.packing import PACKED_LARGEST, kmeans, morton_order, smallest_three
 from stylesplat.io.splats.splat_files import say_left_out
 from stylesplat.io.splats.splat_ply import MAX_DEGREE, needed_degree, of_degree
@@ -175,8 +175,7 @@ def write_page(
     check_choice(degree, "degree of colour", range(MAX_DEGREE + 1))
     refuse_file(path, overwrite=overwrite)
     page = page_of(what, title=path.stem, sh_degree=degree)
-    with atomic_path(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_file(path, page)
     say_left_out(what.splats if isinstance(what, Scene) else what, path)
 
 

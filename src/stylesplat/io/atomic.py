@@ -61,6 +61,15 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
             draft.unlink()
 
 
+def write_file(path: Path | str, content: bytes | str) -> None:
+    """Write a file as a whole, or not at all; see `atomic_path`."""
+    with atomic_path(path) as draft:
+        if isinstance(content, str):
+            draft.write_text(content, encoding="utf-8")
+        else:
+            draft.write_bytes(content)
+
+
 @contextmanager
 def atomic_folder(
     path: Path | str, *, overwrite: bool, marker: str, stale: Sequence[str] = ()

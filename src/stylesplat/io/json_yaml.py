@@ -13,7 +13,7 @@ import yaml
 from msgspec import Meta
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import atomic_path
+from stylesplat.io.atomic import write_file
 from stylesplat.io.files import read_bytes, reason
 
 T = TypeVar("T")
@@ -80,8 +80,7 @@ def convert_checked(value: Any, kind: Any, what: str, remedy: str, *, strict: bo
 
 def write_json(content: Mapping[str, Any], path: Path | str) -> None:
     text = strict_json(content, indent=2)
-    with atomic_path(path) as draft:
-        draft.write_text(text + "\n", encoding="utf-8")
+    write_file(path, text + "\n")
 
 
 def strict_json(content: Any, *, indent: int | None = None) -> str:

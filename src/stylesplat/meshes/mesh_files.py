@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import atomic_path, refuse_file
+from stylesplat.io.atomic import atomic_path, refuse_file, write_file
 from stylesplat.io.images import picture_bytes
 from stylesplat.io.splats.gltf import HALF_TURN, VERTICES, half_turned_node
 from stylesplat.io.splats.gltf_file import GL_FLOAT, GL_UINT32, GLB_VERSION, glb_head, padded_json
@@ -34,8 +34,7 @@ def refuse_mesh_file(path: Path, *, overwrite: bool) -> None:
 def write_mesh(mesh: TexturedMesh, path: Path, offset: Offset = ORIGIN) -> None:
     """Write a mesh in the world, with y up: turned by half about z, as splats in a GLB."""
     if path.suffix.lower() == ".glb":
-        with atomic_path(path) as draft:
-            draft.write_bytes(_glb(mesh, offset))
+        write_file(path, _glb(mesh, offset))
         return
     material, picture = _beside(path)
     with atomic_path(path) as obj, atomic_path(material) as mtl, atomic_path(picture) as png:

@@ -22,7 +22,7 @@ from msgspec import Meta
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError
-from stylesplat.io.atomic import atomic_path, refuse_unwritable
+from stylesplat.io.atomic import refuse_unwritable, write_file
 from stylesplat.io.files import read_bytes
 from stylesplat.io.json_yaml import read_json_as, strict_json
 from stylesplat.io.layers import (
@@ -184,8 +184,7 @@ class HistoryFolder:
         saved = self._record_of(Step(1, "", CompactState(session.saved))).content
         now = history.step_now.number
         index = _Index(1, self._base, saved, now, steps, snapshots)
-        with atomic_path(folder / HISTORY_INDEX) as draft:
-            draft.write_bytes(msgspec.json.encode(index))
+        write_file(folder / HISTORY_INDEX, msgspec.json.encode(index))
         self._stamp, self._written = _stamp(folder / HISTORY_INDEX), self._key()
         self._sweep([*steps, *snapshots])
         self._release()
@@ -322,8 +321,7 @@ class HistoryFolder:
     def _write(self, name: str, content: Any) -> None:
         path = self._path(name)
         if not path.exists():
-            with atomic_path(path) as draft:
-                draft.write_bytes(content())
+            write_file(path, content())
 
     def _path(self, name: str) -> Path:
         kinds = {".safetensors": "layers", ".mask": "masks", ".jpg": "pictures"}

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from stylesplat.errors import StyleSplatError, join_names
-from stylesplat.io.atomic import atomic_path, refuse_file
+from stylesplat.io.atomic import atomic_path, refuse_file, write_file
 from stylesplat.io.files import is_there, read_bytes, reading
 from stylesplat.io.images import open_image, picture_bytes
 from stylesplat.io.kinds import kind_of
@@ -105,8 +105,7 @@ def write_model(
     """
     if path.suffix.lower() == GLB:
         _say_left_out(path, model.left_out)
-        with atomic_path(path) as draft:
-            draft.write_bytes(painted_glb(model, painted, pictures))
+        write_file(path, painted_glb(model, painted, pictures))
         return
     obj, name_of = model.obj, _naming(model.obj, path, overwrite=overwrite)
     library = path.with_suffix(OBJ_MATERIALS).name

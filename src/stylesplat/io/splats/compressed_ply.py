@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from stylesplat.io.atomic import atomic_path
+from stylesplat.io.atomic import write_file
 from stylesplat.io.ply import VERTEX, PlyHeader, Table, read_header, read_ply
 from stylesplat.io.splats.packing import (
     PACKED_LARGEST,
@@ -113,8 +113,7 @@ def write_compressed_ply(splats: Splats, path: Path | str) -> None:
     content = gsply.compress_to_bytes(to_gsply(splats[morton_order(splats.means)]))
     if splats.antialiased:
         content = content.replace(b"\nelement", f"\ncomment {MARK}\nelement".encode(), 1)
-    with atomic_path(path) as draft:
-        draft.write_bytes(content)
+    write_file(path, content)
 
 
 def to_gsply(splats: Splats) -> gsply.GSData:

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.io.atomic import atomic_path
+from stylesplat.io.atomic import write_file
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.packing import PACKED_SMALLEST, to_bytes, to_floats, unit_quats
 from stylesplat.io.splats.splat_ply import MAX_DEGREE, joined
@@ -63,8 +63,7 @@ def write_dot_splat(splats: Splats, path: Path | str) -> None:
     rows["scale"] = splats.scales[order].exp().clamp(min=PACKED_SMALLEST).numpy()
     rows["rgba"] = to_bytes(255 * torch.cat([colors, alphas[:, None]], dim=1))[order]
     rows["quat"] = to_bytes(128 + 128 * unit_quats(splats.quats))[order]
-    with atomic_path(path) as draft:
-        draft.write_bytes(rows.tobytes())
+    write_file(path, rows.tobytes())
 
 
 def dot_splat_order(splats: Splats) -> Int[Tensor, " N"]:

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from stylesplat.errors import StyleSplatError, check_choice, join_names
-from stylesplat.io.atomic import atomic_path
+from stylesplat.io.atomic import write_file
 from stylesplat.io.files import read_bytes
 from stylesplat.io.splats.compressed_ply import to_gsply
 from stylesplat.io.splats.packing import PACKED_LARGEST, PACKED_NEAR, from_smallest_three, to_floats
@@ -108,8 +108,7 @@ def unpack_spz(content: bytes, path: Path | str) -> tuple[Splats, str]:
 def write_spz(splats: Splats, path: Path | str, *, version: int = SPZ_VERSIONS[0]) -> None:
     """Write SPZ: six times smaller than PLY or more, its numbers rounded."""
     content = pack_spz(_flipped(splats, 1.0, -1.0, -1.0), Path(path), version=version)
-    with atomic_path(path) as draft:
-        draft.write_bytes(content)
+    write_file(path, content)
 
 
 def pack_spz(splats: Splats, path: Path, *, version: int = SPZ_VERSIONS[0]) -> bytes:
