@@ -20,7 +20,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, shorten
-from stylesplat.io.atomic import atomic_path
+from stylesplat.io.atomic import atomic_path, write_file
 from stylesplat.io.splats.gltf_file import (
     BYTE,
     DISPLAYED,
@@ -222,8 +222,7 @@ def write_gltf(splats: Splats, path: Path | str, *, spz: bool = False) -> None:
     document, parts = _document(splats, Path(path), spz=spz)
     content = base64.b64encode(b"".join(parts)).decode()
     document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{content}"
-    with atomic_path(path) as draft:
-        draft.write_text(json.dumps(document, indent=1))
+    write_file(path, json.dumps(document, indent=1))
 
 
 def half_turned_node(offset: Offset, *, as_matrix: bool = False) -> dict[str, list[float]]:
