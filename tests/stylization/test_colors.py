@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from balls import (
     CAMERAS,
@@ -42,6 +43,8 @@ from stylesplat.stylization.colors import (
     low_pass_colors,
     object_colors,
     project_to_palette,
+    transfer_colors,
+    transfer_two_bands,
 )
 from stylesplat.stylization.features import FeatureNetwork
 from stylesplat.stylization.views import ObjectView, find_boxes
@@ -144,6 +147,31 @@ def test_settling_brings_pixels_to_the_painting(views: list[ObjectView]):
     after = off_palette(object_colors(settled, views), GREY)
     assert before > 0.9 and after < 0.5 * before
     assert off_palette(rgb_from_sh0(settled[beneath]).clamp(0, 1), GREY) == 0
+
+
+def test_black_of_thin_lines_does_not_become_that_of_a_dark_side(dense_views: list[ObjectView]):
+    means = dense_ball(LIGHT).means[PICKED]
+    side = means[:, :1] < means[:, :1].quantile(0.3)
+    shaded = PATTERNED * 0.3 - 1.2 * side
+    lines = torch.full((48, 48, 3), 0.6)
+    lines[:, ::4], lines[:, 2::4] = 0.05, 0.95
+    deviation = 2.0
+
+    def darkest(found: Tensor) -> float:
+        broad = blur_colors(found, dense_views, deviation)
+        return float(object_colors(broad, dense_views).mean(dim=1).quantile(0.02))
+
+    def contrast(found: Tensor) -> float:
+        broad = blur_colors(found, dense_views, deviation)
+        detail = object_colors(found, dense_views) - object_colors(broad, dense_views)
+        return float(detail.square().mean().sqrt())
+
+    at_once = transfer_colors(shaded, lines.reshape(-1, 3), dense_views)
+    in_bands = transfer_two_bands(shaded, [lines], dense_views, deviation)
+    assert darkest(at_once) < 0.2 < 0.3 < darkest(in_bands)
+    assert contrast(in_bands) > 1.3 * contrast(shaded), "detail gets more of the lines'"
+    luma = rgb_from_sh0(in_bands) @ torch.tensor(LUMA)
+    assert luma.min() > 0.04 and luma.max() < 0.96, "as dark and as bright as the lines at most"
 
 
 def test_hues_have_no_more_detail_than_the_style(dense_views: list[ObjectView]):

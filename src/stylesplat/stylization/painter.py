@@ -42,6 +42,7 @@ from stylesplat.stylization.colors import (
     object_colors,
     project_to_palette,
     transfer_colors,
+    transfer_two_bands,
 )
 from stylesplat.stylization.config import DEFAULT_NETWORK, Stage, StyleConfig
 from stylesplat.stylization.features import FeatureNetwork, load_weights
@@ -58,6 +59,7 @@ from stylesplat.stylization.painting import (
 from stylesplat.stylization.paper import paint_as_published
 from stylesplat.stylization.style import (
     KEPT_HUES,
+    STROKE_DEVIATION,
     all_colors,
     large_shapes,
     style_parts,
@@ -217,12 +219,12 @@ def paint_object(subject: Subject) -> Iterator[PaintState]:
         colors = yield from paint_stage(subject, stage, colors, goal, generator, finish)
 
     subject, colors = align_and_trim(subject, colors, last.length)
-    whole, length = whole_object(subject, stages[count], BLUR_VIEWS)
-    relief = form_relief(subject.canvas.before, whole, len(colors), length, subject.detail)
+    whole = views, length = whole_object(subject, stages[count], BLUR_VIEWS)
+    relief = form_relief(subject.canvas.before, views, len(colors), length, subject.detail)
     colors = add_luminance(colors, SHARPENED * config.form * config.pattern_removed * relief[:, 0])
     goal = goal._replace(relief=relief)
     for stage in fine:
-        finish = partial(match_style, goal, whole)
+        finish = partial(match_style, goal, config, whole)
         colors = yield from paint_stage(subject, stage, colors, goal, generator, finish)
     finish = partial(settle_colors, goal, subject, last, whole)
     yield from paint_stage(subject, last, colors, goal, generator, finish)
@@ -331,28 +333,36 @@ def melt_strokes(
 
 
 def match_style(
-    goal: Goal, whole: Sequence[ObjectView], colors: Colors, _: Sequence[ObjectView]
+    goal: Goal,
+    config: StyleConfig,
+    whole: tuple[Sequence[ObjectView], float],
+    colors: Colors,
+    _: Sequence[ObjectView],
 ) -> Colors:
-    """Give the object's pixels the style's mean and covariance."""
-    return transfer_colors(colors, all_colors(goal.images), whole)
+    """Give the object's large shapes the style's colours and tones, and its detail their contrast.
+
+    The `whole` object's views come with its length in them.
+    """
+    views, length = whole
+    pictures = [resize(*part) for part in style_parts(goal.images, config, length)]
+    return transfer_two_bands(colors, pictures, views, STROKE_DEVIATION * length)
 
 
 def settle_colors(
     goal: Goal,
     subject: Subject,
     stage: Stage,
-    whole: Sequence[ObjectView],
+    whole: tuple[Sequence[ObjectView], float],
     colors: Colors,
     views: Sequence[ObjectView],
 ) -> Colors:
     """Bring the colours of the last stage near to the palette, and their detail to the style's."""
     assert goal.palette is not None
     config, is_disc = subject.painting.config, subject.canvas.is_disc[subject.rows]
-    colors = match_style(goal, whole, colors, views)
-    parts = style_parts(goal.images, config, stage.length)
-    pictures = [resize(part, longer) for part, longer in parts]
+    colors = match_style(goal, config, whole, colors, views)
+    pictures = [resize(*part) for part in style_parts(goal.images, config, stage.length)]
     colors = limit_hue_detail(colors, views, pictures, config.pattern_removed)
-    return project_to_palette(colors, whole, goal.palette, ~is_disc & is_disc.any())
+    return project_to_palette(colors, whole[0], goal.palette, ~is_disc & is_disc.any())
 
 
 def align_and_trim(

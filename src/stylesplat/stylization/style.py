@@ -45,6 +45,7 @@ STYLE_RIDGE = 0.06  # curvature across a stroke, of 1: less is no stroke
 # Pixels of a resized style image's longer side: of a larger one parts are used
 STYLE_LARGEST = 1300.0
 BROAD = 0.05  # of the object's length: what is less is a stroke
+STROKE_DEVIATION = BROAD / 12**0.5  # of a blur that leaves the same as pixels so large
 KEPT_HUES: dict[ColorMode, float] = {"blend": 0.5, "keep": 1.0}  # share of an object's own
 STYLE_PARTS = 9  # that together are as large
 
