@@ -54,12 +54,6 @@ for command in (
     ["sfm", folder / "photos", "-o", folder / "capture"],
 ):
     print(command[0], main([str(word) for word in command]))
-
-import gpu  # the machine with the GPU may have no av
-from stylesplat.demo.demo_run import run_demo
-
-gpu.install(None)
-print(*(callable(each) for each in (ss.load, ss.train, run_demo)))
 """
 
 
@@ -70,8 +64,7 @@ def test_a_splat_is_selected_painted_rendered_and_exported_without(tmp_path: Pat
         capture_output=True,
         text=True,
     )
-    commands = ["objects 0", "render 1", "mask 1", "sfm 1"]
-    assert done.stdout.splitlines() == [*commands, "True True True"], done.stderr
+    assert done.stdout.splitlines() == ["objects 0", "render 1", "mask 1", "sfm 1"], done.stderr
     lines = [line for line in done.stderr.splitlines() if "stylesplat[photos]" in line]
     assert [line.split()[1] for line in lines] == ["PyAV", "OpenCV", "pycolmap"]
     assert {"a.ply", "a.spz", "a.glb", "a.html"} <= {p.name for p in tmp_path.iterdir()}

@@ -1,5 +1,7 @@
 """The checks of a GPU, on the stand-in of one."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,3 +59,15 @@ def test_rows_are_printed_at_once_and_one_that_fails_does_not_lose_the_others(
     table.row("the same with 16 identities, ms", lambda: 3.0, "gsplat")
     assert capsys.readouterr().out.split()[-3:] == ["3.0", "1.00", "GiB"]
     assert table.missing == ["fox, 7000 steps, s"]
+
+
+def test_av_is_imported_where_a_video_is_read_alone():
+    """The machine with the GPU may have none."""
+    code = """import sys, gpu
+gpu.install(None)
+import stylesplat.verbs.train, stylesplat.verbs.stylize, stylesplat.io.renders
+assert 'av' not in sys.modules"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=gpu.ROOT / "benchmarks", capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr

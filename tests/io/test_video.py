@@ -1,3 +1,6 @@
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import av
@@ -5,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+import stylesplat as ss
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.renders import write_video
 
@@ -44,3 +48,20 @@ def test_frames_come_back_in_order_and_colour(
 def test_nothing_to_show(tmp_path: Path, frames: list[torch.Tensor]):
     with pytest.raises(StyleSplatError, match="needs frames of 2x2 pixels or more"):
         write_video(frames, tmp_path / "a.mp4")
+
+
+WITHOUT_AV = """
+import sys
+sys.modules["av"] = None  # so that importing it fails
+import stylesplat as ss
+from stylesplat.demo.demo_run import run_demo
+print(*(callable(each) for each in (ss.load, ss.train, ss.stylize, run_demo)))
+"""
+
+
+def test_what_touches_no_video_needs_no_library_of_videos():
+    environment = {**os.environ, "PYTHONPATH": str(Path(ss.__file__).parents[1])}
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_AV], env=environment, capture_output=True, text=True
+    )
+    assert done.stdout.split() == 4 * ["True"], done.stderr

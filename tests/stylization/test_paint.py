@@ -1,5 +1,5 @@
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 from balls import CAMERAS as EIGHT
-from balls import FAST, TABLE, TRAINED, ball, enlarged, painting_quickly, same, with_settings
+from balls import FAST, TABLE, TRAINED, ball, enlarged, same, with_settings
 from balls import STRIPED_SCENE as SCENE
 from scenes import rand
 from stylesplat.errors import StyleSplatError
@@ -49,13 +49,6 @@ def picture_error(one: Splats, other: Splats) -> float:
     return max(float(-10 * (a - b).square().mean().log10()) for a, b in pairs)
 
 
-@pytest.fixture
-def quickly() -> Iterator[None]:
-    """For what does not look at canvases or colours."""
-    with painting_quickly():
-        yield
-
-
 @pytest.fixture(scope="module")
 def job(stripes: torch.Tensor) -> Painting:
     return Painting("ball", ball(0), (stripes,), FAST)
@@ -89,7 +82,6 @@ def test_colors_stay_in_range_where_gradients_exist(job: Painting, network: Feat
     assert 0.99 < colors.max() <= 1 + 1e-6
 
 
-@pytest.mark.usefixtures("quickly")
 def test_each_object_is_painted_on_those_before(job: Painting, network: FeatureNetwork):
     """And each with its own settings. The first does not see the second."""
     job = with_settings(job, quality="normal")
@@ -202,7 +194,6 @@ def test_features_take_the_best_match_of_several_pictures(job: Painting, network
     assert picture_error(twice.splats, single) > picture_error(both.splats, single) + 3
 
 
-@pytest.mark.usefixtures("quickly")
 def test_the_verb(job: Painting, network: FeatureNetwork, tmp_path: Path):
     path = tmp_path / "style.png"
     pixels = (job.images[0] * 255).round().to(torch.uint8)
@@ -216,7 +207,6 @@ def test_the_verb(job: Painting, network: FeatureNetwork, tmp_path: Path):
         paint(SCENE, CAMERAS, job.mask, tmp_path / "none.png", **rest)
 
 
-@pytest.mark.usefixtures("quickly")
 def test_states_lead_to_the_same(job: Painting, network: FeatureNetwork):
     job = with_settings(job, quality="normal")
     context = paint_setup(SCENE, CAMERAS, network)
@@ -277,7 +267,6 @@ def test_few_steps_take_a_view_that_shows_the_object(network: FeatureNetwork, jo
     assert not torch.equal(styled.splats.sh0[: len(SCENE)], SCENE.sh0)
 
 
-@pytest.mark.usefixtures("quickly")
 def test_a_viewer_may_paint_without_gradients(job: Painting, network: FeatureNetwork):
     with torch.no_grad():
         quiet = styled_by(job, network)
@@ -310,7 +299,6 @@ def test_a_style_of_one_color_gives_its_color(job: Painting, network: FeatureNet
     torch.testing.assert_close(mean, green[0, 0], atol=0.1, rtol=0)
 
 
-@pytest.mark.usefixtures("quickly")
 def test_soft_picks_leave_what_is_not_the_object(job: Painting, network: FeatureNetwork):
     """A picked Gaussian that hangs beside the ball, large and faint, keeps every bit."""
     means, scales, opacities = (t.clone() for t in (SCENE.means, SCENE.scales, SCENE.opacities))
