@@ -167,11 +167,14 @@ def test_black_of_thin_lines_does_not_become_that_of_a_dark_side(dense_views: li
         return float(detail.square().mean().sqrt())
 
     at_once = transfer_colors(shaded, lines.reshape(-1, 3), dense_views)
-    in_bands = transfer_two_bands(shaded, [lines], dense_views, deviation)
+    in_bands = transfer_two_bands(shaded, [lines], dense_views, deviation, deviation)
     assert darkest(at_once) < 0.2 < 0.3 < darkest(in_bands)
     assert contrast(in_bands) > 1.3 * contrast(shaded), "detail gets more of the lines'"
     luma = rgb_from_sh0(in_bands) @ torch.tensor(LUMA)
     assert luma.min() > 0.04 and luma.max() < 0.96, "as dark and as bright as the lines at most"
+    colored = shaded + randn(len(shaded), 3, seed=1)
+    grey = rgb_from_sh0(transfer_two_bands(colored, [lines], dense_views, deviation, deviation))
+    assert (grey - grey.mean(dim=1, keepdim=True)).square().mean().sqrt() < 0.02, "nor hues"
 
 
 def test_hues_have_no_more_detail_than_the_style(dense_views: list[ObjectView]):

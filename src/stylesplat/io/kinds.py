@@ -210,6 +210,9 @@ def wrong_kind_error(path: Path, wanted: Noun) -> StyleSplatError:
             remedy = "Give that folder"
         case "capture", "picture":
             remedy = "Give the folder of all photos"
+        case "capture", "folder" if sogs := _sogs_in(path):
+            fault = f"{path} is a folder of splats, not photos"
+            remedy = _way_to_scene(sogs[0], "splat")
         case "capture", "empty folder":
             fault = f"{path} is an empty folder, but photos are needed: at least 3, better 30"
         case _, "splat" | "capture" | "part of a capture" | "photos" | "video":
@@ -223,7 +226,10 @@ def wrong_kind_error(path: Path, wanted: Noun) -> StyleSplatError:
 
 
 def refuse_other_than_photos(path: Path) -> None:
-    if kind_of(path) in ("nothing", "empty folder", "scene", "part of a scene", "splat"):
+    kind = kind_of(path)
+    if kind in ("nothing", "empty folder", "scene", "part of a scene", "splat") or (
+        kind == "folder" and _sogs_in(path)
+    ):
         raise wrong_kind_error(path, "capture")
 
 
@@ -248,9 +254,7 @@ def _kind_of_folder(path: Path) -> FileKind:
         return "capture"
     if _is_scene(path.parent):
         return "part of a scene"
-    photos = any(_entries(path, lambda p: _is_photo(p) or any(_entries(p, _is_photo))))
-    if photos and (is_file(path / SOG_LEVELS) or is_file(path / SOG_MEANS)):
-        return "folder"  # of a SOG's pictures
+    photos = _photos_in(path) or any(_entries(path, _photos_in))
     if photos and path.name.startswith(PHOTO_FOLDERS) and is_posed(path.parent):
         return "part of a capture"
     if photos:
@@ -265,8 +269,17 @@ def _is_scene(path: Path) -> bool:
     return (path / SCENE).is_file()
 
 
-def _is_photo(path: Path) -> bool:
-    return path.suffix.lower() in PHOTOS
+def _sogs_in(folder: Path) -> list[Path]:
+    """The file that describes a folder's pictures as splats, if there is one."""
+    names = (SOG_LEVELS, *([SOG_META] if is_file(folder / SOG_MEANS) else []))
+    return [path for name in names if is_file(path := folder / name)]
+
+
+def _photos_in(folder: Path) -> bool:
+    """Whether a folder has photos itself; the pictures of a SOG are none."""
+    others = (".webp",) if is_file(folder / SOG_MEANS) else ()
+    kinds = {*PHOTOS} - {*others}
+    return any(_entries(folder, lambda path: path.suffix.lower() in kinds))
 
 
 def _entries(path: Path, fits: Callable[[Path], bool]) -> list[Path]:

@@ -124,6 +124,14 @@ def tiled(projected: Projected, size: tuple[int, int], backend: Backend = "auto"
     return TiledView(drawn_by.tile(projected, size), drawn_by)
 
 
+def _nbytes(kept: Any) -> int:
+    """The memory of tensors, in dictionaries and tuples of any depth."""
+    if isinstance(kept, Tensor):
+        return kept.nbytes
+    parts = kept.values() if isinstance(kept, dict) else kept if isinstance(kept, tuple) else ()
+    return sum(map(_nbytes, parts))
+
+
 class TiledView(NamedTuple):
     """Projected Gaussians of one view, prepared for compositing by a backend."""
 
@@ -132,9 +140,8 @@ class TiledView(NamedTuple):
 
     @property
     def nbytes(self) -> int:
-        """The memory of what is sorted into tiles."""
-        kept = self.tiles.values() if isinstance(self.tiles, dict) else self.tiles
-        return sum(each.nbytes for each in kept if isinstance(each, Tensor))
+        """The memory of what is kept projected, or sorted into tiles."""
+        return _nbytes(self.tiles)
 
     def composite(self, values: Float[Tensor, "M K"]) -> Float[Tensor, "H W K"]:
         """Composite their values, as many channels at a time as kernels take."""

@@ -8,9 +8,9 @@ from torch import Tensor, from_numpy
 def nearest_points(
     points: Float[Tensor, "P 3"], places: Float[Tensor, "Q 3"], count: int = 1
 ) -> tuple[Float[Tensor, "Q k"], Int[Tensor, "Q k"]]:
-    """How far the nearest points are from each place in 64 bits, and their rows, by distance.
+    """Distances (float64) of each place's nearest points, and the rows of these, nearest first.
 
-    There are `count` of each, or as many as there are points.
+    There are `count` of each, or as many as there are points; of no points one, infinitely far.
     """
     count = max(1, min(count, len(points)))
     tree = KDTree(points.detach().cpu().double().numpy())

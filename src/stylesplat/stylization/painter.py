@@ -60,6 +60,7 @@ from stylesplat.stylization.paper import paint_as_published
 from stylesplat.stylization.style import (
     KEPT_HUES,
     STROKE_DEVIATION,
+    STYLE_LARGEST,
     all_colors,
     large_shapes,
     style_parts,
@@ -344,8 +345,10 @@ def match_style(
     The `whole` object's views come with its length in them.
     """
     views, length = whole
-    pictures = [resize(*part) for part in style_parts(goal.images, config, length)]
-    return transfer_two_bands(colors, pictures, views, STROKE_DEVIATION * length)
+    longer = min(config.scale * length, STYLE_LARGEST)
+    pictures = [resize(each, longer) for each in goal.images]
+    deviations = STROKE_DEVIATION * length, STROKE_DEVIATION * longer / config.scale
+    return transfer_two_bands(colors, pictures, views, *deviations)
 
 
 def settle_colors(

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from scenes import random_splats
 from stylesplat.errors import StyleSplatError
+from stylesplat.io.kinds import kind_of, refuse_other_than_photos
 from stylesplat.io.splats.packing import morton_order
 from stylesplat.io.splats.splat_files import read_splats, write_splats
 
@@ -176,18 +177,35 @@ def test_of_a_streamed_one_the_finest_level_of_each_part_is_read(tmp_path: Path,
 
 
 def test_a_streamed_one_whose_parts_are_not_there(tmp_path: Path):
-    refused(streamed(tmp_path / "rows", count=6), "rows beyond the 5 of 0.sog")
-    refused(streamed(tmp_path / "files", file=7), "Export it again")
+    refused(streamed(tmp_path / "rows", count=6), "rows beyond the 5 of '0.sog'")
+    refused(streamed(tmp_path / "files", file=7), "a file beyond its 2")
+    refused(streamed(tmp_path / "twice", file=1, offset=3), "rows of '1.sog' twice")
     path = streamed(tmp_path / "gone")
     (path.parent / "1.sog").unlink()
     refused(path, "1.sog")
+    (path.parent / "1.sog").write_bytes(b"none")
+    refused(path, "Cannot read .*1.sog: ")
+    about = json.loads(path.read_text())
+    path.write_text(json.dumps({**about, "environment": "0.sog"}))
+    refused(path, "names a file twice")
+    path.write_text(
+        json.dumps({**about, "tree": {"lods": {"fine": about["tree"]["children"][0]["lods"]["0"]}}})
+    )
+    refused(path, "level 'fine', which is no number")
     path.write_text('{"lodLevels": 0, "filenames": [], "tree": {}}')
     refused(path, "no part with Gaussians")
 
 
 def test_the_folder_of_a_sog_is_not_taken_for_photos(files: Files, tmp_path: Path):
-    refused(laid_out(files, tmp_path / "sog").parent, "holds some: .*meta.json. Give one of them")
+    folder = laid_out(files, tmp_path / "sog").parent
+    refused(folder, "holds some: .*meta.json. Give one of them")
     refused(streamed(tmp_path / "streamed").parent, "holds some: .*lod-meta.json")
+    assert kind_of(tmp_path) == "folder"
+    with pytest.raises(StyleSplatError, match=r"folder of splats, not photos.*import .*/meta.json"):
+        refuse_other_than_photos(folder)
+    (folder / "images").mkdir()
+    (folder / "images" / "a.webp").touch()
+    assert kind_of(folder) == "photos"
 
 
 @pytest.mark.parametrize("case", [*DECLARATIONS])
@@ -222,6 +240,12 @@ def test_the_palettes_picture_tells_the_bands(
 def test_no_palette(files: Files, tmp_path: Path, shN: object):
     path = bundled(declaring(files, lambda m: m.update(shN=shN)), tmp_path / "a.sog")
     assert read_splats(path).sh_degree == 0
+
+
+def test_ranges_beside_codebooks_mean_nothing(files: Files, tmp_path: Path):
+    odd = declaring(files, lambda m: m["sh0"].update(mins=[0, 0, 0, 0], maxs=[1, 1, 1, 1]))
+    found, same = (read_splats(laid_out(f, tmp_path / n)) for n, f in (("a", odd), ("b", files)))
+    assert torch.equal(found.opacities, same.opacities) and torch.equal(found.sh0, same.sh0)
 
 
 def test_a_palette_without_a_count(files: Files, tmp_path: Path):

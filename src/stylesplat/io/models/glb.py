@@ -22,6 +22,7 @@ from stylesplat.io.splats.gltf_file import (
     GLB_KINDS,
     SPLATTING,
     Gltf,
+    NodeNames,
     glb_head,
     padded_json,
     parse_gltf,
@@ -66,7 +67,7 @@ def parse_glb(path: Path, content: bytes) -> Model:
     for node, place, own in placed_nodes(gltf.document):
         if node.mesh is not None:  # a skin places its mesh, whatever the node does
             places.setdefault(node.mesh, place if node.skin is None else np.eye(4))
-            names[node.mesh] = names.get(node.mesh, ()) + own
+            names[node.mesh] = names.get(node.mesh, ()) + _in_order(own)
     parts = [
         _part(gltf, document, (mesh, row), place, names[mesh])
         for mesh, place in places.items()
@@ -74,6 +75,15 @@ def parse_glb(path: Path, content: bytes) -> Model:
         if primitive.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN)
     ]
     return Model(parts, GlbContent(gltf, text, bytes(rest)))
+
+
+def _in_order(names: NodeNames) -> tuple[str, ...]:
+    """Names of nodes, the topmost first."""
+    found = list[str]()
+    while names is not None:
+        names, name = names
+        found.append(name)
+    return tuple(reversed(found))
 
 
 def _part(

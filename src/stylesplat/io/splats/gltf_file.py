@@ -250,9 +250,13 @@ def _part(parts: list[T], index: int, name: str) -> T:
     return parts[index]
 
 
+NodeNames = tuple[Any, str] | None
+"""The name of a node, after those of the nodes above it."""
+
+
 def placed_nodes(
     document: Document,
-) -> Iterator[tuple[Node, Float[np.ndarray, "4 4"], tuple[str, ...]]]:
+) -> Iterator[tuple[Node, Float[np.ndarray, "4 4"], NodeNames]]:
     """The scene's nodes, their transforms to its world, and the names down to each of them."""
     nodes, visited = document.nodes, set[int]()
     if document.scenes:
@@ -260,14 +264,16 @@ def placed_nodes(
     else:
         children = {child for node in nodes for child in node.children}
         roots = [index for index in range(len(nodes)) if index not in children]
-    stack = [(root, np.eye(4), ()) for root in reversed(roots)]
+    stack: list[tuple[int, Float[np.ndarray, "4 4"], NodeNames]]
+    stack = [(root, np.eye(4), None) for root in reversed(roots)]
     while stack:
         index, above, names = stack.pop()
         if index in visited or index >= len(nodes):
             raise ValueError(f"its nodes are no tree (at node {index} of {len(nodes)})")
         visited.add(index)
         node = nodes[index]
-        matrix, names = above @ _matrix_of(node), (*names, *([node.name] if node.name else []))
+        matrix = above @ _matrix_of(node)
+        names = (names, node.name) if node.name and isinstance(node.name, str) else names
         yield node, matrix, names
         stack += [(child, matrix, names) for child in reversed(node.children)]
 

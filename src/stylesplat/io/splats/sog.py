@@ -23,7 +23,7 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, shorten
 from stylesplat.io.atomic import atomic_path
-from stylesplat.io.files import read_bytes, reason, resolve_within
+from stylesplat.io.files import read_bytes, reading, reason, resolve_within
 from stylesplat.io.json_yaml import PhotoName, json_object, read_json, strict_json
 from stylesplat.io.kinds import SOG_META
 from stylesplat.io.splats.packing import (
@@ -158,30 +158,56 @@ class _Levels(msgspec.Struct):
 
 
 def read_streamed_sog(path: Path | str) -> Splats:
-    """Read the finest level of each part of a streamed SOG, and what is around; a line says so."""
+    """Read the finest level of each part of a streamed SOG, and what is around it.
+
+    A line says how many levels there are, if there are several.
+    """
     path = Path(path)
     about = msgspec.convert(read_json(path, most=MAX_LEVELS), _Levels)
-    rows, levels, nodes = dict[int, list[_Run]](), set[int](), [about.tree]
+    runs, levels, nodes = dict[int, list[_Run]](), set[str](), [about.tree]
     while nodes:
         node = nodes.pop()
         nodes += node.children
-        levels |= {int(level) for level in node.lods}
+        levels |= node.lods.keys()
         if node.lods:
-            run = node.lods[min(node.lods, key=int)]
-            rows.setdefault(run.file, []).append(run)
+            run = node.lods[min(node.lods, key=_level)]
+            runs.setdefault(run.file, []).append(run)
+    if any(file >= len(about.filenames) for file in runs):
+        raise ValueError(f"it has rows of a file beyond its {len(about.filenames)}")
+    names = {file: about.filenames[file] for file in sorted(runs)}
+    every = [*names.values(), *([about.environment] if about.environment else [])]
+    if len({*every}) < len(every):
+        raise ValueError("it names a file twice")
     parts = list[Splats]()
-    for file, runs in sorted(rows.items()):
-        part = read_sog(resolve_within(path.parent, about.filenames[file]))
-        if any(run.offset + run.count > len(part) for run in runs):
-            raise ValueError(f"it has rows beyond the {len(part)} of {about.filenames[file]}")
-        runs.sort(key=lambda run: run.offset)
-        parts += [part[run.offset : run.offset + run.count] for run in runs]
+    for file, name in names.items():
+        part = _part_of(path, name)
+        end = 0
+        for run in sorted(runs[file], key=lambda run: run.offset):
+            if run.offset < end:
+                raise ValueError(f"it has rows of {shorten(name)!r} twice")
+            end = run.offset + run.count
+            parts.append(part[run.offset : end])
+        if end > len(part):
+            raise ValueError(f"it has rows beyond the {len(part)} of {shorten(name)!r}")
     if about.environment is not None:
-        parts.append(read_sog(resolve_within(path.parent, about.environment)))
+        parts.append(_part_of(path, about.environment))
     splats = joined(parts)
     if len(levels) > 1:
         say(f"{path} has {len(levels)} levels of detail: the finest is read, the others are not.")
     return splats
+
+
+def _level(name: str) -> int:
+    if not name.isdecimal():
+        raise ValueError(f"it has a level {shorten(name)!r}, which is no number")
+    return int(name)
+
+
+def _part_of(path: Path, name: str) -> Splats:
+    """One of the files of a streamed SOG, which an error names."""
+    part = resolve_within(path.parent, name)
+    with reading(part, "Export it again.", what=" as splats"):
+        return read_sog(part)
 
 
 def read_sog(path: Path | str) -> Splats:
@@ -230,7 +256,7 @@ def _decode(meta: _Meta, files: Mapping[str, bytes], path: Path) -> Splats:
     largest = torch.from_numpy(quats[:, 3].astype(np.int64) - FIRST_TAG)
     others = torch.from_numpy(quats[:, :3] / np.float32(255)) * 2 - 1
     colors = rows(meta.sh0.files[0])
-    if len(meta.sh0.mins) == 4:
+    if meta.sh0.codebook is None:
         sh0, opacities = _look_up(colors, meta.sh0).split([3, 1], dim=1)
     else:
         alphas = torch.from_numpy(colors[:, 3] / np.float32(255))
@@ -245,7 +271,7 @@ def _decode(meta: _Meta, files: Mapping[str, bytes], path: Path) -> Splats:
         means=torch.from_numpy(np.sign(logs) * np.expm1(np.abs(logs))),
         quats=from_smallest_three(largest, others * PACKED_LARGEST),
         scales=_look_up(rows(meta.scales.files[0])[:, :3], meta.scales),
-        opacities=opacities.flatten(),
+        opacities=opacities.flatten().contiguous(),
         sh0=sh0[:, None],
         shN=shN,
     )
@@ -280,9 +306,10 @@ def _palette(
 def _look_up(texels: UInt8[np.ndarray, "*B"], part: _Coded | _Palette) -> Float[Tensor, "*B"]:
     codebook = part.codebook
     if codebook is None:
-        if part.mins in (None, ()) or part.maxs in (None, ()):
-            raise ValueError("it has neither a codebook nor a range of its numbers")
         low, high = (np.array(each, np.float32) for each in (part.mins, part.maxs))
+        size = texels.shape[-1:] if isinstance(part, _Coded) else ()
+        if low.shape != size or high.shape != size or np.isnan([low, high]).any():
+            raise ValueError("it has neither a codebook nor a range of its numbers")
         return torch.from_numpy(low + (high - low) * (texels / np.float32(255)))
     bad = int((texels >= len(codebook)).sum())
     if bad:
