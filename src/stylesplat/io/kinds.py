@@ -298,6 +298,7 @@ def _article(kind: FileKind) -> str:
 
 def _way_to_scene(path: Path, kind: FileKind) -> str:
     source = path.parent if kind == "part of a capture" else path
-    name = source.resolve().stem if source.is_file() else source.resolve().name
+    named = source.resolve().parent if source.name in (SOG_META, SOG_LEVELS) else source.resolve()
+    name = named.stem if named.is_file() else named.name
     verb = "import" if kind == "splat" else "train"
     return f"A scene is made of it by `{shell_command(verb, source, '-o', f'{name}-scene')}`"

@@ -201,7 +201,8 @@ def test_the_folder_of_a_sog_is_not_taken_for_photos(files: Files, tmp_path: Pat
     refused(folder, "holds some: .*meta.json. Give one of them")
     refused(streamed(tmp_path / "streamed").parent, "holds some: .*lod-meta.json")
     assert kind_of(tmp_path) == "folder"
-    with pytest.raises(StyleSplatError, match=r"folder of splats, not photos.*import .*/meta.json"):
+    remedy = r"folder of splats, not photos.*import .*/meta.json -o sog-scene"
+    with pytest.raises(StyleSplatError, match=remedy):
         refuse_other_than_photos(folder)
     (folder / "images").mkdir()
     (folder / "images" / "a.webp").touch()

@@ -71,8 +71,8 @@ Logarithm = Annotated[float, Meta(ge=-SOG_FARTHEST, le=SOG_FARTHEST)]
 Corner = tuple[Logarithm, Logarithm, Logarithm]
 # float32 holds it; `drawable` does the rest
 SogNumber = Annotated[float, Meta(ge=-1e30, le=1e30)]
-Count = Annotated[int, Meta(ge=0, le=SOG_MOST)]
-Channels = Annotated[tuple[SogNumber, ...], Meta(max_length=4)]
+SogCount = Annotated[int, Meta(ge=0, le=SOG_MOST)]
+SogChannels = Annotated[tuple[SogNumber, ...], Meta(max_length=4)]
 Codebook = Annotated[tuple[SogNumber | None, ...], Meta(min_length=1, max_length=CODEBOOK_SIZE)]
 """Values of bytes; the first may be null, where splat-transform had no number for it."""
 
@@ -88,7 +88,7 @@ class _Means(msgspec.Struct):
     maxs: Corner
     files: tuple[PhotoName, PhotoName]
     """The pictures of the lower bytes and of the upper ones."""
-    shape: tuple[Count, ...] = ()
+    shape: tuple[SogCount, ...] = ()
     """In version 1, how many they are, and 3."""
 
 
@@ -97,8 +97,8 @@ class _Coded(msgspec.Struct):
 
     files: tuple[PhotoName]
     codebook: Codebook | None = None
-    mins: Channels = ()
-    maxs: Channels = ()
+    mins: SogChannels = ()
+    maxs: SogChannels = ()
 
 
 class _Palette(msgspec.Struct):
@@ -125,7 +125,7 @@ class _Meta(msgspec.Struct):
     quats: _Quats
     sh0: _Coded
     """Colours, and opacities as alpha; in version 1 as logits in a fourth range."""
-    count: Count | None = None
+    count: SogCount | None = None
     shN: _Palette | None = None
     antialias: bool | None = None
     """Whether the splats were trained for an anti-aliased rendering: the specification's mark."""
