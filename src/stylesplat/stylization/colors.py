@@ -106,9 +106,9 @@ def transfer_two_bands(
 
 
 def _contrasts(detail: Float[Tensor, "Q 3"]) -> Float[Tensor, "2"]:
-    """The deviations of detail in luminance, and in hue."""
-    light = (detail @ detail.new_tensor(LUMA))[:, None]
-    return torch.stack([each.square().mean().sqrt() for each in (light, detail - light)])
+    """The deviations of detail as a whole, and of its hues."""
+    hues = detail - (detail @ detail.new_tensor(LUMA))[:, None]
+    return torch.stack([each.square().mean().sqrt() for each in (detail, hues)])
 
 
 def _blurred(picture: Float[Tensor, "H W 3"], deviation: float) -> Float[Tensor, "H W 3"]:
