@@ -29,7 +29,7 @@ from stylesplat.interrupts import wait_until
 from stylesplat.io.atomic import PARTIAL, locked_folder, refuse_occupied, write_file
 from stylesplat.io.files import is_file
 from stylesplat.io.images import jpeg_thumbnail
-from stylesplat.io.kinds import PHOTOS, SOG_LEVELS, SOG_META
+from stylesplat.io.kinds import PHOTOS, SOG_JSONS
 from stylesplat.progress import say, task
 
 BATCH_PAGE = "jobs.html"
@@ -213,7 +213,7 @@ def fingerprints(jobs: Sequence[Job]) -> dict[str, str]:
 
 def _digest_of(path: Path) -> str:
     """A digest of a file's content, or of the names, sizes and times of a folder's files."""
-    if path.is_file() and path.name not in (SOG_META, SOG_LEVELS):
+    if path.is_file() and path.name not in SOG_JSONS:
         with path.open("rb") as file:
             return file_digest(file, "blake2b").hexdigest()
     folder = path if path.is_dir() else path.parent

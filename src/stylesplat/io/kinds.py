@@ -21,6 +21,7 @@ CHECKPOINTS = (".pt", ".ckpt")  # of gsplat and nerfstudio
 SPLATS = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".glb", ".gltf", *USD, *CHECKPOINTS)
 SOG_META = "meta.json"  # of a SOG that is a folder
 SOG_LEVELS = "lod-meta.json"  # of a streamed SOG
+SOG_JSONS = (SOG_META, SOG_LEVELS)
 SOG_MEANS = "means_l.webp"  # a picture of each SOG that is a folder
 SCENE = "scene.json"  # makes a folder a scene
 CAMERAS = "cameras.json"  # of a scene
@@ -89,7 +90,7 @@ def kind_of(path: Path) -> FileKind:
     if _is_scene(path.parent):
         return "part of a scene"
     suffix = path.suffix.lower()
-    if suffix in SPLATS or path.name in (SOG_META, SOG_LEVELS):
+    if suffix in SPLATS or path.name in SOG_JSONS:
         return "splat"
     if suffix in VIDEOS:
         return "video"
@@ -210,9 +211,9 @@ def wrong_kind_error(path: Path, wanted: Noun) -> StyleSplatError:
             remedy = "Give that folder"
         case "capture", "picture":
             remedy = "Give the folder of all photos"
-        case "capture", "folder" if sogs := _sogs_in(path):
+        case "capture", "folder" if sog := _sog_in(path):
             fault = f"{path} is a folder of splats, not photos"
-            remedy = _way_to_scene(sogs[0], "splat")
+            remedy = _way_to_scene(sog, "splat")
         case "capture", "empty folder":
             fault = f"{path} is an empty folder, but photos are needed: at least 3, better 30"
         case _, "splat" | "capture" | "part of a capture" | "photos" | "video":
@@ -228,7 +229,7 @@ def wrong_kind_error(path: Path, wanted: Noun) -> StyleSplatError:
 def refuse_other_than_photos(path: Path) -> None:
     kind = kind_of(path)
     if kind in ("nothing", "empty folder", "scene", "part of a scene", "splat") or (
-        kind == "folder" and _sogs_in(path)
+        kind == "folder" and _sog_in(path)
     ):
         raise wrong_kind_error(path, "capture")
 
@@ -269,17 +270,19 @@ def _is_scene(path: Path) -> bool:
     return (path / SCENE).is_file()
 
 
-def _sogs_in(folder: Path) -> list[Path]:
-    """The file that describes a folder's pictures as splats, if there is one."""
-    names = (SOG_LEVELS, *([SOG_META] if is_file(folder / SOG_MEANS) else []))
-    return [path for name in names if is_file(path := folder / name)]
+def _sog_in(folder: Path) -> Path | None:
+    """The file that says what splats a folder's pictures are, if there is one."""
+    if is_file(folder / SOG_LEVELS):
+        return folder / SOG_LEVELS
+    is_sog = is_file(folder / SOG_META) and is_file(folder / SOG_MEANS)
+    return folder / SOG_META if is_sog else None
 
 
 def _photos_in(folder: Path) -> bool:
     """Whether a folder has photos itself; the pictures of a SOG are none."""
-    others = (".webp",) if is_file(folder / SOG_MEANS) else ()
-    kinds = {*PHOTOS} - {*others}
-    return any(_entries(folder, lambda path: path.suffix.lower() in kinds))
+    other = ".webp" if is_file(folder / SOG_MEANS) else None
+    suffixes = {*PHOTOS} - {other}
+    return any(_entries(folder, lambda path: path.suffix.lower() in suffixes))
 
 
 def _entries(path: Path, fits: Callable[[Path], bool]) -> list[Path]:
@@ -298,7 +301,7 @@ def _article(kind: FileKind) -> str:
 
 def _way_to_scene(path: Path, kind: FileKind) -> str:
     source = path.parent if kind == "part of a capture" else path
-    named = source.resolve().parent if source.name in (SOG_META, SOG_LEVELS) else source.resolve()
+    named = source.resolve().parent if source.name in SOG_JSONS else source.resolve()
     name = named.stem if named.is_file() else named.name
     verb = "import" if kind == "splat" else "train"
     return f"A scene is made of it by `{shell_command(verb, source, '-o', f'{name}-scene')}`"

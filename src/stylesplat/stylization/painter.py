@@ -143,8 +143,8 @@ class Goal(NamedTuple):
     """The object's form, by bands; see `form_relief`."""
 
 
-Finish = Callable[[Colors, Sequence[ObjectView]], Colors]
-"""What completes the colours of a stage; it gets the views of the stage, too."""
+Finish = Callable[[Colors, Sequence[ObjectView]], Colors]  # completes a stage, given its views
+WholeObject = tuple[Sequence[ObjectView], float]  # views of it, and its length there in pixels
 
 
 def survey_object(setup: PaintSetup, painting: Painting) -> SurveyedObject:
@@ -319,7 +319,7 @@ def paint_stage(
 
 def whole_object(
     subject: Subject, stage: Stage, least: int, views: Sequence[ObjectView] = ()
-) -> tuple[Sequence[ObjectView], float]:
+) -> WholeObject:
     """See `whole_views`."""
     return whole_views(subject.setup, subject.painting, subject.boxes, stage, least, views)
 
@@ -334,16 +334,9 @@ def melt_strokes(
 
 
 def match_style(
-    goal: Goal,
-    config: StyleConfig,
-    whole: tuple[Sequence[ObjectView], float],
-    colors: Colors,
-    _: Sequence[ObjectView],
+    goal: Goal, config: StyleConfig, whole: WholeObject, colors: Colors, _: Sequence[ObjectView]
 ) -> Colors:
-    """Give the object's large shapes the style's colours and tones, and its detail their contrast.
-
-    The `whole` object's views come with its length in them.
-    """
+    """Give the object's large shapes the style's colours and tones, its detail the contrast."""
     views, length = whole
     longer = min(config.scale * length, STYLE_LARGEST)
     pictures = [resize(each, longer) for each in goal.images]
@@ -355,7 +348,7 @@ def settle_colors(
     goal: Goal,
     subject: Subject,
     stage: Stage,
-    whole: tuple[Sequence[ObjectView], float],
+    whole: WholeObject,
     colors: Colors,
     views: Sequence[ObjectView],
 ) -> Colors:

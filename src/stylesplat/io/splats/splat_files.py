@@ -21,6 +21,7 @@ from stylesplat.io.atomic import refuse_file
 from stylesplat.io.files import is_there, open_binary, read_bytes, reading
 from stylesplat.io.kinds import (
     CHECKPOINTS,
+    SOG_JSONS,
     SOG_LEVELS,
     SOG_META,
     SPLATS,
@@ -75,7 +76,6 @@ CONTENT_FORMATS: dict[str, Format] = {  # by what a name ends in
     **dict.fromkeys(USD, "USD"),
     **dict.fromkeys(CHECKPOINTS, "a checkpoint"),
 }
-SOG_JSONS = (SOG_META, SOG_LEVELS)
 JSONS = (".gltf", *SOG_JSONS)  # names of formats that are JSON
 CONTENT_HEAD = 1 << 12  # bytes that are looked at
 SPLAT_ROWS = 64  # of a .splat
