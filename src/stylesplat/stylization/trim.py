@@ -291,9 +291,10 @@ REVEAL_SOLID = 0.9  # coverage from which colours are the object's own
 # Difference of colours from which they are unlike; deviations of the blur that is subtracted from
 # it, in lengths of the object, and of the one that averages it, in pixels
 UNLIKE, UNLIKE_MEAN, UNLIKE_BLUR = 0.1, 0.02, 1.0
-DISC_OPEN, DISC_UNLIKE = 0.05, 0.4  # shares of a disc's pixels there, from which it goes
+DISC_OPEN, DISC_UNLIKE = 0.03, 0.4  # shares of a disc's pixels there, from which it goes
 OWN_LOST, OWN_UNLIKE = 0.1, 0.3  # shares of a Gaussian's, from which it comes back
-DISC_LOST = 0.04  # share of a disc's pixels that only it covers, from which it comes back
+# Share of a disc's pixels that only it covers, from which it comes back, if it closes fewer
+DISC_LOST = 0.04
 REVEAL_NEIGHBOURS = 12  # discs that each one follows
 FOLLOWS_GONE, FOLLOWS_STAYING = 0.5, 0.15  # shares of them that are gone
 
@@ -309,12 +310,13 @@ def reveal(
     long. Returns also which Gaussians are left.
     """
     cameras = box_cameras(boxes, length, REVEAL_VIEWS)
-    first, weights = canvas, None
+    first, weights, closes = canvas, None, torch.zeros_like(canvas.splats.opacities)
     is_gone, is_back = torch.zeros_like(canvas.is_disc), torch.zeros_like(canvas.own)
     for left in reversed(range(REVEAL_ROUNDS)):
         own, discs = _weights_in_faults(canvas, cameras, length, has_parts=has_parts)
         is_open, is_unlike, everywhere = discs.unbind(dim=1)
         weights = everywhere if weights is None else weights
+        closes = closes.maximum(is_open)
         gone = (is_open > DISC_OPEN * everywhere) | (is_unlike > DISC_UNLIKE * everywhere)
         is_gone |= gone & canvas.is_disc
         is_last = left == 0 or is_gone.sum() <= FEW_GONE * canvas.is_disc.sum()
@@ -329,7 +331,8 @@ def reveal(
         if is_last:
             break
     assert weights is not None
-    needed = is_gone & (_lost_pixels(first, canvas, cameras) > DISC_LOST * weights)
+    lost = _lost_pixels(first, canvas, cameras)
+    needed = is_gone & (lost > DISC_LOST * weights) & (lost > closes)
     is_gone &= ~needed
     opacities = canvas.splats.opacities.where(~needed, first.splats.opacities)
     canvas = canvas.changed(opacities=opacities).select(~is_gone)
