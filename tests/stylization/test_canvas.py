@@ -22,8 +22,9 @@ from stylesplat.stylization.canvas import (
     layer_of,
 )
 from stylesplat.stylization.config import StyleConfig
+from stylesplat.stylization.guides import LONG, align_to_strokes
 from stylesplat.stylization.painting import Painting
-from stylesplat.stylization.trim import LONG, align_to_strokes, trim_surfels
+from stylesplat.stylization.trim import trim_surfels
 from stylesplat.stylization.views import ObjectBox, find_boxes
 
 FINE = enlarged(CAMERAS, 4)

@@ -14,7 +14,7 @@ from stylesplat.scene.splats import Splats
 from stylesplat.stylization.canvas import Canvas, build_surfels
 from stylesplat.stylization.config import StyleConfig
 from stylesplat.stylization.painter import paint
-from stylesplat.stylization.trim import reveal, split_large
+from stylesplat.stylization.trim import close_gaps, reveal, split_large
 from stylesplat.stylization.views import find_boxes, typical_length
 
 VIEWS = enlarged(CAMERAS, 4)
@@ -96,6 +96,23 @@ def test_what_looks_otherwise_comes_back_where_an_object_has_parts():
         shown, _ = reveal(canvas.changed(sh0=plain), boxes, length, has_parts=has_parts)
         opacities = torch.sigmoid(shown.splats.opacities[: len(splats)])[is_letter]
         assert (opacities.mean() > 0.5) == has_parts
+
+
+def test_discs_beside_a_gap_widen_and_no_others():
+    splats = plate(holes=False)
+    canvas, boxes, length = laid(splats)
+    away = canvas.splats.means[:, 0].abs()
+    faded = canvas.splats.opacities.masked_fill(~canvas.is_disc & (away < 0.1), -20.0)
+    slit = canvas.changed(opacities=faded).select(~canvas.is_disc | (away > 0.03))
+    closed = close_gaps(slit, boxes, length)
+    was, before, after = (coverage(each, VIEWS[1]) for each in (splats, slit.splats, closed.splats))
+    lost_before, lost_after = ((was > 0.9) & (was - now > 0.2) for now in (before, after))
+    assert lost_before.sum() > 50
+    assert lost_after.sum() < 0.5 * lost_before.sum()
+    changed = (closed.splats.scales != slit.splats.scales).any(dim=1)
+    away = slit.splats.means[:, 0].abs()
+    assert changed[slit.is_disc & (away < 0.05)].float().mean() > 0.9
+    assert not changed[away > 0.1].any()
 
 
 def test_large_gaussians_that_show_are_split_into_discs_of_their_colours():

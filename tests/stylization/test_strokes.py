@@ -11,8 +11,7 @@ from torch.nn import functional as F
 from scenes import joined, rand
 from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.scene.splats import Splats, sh0_from_rgb
-from stylesplat.stylization.guides import Guides
-from stylesplat.stylization.trim import LONG, NARROW, align_to_strokes
+from stylesplat.stylization.guides import LONG, NARROW, Guides, align_to_strokes
 
 COUNT = 24  # discs along each side of a plane
 DISTANCE = 0.05

@@ -1,4 +1,4 @@
-"""Lines on an object that the strokes near them follow.
+"""Discs turned along strokes, and lines on an object that the strokes near them follow.
 
 Around each line there is a direction at every place. Where it counts, features are matched with
 those of the style picture turned by several angles, by how they look and by how their strokes run.
@@ -15,6 +15,7 @@ from scipy.ndimage import affine_transform
 from torch import Tensor
 from torch.nn import functional as F
 
+from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.weights import composite
 from stylesplat.scene.cameras import Cameras
 from stylesplat.scene.neighbors import nearest_points
@@ -34,6 +35,11 @@ GUIDE_TURNS = 6  # angles of the style picture within half a turn
 TURNED_FEATURES = 8192  # at random, of those of all angles
 GUIDED = 0.6  # what the full agreement of directions adds to a cosine
 FLOW_WIDTH = 0.5  # deviation of the structure tensor's average, in cells of features
+SPILL_NEIGHBOURS = 32  # discs that gradients and structure tensors are averaged over
+GRADIENT_WIDTH = 1.5  # deviation of the weights of a gradient's fit, in distances between discs
+TENSOR_WIDTH = 2.5  # and of the average of structure tensors
+SPILL_RIDGE = 1e-3  # of the fit, for discs whose neighbours lie on a line
+LONG, NARROW = 1.8, 0.6  # factors on scales along and across a stroke; 2.5 spikes the silhouette
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,3 +183,85 @@ def picture_flow(picture: Float[Tensor, "H W 3"], width: float) -> Float[Tensor,
     xx, xy, yy = (blurred(each, width) for each in (x * x, x * y, y * y))
     double = np.stack([yy - xx, -2 * xy], axis=-1) / np.maximum(xx + yy, 1e-9)[..., None]
     return torch.from_numpy(double).to(picture)
+
+
+@torch.no_grad()
+def align_to_strokes(
+    splats: Splats, discs: Bool[Tensor, " N"], distance: float, guides: Guides | None = None
+) -> Splats:
+    """Turn discs along the strokes painted so far, or along lines to follow, and stretch them.
+
+    In each disc's tangent plane the structure tensor of the painted luminance gives the direction
+    (the eigenvector of its smaller eigenvalue) and how coherent it is (Weickert 1999). The third
+    axis of a disc is its normal, the distance that between neighbouring discs.
+    """
+    rows = discs.nonzero()[:, 0]
+    means, axes = splats.means[rows], rotation_matrices(splats.quats[rows])
+    tangents, normals = axes[:, :, :2], axes[:, :, 2]
+    far, near = nearest_points(means, means, SPILL_NEIGHBOURS)
+    far = far.to(means) / distance
+    same_side = (normals[near] * normals[:, None]).sum(dim=2).clamp(min=0)  # [D, k]
+
+    def weights(width: float) -> Tensor:
+        return same_side * (-(far / width).square() / 2).exp()
+
+    luma = splats.sh0[rows, 0] @ splats.sh0.new_tensor(LUMA)
+    gradients = _gradients(means / distance, tangents, luma, near, weights(GRADIENT_WIDTH))
+    local = torch.einsum("dij,dki->dkj", tangents, gradients[near])
+    tensors = torch.einsum("dk,dki,dkj->dij", weights(TENSOR_WIDTH), local, local)
+    if guides is not None:
+        tensors = _along_guides(tensors, tangents, guides.tensors(means))
+    # The eigenvectors in closed form: cuSOLVER takes few matrices at once
+    twice, sums = 2 * tensors[:, 0, 1], tensors[:, 0, 0] + tensors[:, 1, 1]
+    apart = tensors[:, 0, 0] - tensors[:, 1, 1]
+    coherence = torch.hypot(apart, twice) / sums.clamp(min=1e-12)
+    half = (torch.atan2(twice, apart) + math.pi) / 4  # of the angle to the smaller one's
+    stretch = 1 + torch.stack(
+        [(LONG - 1) * coherence, (NARROW - 1) * coherence, 0 * coherence], dim=1
+    )
+    turned = {
+        "quats": _turned_in_plane(splats.quats[rows], half.cos(), half.sin()),
+        "scales": splats.scales[rows] + stretch.log(),
+    }
+    return splats.with_rows(rows, turned)
+
+
+def _along_guides(
+    tensors: Float[Tensor, "D 2 2"],
+    tangents: Float[Tensor, "D 3 2"],
+    around: Float[Tensor, "D 3 3"],
+) -> Float[Tensor, "D 2 2"]:
+    """Structure tensors, of trace 1, of strokes that follow lines as far as these count."""
+    shares = around.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    own = torch.einsum("dia,dij,djb->dab", tangents, around, tangents)
+    sums = own.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    across = torch.eye(2).to(own) - own / sums.clamp(min=1e-12)
+    sums = tensors.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    return (tensors / sums.clamp(min=1e-12)).lerp(across, shares)
+
+
+def _gradients(
+    points: Float[Tensor, "D 3"],
+    tangents: Float[Tensor, "D 3 2"],
+    values: Float[Tensor, " D"],
+    near: Tensor,
+    weights: Float[Tensor, "D k"],
+) -> Float[Tensor, "D 3"]:
+    """Gradients along the surface, by a weighted fit of a plane to each point's neighbours."""
+    total = weights.sum(dim=1, keepdim=True).clamp(min=1e-9)
+    offsets = torch.einsum("dki,dij->dkj", points[near] - points[:, None], tangents)
+    offsets = offsets - ((weights[..., None] * offsets).sum(dim=1) / total)[:, None]
+    changes = values[near] - (weights * values[near]).sum(dim=1, keepdim=True) / total
+    normal = torch.einsum("dk,dki,dkj->dij", weights, offsets, offsets)
+    right = torch.einsum("dk,dki,dk->di", weights, offsets, changes)
+    fitted = torch.linalg.solve(normal + SPILL_RIDGE * torch.eye(2).to(points), right)
+    return torch.einsum("dij,dj->di", tangents, fitted)
+
+
+def _turned_in_plane(
+    quats: Float[Tensor, "D 4"], cos: Float[Tensor, " D"], sin: Float[Tensor, " D"]
+) -> Float[Tensor, "D 4"]:
+    """Rotations after one about their own third axis, by twice the angle of `cos` and `sin`."""
+    w, x, y, z = quats.unbind(1)
+    turned = [w * cos - z * sin, x * cos + y * sin, y * cos - x * sin, z * cos + w * sin]
+    return torch.stack(turned, dim=1)

@@ -66,7 +66,7 @@ from stylesplat.stylization.style import (
     style_parts,
     style_pictures,
 )
-from stylesplat.stylization.trim import reveal, split_large, trim_surfels
+from stylesplat.stylization.trim import close_gaps, reveal, split_large, trim_surfels
 from stylesplat.stylization.views import (
     WHOLE_VIEWS,
     ObjectBox,
@@ -382,6 +382,7 @@ def align_and_trim(
     canvas, kept = reveal(subject.canvas, subject.boxes, length, has_parts=has_parts)
     colors = subject.canvas.splats.sh0[:, 0].index_copy(0, subject.rows, colors)[kept]
     canvas, sources = split_large(canvas, length, seed=subject.painting.config.seed)
+    canvas = close_gaps(canvas, subject.boxes, length)
     # views of the scene before are not needed again, and take memory
     subject = subject.on(replace(canvas, views=()))
     return subject, colors[sources][subject.rows]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_dilation, minimum_filter
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from torch import Tensor
 
 from stylesplat.imaging.morphology import disc
@@ -37,7 +37,7 @@ from stylesplat.scene.layers import UNSEEN
 from stylesplat.scene.neighbors import nearest_points
 from stylesplat.scene.projection import depths_of
 from stylesplat.scene.sequences import evenly_spaced
-from stylesplat.scene.splats import LUMA, Splats, rgb_from_sh0
+from stylesplat.scene.splats import Splats, rgb_from_sh0
 from stylesplat.selection.shapes import robust_diameter
 from stylesplat.stylization.canvas import (
     CANVAS_OPACITY,
@@ -48,7 +48,7 @@ from stylesplat.stylization.canvas import (
     fade_covered,
     pixels_shown,
 )
-from stylesplat.stylization.guides import Guides
+from stylesplat.stylization.guides import Guides, align_to_strokes
 from stylesplat.stylization.views import ObjectBox, box_cameras, reached_pixels
 
 SPILL_VIEWS = 24  # that are checked: discs lie on the very outline of the object
@@ -58,11 +58,6 @@ SPILL_MARGIN = 16  # pixels around what the object may reach in them
 SPILL_FAINT = 0.1  # coverage: less is haze, unless it is the soft edge
 SPILL_EDGE = disc(5)  # two pixels around what is covered are its edge
 SMALLER = 0.6  # factor on the size of a disc that shows beside the object
-SPILL_NEIGHBOURS = 32  # discs that gradients and structure tensors are averaged over
-GRADIENT_WIDTH = 1.5  # deviation of the weights of a gradient's fit, in distances between discs
-TENSOR_WIDTH = 2.5  # and of the average of structure tensors
-SPILL_RIDGE = 1e-3  # of the fit, for discs whose neighbours lie on a line
-LONG, NARROW = 1.8, 0.6  # factors on scales along and across a stroke; 2.5 spikes the silhouette
 SHINES = 0.1  # pixels of a disc that shine through what is protected, if that lies before it
 CANVAS_LOST = 0.2  # coverage: where the object would lose more, the canvas has a hole
 CANVAS_RIM = 3  # pixels along the object's outline that are no holes
@@ -187,9 +182,8 @@ def restore_in_holes(canvas: Canvas) -> Canvas:
     def look(view: UnpaintedView) -> Tensor:
         linear = view.linear
         lost = linear.coverage - coverage(faded, view.camera, mask) > CANVAS_LOST
-        covered = (linear.coverage > COVERED).cpu().numpy()
-        inner = torch.from_numpy(minimum_filter(covered, 2 * CANVAS_RIM + 1)).to(lost)
-        masks = torch.stack([lost & inner, torch.ones_like(lost)], dim=-1)
+        lost &= _inner(linear.coverage > COVERED)
+        masks = torch.stack([lost, torch.ones_like(lost)], dim=-1)
         in_holes, everywhere = linear.pixels_in(masks).unbind(dim=1)
         return (in_holes > IN_HOLES * everywhere).nonzero()[:, 0]
 
@@ -200,86 +194,10 @@ def restore_in_holes(canvas: Canvas) -> Canvas:
     return canvas.changed(opacities=opacities)
 
 
-@torch.no_grad()
-def align_to_strokes(
-    splats: Splats, discs: Bool[Tensor, " N"], distance: float, guides: Guides | None = None
-) -> Splats:
-    """Turn discs along the strokes painted so far, or along lines to follow, and stretch them.
-
-    In each disc's tangent plane the structure tensor of the painted luminance gives the direction
-    (the eigenvector of its smaller eigenvalue) and how coherent it is (Weickert 1999). The third
-    axis of a disc is its normal, the distance that between neighbouring discs.
-    """
-    rows = discs.nonzero()[:, 0]
-    means, axes = splats.means[rows], rotation_matrices(splats.quats[rows])
-    tangents, normals = axes[:, :, :2], axes[:, :, 2]
-    far, near = nearest_points(means, means, SPILL_NEIGHBOURS)
-    far = far.to(means) / distance
-    same_side = (normals[near] * normals[:, None]).sum(dim=2).clamp(min=0)  # [D, k]
-
-    def weights(width: float) -> Tensor:
-        return same_side * (-(far / width).square() / 2).exp()
-
-    luma = splats.sh0[rows, 0] @ splats.sh0.new_tensor(LUMA)
-    gradients = _gradients(means / distance, tangents, luma, near, weights(GRADIENT_WIDTH))
-    local = torch.einsum("dij,dki->dkj", tangents, gradients[near])
-    tensors = torch.einsum("dk,dki,dkj->dij", weights(TENSOR_WIDTH), local, local)
-    if guides is not None:
-        tensors = _along_guides(tensors, tangents, guides.tensors(means))
-    # The eigenvectors in closed form: cuSOLVER takes few matrices at once
-    twice, sums = 2 * tensors[:, 0, 1], tensors[:, 0, 0] + tensors[:, 1, 1]
-    apart = tensors[:, 0, 0] - tensors[:, 1, 1]
-    coherence = torch.hypot(apart, twice) / sums.clamp(min=1e-12)
-    half = (torch.atan2(twice, apart) + math.pi) / 4  # of the angle to the smaller one's
-    stretch = 1 + torch.stack(
-        [(LONG - 1) * coherence, (NARROW - 1) * coherence, 0 * coherence], dim=1
-    )
-    turned = {
-        "quats": _turned_in_plane(splats.quats[rows], half.cos(), half.sin()),
-        "scales": splats.scales[rows] + stretch.log(),
-    }
-    return splats.with_rows(rows, turned)
-
-
-def _along_guides(
-    tensors: Float[Tensor, "D 2 2"],
-    tangents: Float[Tensor, "D 3 2"],
-    around: Float[Tensor, "D 3 3"],
-) -> Float[Tensor, "D 2 2"]:
-    """Structure tensors, of trace 1, of strokes that follow lines as far as these count."""
-    shares = around.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
-    own = torch.einsum("dia,dij,djb->dab", tangents, around, tangents)
-    sums = own.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
-    across = torch.eye(2).to(own) - own / sums.clamp(min=1e-12)
-    sums = tensors.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
-    return (tensors / sums.clamp(min=1e-12)).lerp(across, shares)
-
-
-def _gradients(
-    points: Float[Tensor, "D 3"],
-    tangents: Float[Tensor, "D 3 2"],
-    values: Float[Tensor, " D"],
-    near: Tensor,
-    weights: Float[Tensor, "D k"],
-) -> Float[Tensor, "D 3"]:
-    """Gradients along the surface, by a weighted fit of a plane to each point's neighbours."""
-    total = weights.sum(dim=1, keepdim=True).clamp(min=1e-9)
-    offsets = torch.einsum("dki,dij->dkj", points[near] - points[:, None], tangents)
-    offsets = offsets - ((weights[..., None] * offsets).sum(dim=1) / total)[:, None]
-    changes = values[near] - (weights * values[near]).sum(dim=1, keepdim=True) / total
-    normal = torch.einsum("dk,dki,dkj->dij", weights, offsets, offsets)
-    right = torch.einsum("dk,dki,dk->di", weights, offsets, changes)
-    fitted = torch.linalg.solve(normal + SPILL_RIDGE * torch.eye(2).to(points), right)
-    return torch.einsum("dij,dj->di", tangents, fitted)
-
-
-def _turned_in_plane(
-    quats: Float[Tensor, "D 4"], cos: Float[Tensor, " D"], sin: Float[Tensor, " D"]
-) -> Float[Tensor, "D 4"]:
-    """Rotations after one about their own third axis, by twice the angle of `cos` and `sin`."""
-    w, x, y, z = quats.unbind(1)
-    turned = [w * cos - z * sin, x * cos + y * sin, y * cos - x * sin, z * cos + w * sin]
-    return torch.stack(turned, dim=1)
+def _inner(covered: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
+    """The pixels of an object away from its outline."""
+    inner = minimum_filter(covered.cpu().numpy(), 2 * CANVAS_RIM + 1)
+    return torch.from_numpy(inner).to(covered.device)
 
 
 REVEAL_VIEWS, REVEAL_ROUNDS = 18, 2  # after one round a second layer of discs shows
@@ -486,3 +404,31 @@ def split_large(canvas: Canvas, length: float, *, seed: int) -> tuple[Canvas, In
     )
     kept = ~split.is_disc | (pixels_shown(split, length) >= SHOWN_LEAST)
     return split.select(kept), torch.cat([everyone, parents])[kept]
+
+
+BESIDE_GAPS = 3  # pixels of a square around each one that shows through
+WIDER = 1.3  # factor on the size of a disc beside gaps
+
+
+@torch.no_grad()
+def close_gaps(canvas: Canvas, boxes: Sequence[ObjectBox], length: float) -> Canvas:
+    """The canvas with wider discs where a solid object shows what is behind it between them.
+
+    Turned discs are narrow, and leave gaps where layers of them meet. Views show the object so many
+    pixels long.
+    """
+    bare, before = geometry_only(canvas.splats), geometry_only(canvas.before)
+
+    def look(camera: Cameras) -> Tensor:
+        covered = coverage(before, camera, canvas.own)
+        now = contributions(bare, camera, canvas.mask)
+        gaps = (covered - now.coverage > CANVAS_LOST) & _inner(covered > REVEAL_SOLID)
+        beside = torch.from_numpy(maximum_filter(gaps.cpu().numpy(), BESIDE_GAPS)).to(gaps.device)
+        return now.pixels_in(torch.stack([beside, torch.ones_like(beside)], dim=-1))
+
+    cameras = box_cameras(boxes, length, REVEAL_VIEWS)
+    found = per_view(look, cameras, "closing gaps between discs", bare.device)
+    beside, everywhere = torch.stack([*found]).sum(dim=0).unbind(dim=1)
+    wider = canvas.is_disc & (beside > IN_HOLES * everywhere)
+    scales = canvas.splats.scales + math.log(WIDER) * wider[:, None]
+    return canvas.changed(scales=scales)
