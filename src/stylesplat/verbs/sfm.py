@@ -79,7 +79,7 @@ from stylesplat.structure_from_motion.world_frame import (
     move_to_working_frame,
     working_frame,
 )
-from stylesplat.training.object_alone import outline_moving_object
+from stylesplat.training.object_alone import fog_advice, outline_moving_object
 
 
 @check_arguments
@@ -347,10 +347,9 @@ def _write_masks(capture: Capture, drawn: FoundMasks | None, folder: Path, outpu
         labelled = replace(capture, label_maps=Lazy(maps), object_names=CUT_OUT_NAMES)
         write_label_maps(labelled, folder)
     else:
-        box = shell_command("mask", output, "--box", "VIEW:x0,y0,x1,y1")
         say(
             "No masks of what turns: the light or the camera changes too much between the photos "
-            f"to cut it out. `{box}` makes them. Without masks the room is trained, too, as a fog."
+            f"to cut it out. {fog_advice(output)}"
         )
 
 
