@@ -3,15 +3,19 @@
 import json
 import re
 import signal
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 import stylesplat as ss
 from balls import CAMERAS
+from capture_files import sfm_record, write_ball_capture
 from processes import complaint, result, run
 from stylesplat.cli.train import Train
+from stylesplat.io.captures.capture_folder import write_sfm
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.loop import fit
 
@@ -85,6 +89,19 @@ def test_runs_limited_by_time_tell_of_a_busy_machine(
     assert "busy (load 1000" in capsys.readouterr().err
     assert run(*command, tmp_path / "counted", "--steps", 4) == 0
     assert "busy" not in capsys.readouterr().err
+
+
+def test_a_room_that_becomes_a_fog_is_told_with_the_remedy(tmp_path: Path, said: list[str]):
+    folder = write_ball_capture(tmp_path / "balls")
+    write_sfm(sfm_record(given=8, registered=8, turns=True), folder)
+    few: dict[str, Any] = {"steps": 1, "max_gaussians": 300, "device": "cpu"}
+    ss.train(ss.load(folder), **few)
+    unmasked = ss.load(folder, masks=False)
+    ss.train(replace(unmasked, path=None), **few)
+    assert not any("fog" in line for line in said)
+    ss.train(unmasked, **few)
+    (line,) = (line for line in said if "fog" in line)
+    assert f"`stylesplat mask {folder} --box VIEW:" in line
 
 
 def test_what_photos_have_of_their_own(capture: Path, tmp_path: Path, capsys):

@@ -2,13 +2,19 @@
 
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
+import stylesplat as ss
+from balls import CAMERAS, PLAIN, SPLATS, agreement
+from capture_files import write_ball_capture
 from processes import run
 from stylesplat.figures.grid import CAPTION, GRID_MARGIN
+from stylesplat.io.scene_folder import save
+from stylesplat.selection.labels import render_labels
 
 
 @pytest.fixture
@@ -75,3 +81,19 @@ def test_import_shows_a_photo_or_a_view(scene: Path, capture: Path, tmp_path: Pa
     (again,) = (line.removeprefix(start) for line in lines if line.startswith(start))
     assert again.endswith(" --up z --overwrite")
     assert not any(line.startswith(start) for line in said(*shlex.split(again)))
+
+
+def test_a_scene_of_photos_without_labels_names_a_click(scene: Path, tmp_path: Path, said):
+    photos, out = write_ball_capture(tmp_path / "photos", masks=False), tmp_path / "out"
+    save(replace(ss.open(scene), base=PLAIN), scene, overwrite=True)
+    lines = said("import", scene / "splats.ply", photos, "-o", out, "--device", "cpu")
+    look, click = (line[6:] for line in lines[-2:])
+    assert click == f"stylesplat select {out} --name NAME --point VIEW:x,y"
+    said(*shlex.split(look)[1:])
+    view = CAMERAS.names[2]
+    with Image.open(out.with_name("out-views") / view.replace("jpg", "png")) as picture:
+        assert picture.size == CAMERAS[2].size, "pixels of what is looked at are those of a click"
+    y, x = (render_labels(SPLATS, CAMERAS[2]) == 7).nonzero().median(dim=0).values.tolist()
+    place = click.replace("VIEW:x,y", f"{view}:{x},{y}")
+    said(*shlex.split(place)[1:], "--size", "part", "--no-picture")  # balls too coarse for objects
+    assert agreement(ss.open(out).objects["NAME"].mask, 7) > 0.5

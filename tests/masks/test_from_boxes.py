@@ -6,13 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from torch import Tensor
 
-from balls import CAMERAS
+from balls import CAMERAS, box_around
 from capture_files import (
     BALLS,
     CUP,
     HALF,
     LARGE,
+    ONLY_BALLS,
     PLAIN,
     VASE,
     agreement,
@@ -20,12 +23,16 @@ from capture_files import (
     work_at_half_size,
     write_ball_capture,
 )
+from scenes import randn
 from stylesplat.errors import StyleSplatError
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.masks import working_splat as working
 from stylesplat.masks.grabcut import Stroke
+from stylesplat.rendering.render import rasterize
 from stylesplat.scene.capture import Capture
 from stylesplat.scene.scene import Scene
+from stylesplat.scene.splats import rgb_from_sh0
+from stylesplat.selection.labels import render_labels
 from stylesplat.training.config import TrainConfig
 from stylesplat.training.state import State
 from stylesplat.verbs.mask import mask
@@ -102,6 +109,46 @@ def test_a_splat_is_trained_where_there_is_none(
     assert configs == [working.WORKING_QUICK]
     assert "Training a quick splat" in "\n".join(said)
     assert agreement(masked, 1, 3)[1] > 0.7, "too short for more than the photo with the box"
+
+
+def turned_before_a_still_room() -> tuple[Capture, list[Tensor]]:
+    """Photos of the balls, whose label maps show one object, and maps of the balls themselves."""
+    room = 0.5 + 0.1 * randn(*LARGE.size[::-1], 3).clamp(-2, 2)
+    drawn = [rasterize(ONLY_BALLS, camera) for camera in LARGE]
+    photos = [(image + (1 - alpha) * room)[0].clamp(0, 1) for image, alpha, _ in drawn]
+    truth = [render_labels(ONLY_BALLS, camera) for camera in LARGE]
+    capture = Capture(
+        LARGE,
+        [(255 * photo).round().to(torch.uint8) for photo in photos],
+        label_maps=[(ids > 0).int() for ids in truth],
+        object_names={1: "balls"},
+        points=ONLY_BALLS.means,
+        point_colors=(255 * rgb_from_sh0(ONLY_BALLS.sh0[:, 0])).clamp(0, 255).to(torch.uint8),
+    )
+    return capture, truth
+
+
+def test_label_maps_of_what_turns_before_a_still_room_are_corrected_in_all_photos(
+    monkeypatch: pytest.MonkeyPatch, said: list[str]
+):
+    capture, truth = turned_before_a_still_room()
+    real = working.fit
+
+    def short(photos: Capture, _: TrainConfig, **kwargs: Any) -> State:
+        return real(photos, replace(SHORT, steps=100), **kwargs)
+
+    def shares(found: Capture, id: int) -> list[float]:
+        """Of the pixels of a ball, those that label maps show as the object."""
+        maps = found.label_maps or ()
+        return [float((m == 1)[t == id].float().mean()) for m, t in zip(maps, truth, strict=True)]
+
+    monkeypatch.setattr(working, "fit", short)
+    green = {"balls": ("0002.jpg", box_around(truth[2] == 7, 0))}
+    dropped = mask(capture, drop=green, device="cpu")
+    assert said[0] == "The camera stood still: the quick splat is trained on what moves alone."
+    assert max(shares(dropped, 7)) < 0.5, "with the room in the splat .93 stay in one"
+    assert min(shares(dropped, 3) + shares(dropped, 300)) > 0.9
+    assert min(shares(mask(dropped, keep=green, device="cpu"), 7)) > 0.8
 
 
 def test_a_scene_of_other_photos(balls: Capture, monkeypatch: pytest.MonkeyPatch):

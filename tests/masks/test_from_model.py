@@ -6,19 +6,21 @@ from typing import Literal
 
 import pytest
 import torch
+from huggingface_hub import constants
 from PIL import Image
 from torch import Tensor
 
 from balls import CAMERAS, PLAIN, SPLATS, viewmat_from
 from capture_files import corner, write_ball_capture, write_photos
 from fake_cuda import cuda  # noqa: F401  (a fixture)
+from hub_server import Hub, serve
 from right_ids import right_pixels
 from stylesplat.cli.mask import MaskCommand
 from stylesplat.errors import StyleSplatError
+from stylesplat.io import hub
 from stylesplat.io.captures.capture_folder import load
 from stylesplat.io.scene_folder import save
 from stylesplat.masks import from_model as mask_models
-from stylesplat.masks import sam
 from stylesplat.masks.sam import SamMethod
 from stylesplat.masks.tracking import labels_to_masks
 from stylesplat.scene.scene import Scene
@@ -75,7 +77,6 @@ def scripted(capture: Path, monkeypatch: pytest.MonkeyPatch) -> Scripted:
     model = Scripted(capture)
     monkeypatch.setattr(mask_models, "load_proposer", lambda *_: model)
     monkeypatch.setattr(mask_models, "load_propagator", lambda *_: model)
-    monkeypatch.setattr(sam, "refuse_missing", lambda *_: None)
     return model
 
 
@@ -149,7 +150,6 @@ def test_on_a_cpu_a_splat_carries_the_masks_of_few_photos(
     model = Scripted(capture, truth)
     monkeypatch.setattr(mask_models, "load_proposer", lambda *_: model)
     monkeypatch.setattr(mask_models, "load_propagator", lambda *_: pytest.fail("not needed"))
-    monkeypatch.setattr(sam, "refuse_missing", lambda *_: None)
     run_model(capture, "sam2", tmp_path / "scene")
     assert len(model.asked) == len(set(model.asked)) == 16
     assert "On a CPU sam2 is asked about 16 of 24 photos in about " in said[0]
@@ -214,17 +214,45 @@ def test_a_model_that_cannot_be_had_is_said_before_any_work(
     assert not (capture / "object_mask.partial").exists()
 
 
-def test_a_real_model(capture: Path, scene: Path, tiny_model, monkeypatch: pytest.MonkeyPatch):
+@pytest.fixture
+def lenient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Random weights find anything; that it fits together is what is tested."""
     real = mask_models.load_proposer
 
-    def lenient(*arguments):
+    def load(*arguments):
         return replace(real(*arguments), min_iou=-1e9, min_stability=0.0, points_per_side=4)
 
-    monkeypatch.setattr(mask_models, "load_proposer", lenient)
+    monkeypatch.setattr(mask_models, "load_proposer", load)
+
+
+def come_to_the_end(capture: Path, scene: Path, model: Path | str) -> None:
     try:
-        found = run_model(capture, "sam2", scene, model=str(tiny_model("sam2")))
+        found = run_model(capture, "sam2", scene, model=str(model))
     except StyleSplatError as error:
-        assert "found no object" in str(error)  # it came to the end
+        assert "found no object" in str(error)
     else:
         assert found["photos"] == 8
+
+
+@pytest.mark.usefixtures("lenient")
+def test_a_real_model(capture: Path, scene: Path, tiny_model):
+    come_to_the_end(capture, scene, tiny_model("sam2"))
+
+
+@pytest.mark.usefixtures("lenient")
+def test_size_and_licence_are_said_once_before_photos_are_posed(
+    scene: Path, tmp_path: Path, tiny_model, monkeypatch: pytest.MonkeyPatch, said: list[str]
+):
+    def pose(_: Path, output: Path) -> None:
+        assert hub.is_at_hand("owner/tiny"), "posing is work that a download must not waste"
+        write_ball_capture(output, masks=False)
+
+    write_photos(tmp_path / "photos", corner(3))
+    monkeypatch.setattr("stylesplat.verbs.sfm.sfm", pose)
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
+    with serve(Hub("owner/tiny", tiny_model("sam2"), {"license": "mit"}), monkeypatch):
+        come_to_the_end(tmp_path / "photos", scene, "owner/tiny")
+    announced = [line for line in said if line.startswith("Downloading")]
+    assert announced == said[:1] and "licence: mit" in announced[0]
+    assert "finding them first" in said[1]

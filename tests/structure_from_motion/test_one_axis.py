@@ -1,13 +1,14 @@
 """Poses of an object on a turntable, found one by one with errors, become turns about one axis."""
 
 import itertools
+from dataclasses import astuple
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from stylesplat.photo_libraries import pycolmap
-from stylesplat.structure_from_motion.one_axis import turn_on_one_axis
+from stylesplat.structure_from_motion.one_axis import find_missing_sides, turn_on_one_axis
 
 STEPS, POINTS, FOCAL, SIZE = 24, 300, 900.0, (640, 480)
 NAMES = [f"{row:02}.jpg" for row in range(STEPS)]
@@ -70,10 +71,37 @@ def test_poses_with_errors_become_turns_about_one_axis():
     assert found.compute_mean_reprojection_error() < 0.6
 
 
+@pytest.mark.parametrize(
+    ("rows", "names", "sides"),
+    [
+        (range(24), NAMES, []),
+        ([*range(8), *range(16, 24)], NAMES, [(105, 240, "08.jpg", "15.jpg")]),
+        (range(10), NAMES, [(135, 360, "10.jpg", "23.jpg")]),
+        (range(4, 14), NAMES, [(195, 60, "14.jpg", "03.jpg")]),
+        (range(0, 24, 2), NAMES, []),
+        (range(12), NAMES[:12], []),
+        (range(0, 12, 2), NAMES[:13], []),
+        (range(8), NAMES[:13], [(105, 180, "08.jpg", "12.jpg")]),
+        ([*range(8), 11, 12, *range(16, 24)], NAMES, [(105, 165, "08.jpg", "10.jpg"),
+                                                       (180, 240, "13.jpg", "15.jpg")]),
+        ([*range(5), *range(19, 24)], NAMES[::2] + NAMES[1::2][::-1], []),
+    ],
+    ids=["all", "a third", "one end", "both ends", "each second", "half a turn", "half of these",
+         "half a turn without its end", "two sides", "there and back"],
+)  # fmt: skip
+def test_sides_are_missing_that_only_photos_without_a_pose_show(rows, names, sides):
+    found = model(error=0.3)
+    for name in {*NAMES} - {names[row] for row in rows}:
+        (image,) = (each for each in found.images.values() if each.name == name)
+        found.deregister_frame(image.frame_id)
+    assert [astuple(each) for each in find_missing_sides(found, names)] == sides
+
+
 def test_cameras_that_go_anywhere_are_left_as_they_are():
     found = model(error=1.0, axis=False)
     poses = [image.cam_from_world().matrix() for image in found.images.values()]
     assert not turn_on_one_axis(found, NAMES)
+    assert not [*find_missing_sides(found, NAMES)]
     assert all(
         (image.cam_from_world().matrix() == pose).all()
         for image, pose in zip(found.images.values(), poses, strict=True)

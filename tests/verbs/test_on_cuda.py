@@ -37,7 +37,7 @@ from stylesplat.errors import StyleSplatError
 from stylesplat.figures.sheets import before_after, beside_photo, one_view
 from stylesplat.imaging.similarity import mask_iou
 from stylesplat.io.captures.capture_folder import load
-from stylesplat.masks import from_model, sam
+from stylesplat.masks import from_model
 from stylesplat.masks import working_splat as quick_splat
 from stylesplat.masks.sam import FAMILIES, SamMethod, load_propagator, load_proposer
 from stylesplat.masks.tracking import labels_to_masks
@@ -185,7 +185,6 @@ def test_masks_are_propagated_by_a_splat(
     capture = load(write_ball_capture(tmp_path / "capture"))
     oracle = Oracle(capture.photos, maps_of(capture))
     monkeypatch.setattr(from_model, "load_proposer", lambda *_: oracle)
-    monkeypatch.setattr(sam, "refuse_missing", lambda *_: None)
     found = mask(capture, method="sam", scene=TRAINED, device=cuda)
     assert right_pixels(maps_of(found), oracle.maps) > 0.8
 

@@ -1,5 +1,6 @@
 """Poses of an object that turns before a still background, and of cut-outs."""
 
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import torch
 from PIL import Image
 
 import stylesplat as ss
-from capture_files import WALL, corner, places_around, write_photos
+from capture_files import WALL, corner, places_around, wall, write_photos
 from colmap_here import colmap_in_this_process  # noqa: F401  (a fixture)
 from stylesplat.errors import StyleSplatError
 from stylesplat.imaging.similarity import mask_iou
@@ -76,6 +77,7 @@ def test_what_turns_before_a_still_camera_is_posed_and_its_masks_are_written(
     capture = sfm(photos, tmp_path / "capture")
     assert_posed(capture)
     assert any("camera stood still" in line for line in said)
+    assert not any("is missing" in line for line in said), "it was meant to turn no further"
     assert_labelled(capture, 0.8)
 
 
@@ -118,6 +120,40 @@ def test_what_moves_is_posed_where_only_features_tell_that_the_room_stays(
     assert f"`stylesplat mask {tmp_path / 'capture'} --box " in line
     record = read_sfm(tmp_path / "capture")
     assert record is not None and record.turns, "so that it is trained alone, once it has masks"
+
+
+SKIN = wall(1536)[..., 0]  # around a ball, from its one pole to the other
+TILT = np.array([[1, 0, 0], [0, 0.94, -0.34], [0, 0.34, 0.94]])  # by 20 degrees
+
+
+def turned_ball(angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where a ball shows, and what is on it."""
+    rays = np.stack([COLUMNS - 119.5, ROWS - 89.5, np.full_like(COLUMNS, 300)], axis=-1)
+    rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    along = 4.2 * rays[..., 2]
+    nearer = along**2 - (4.2**2 - 1)
+    x, y, z = np.moveaxis(
+        (rays * (along - np.sqrt(nearer.clip(0)))[..., None] - [0, 0, 4.2]) @ TILT, -1, 0
+    )
+    around = (np.arctan2(x, z) + angle) % (2 * np.pi) / (2 * np.pi) * SKIN.shape[1]
+    down = (np.arcsin(y.clip(-1, 1)) / np.pi + 0.5) * SKIN.shape[0]
+    maps = around.astype(np.float32), down.astype(np.float32)
+    return nearer > 0, cv2.remap(SKIN, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+
+
+def test_a_side_of_a_turn_whose_photos_have_no_pose_is_told(tmp_path: Path, said: list[str]):
+    images, count = {}, 20
+    for row in range(count):
+        where, skin = turned_ball(2 * np.pi * row / count)
+        skin = skin if row < 15 else np.full_like(skin, 40 + 8 * row)
+        images[f"{row:02}.jpg"] = np.where(where, skin, ROOM)
+    write_photos(tmp_path / "photos", images)
+    assert len(sfm(tmp_path / "photos", tmp_path / "capture")) == 15
+    assert "Only 15 of 20 photos" in said[-1] and "(15.jpg to 19.jpg) is missing" in said[-1]
+    part = re.search(r"Counted from 00.jpg on, the part from about (\d+) to (\d+) deg", said[-1])
+    assert part is not None
+    assert int(part[1]) == pytest.approx(252, abs=5) and int(part[2]) == 360
+    assert f"`stylesplat sfm {tmp_path / 'photos'} -o CAPTURE --object VIEW:" in said[-1]
 
 
 def test_what_moves_and_is_not_posed_is_told_with_the_remedy(tmp_path: Path):

@@ -301,9 +301,9 @@ def object_commands(
             shell_command("objects", scene),
             shell_command("select", scene, "--name", "NAME", "--id", "ID"),
         ]
-    by_place = shell_command("select", scene, "--name", "NAME", "--sphere", "VIEW:x,y,RADIUS")
+    click = shell_command("select", scene, "--name", "NAME", "--point", "VIEW:x,y")
     look = next_command("render", scene, ending="-views")
-    return [look, by_place if photos else mask_command(scene, "VIEW")]
+    return [look, click if photos else mask_command(scene, "VIEW")]
 
 
 def exit_status(error: BaseException, command: object = None) -> int | None:

@@ -135,6 +135,12 @@ class MaskCommand(MakingCommand):
                 found[kind].setdefault(name, []).append(marked)
         return found
 
+    def _fetch_model(self) -> None:
+        from stylesplat.masks.sam import find_proposer
+
+        if self.method not in (None, "files", "grabcut"):
+            find_proposer(self.method, self.model)
+
     def _masked(self, photos: Any, place: Path, drawn: dict[str, Drawn], **options: Any) -> Any:
         """Photos or a scene with masks; models keep what they have found beside the result."""
         progress = progress_path(place) if self._keeps_progress else None
@@ -150,7 +156,7 @@ class MaskCommand(MakingCommand):
 
         self.refuse_given(("output",), "photos, whose label maps go into object_mask/")
         folder = find_photos_capture(
-            self.capture, beside=self.capture, drawn=_places(self._drawn())
+            self.capture, beside=self.capture, drawn=_places(self._drawn()), fetch=self._fetch_model
         )
         output = folder / OBJECT_MASK
         preview, rims = output / PREVIEW, output / RIMS

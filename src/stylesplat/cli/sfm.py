@@ -1,6 +1,6 @@
 """`stylesplat sfm` and `check`: the cameras of photos or of a video, which are found once."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -131,11 +131,18 @@ class Check(MakingCommand):
         return Answer(values, lines, [following])
 
 
-def find_photos_capture(given: Path, *, beside: Path, drawn: DrawnBoxes = ()) -> Path:
+def find_photos_capture(
+    given: Path,
+    *,
+    beside: Path,
+    drawn: DrawnBoxes = (),
+    fetch: Callable[[], None] = lambda: None,
+) -> Path:
     """The capture that was given, or that of the photos or the video that were.
 
     An earlier capture of the same photos is used if it lies beside them or beside `beside`;
-    otherwise `sfm` makes one beside `beside`, after the names and boxes in `drawn` are checked.
+    otherwise `sfm` makes one beside `beside`, after the names and boxes in `drawn` are checked and
+    `fetch` has brought what the work after it needs.
     """
     from stylesplat.io.kinds import (
         find_foreign_poses,
@@ -169,6 +176,7 @@ def find_photos_capture(given: Path, *, beside: Path, drawn: DrawnBoxes = ()) ->
         )
     check_source(given)
     _check_drawn(given, drawn)
+    fetch()
     if foreign := find_foreign_poses(given):
         say(
             f"{join_names(foreign, whole=True)} may hold poses, in a form or a place that is not "

@@ -97,35 +97,16 @@ class ModelFolder:
     model_type: str
 
 
-@dataclass(frozen=True)
-class HubModel:
-    """A model that the hub would send."""
-
-    name: str
-    size: int
-    """In bytes, without what the cache has."""
-    licence: str
-
-
 def find_model(name: str, types: Collection[str], *, job: str) -> ModelFolder:
-    """Find a model of one of the `types`, or download it; `job` is for messages."""
-    found = look_up_model(name, types, job=job)
-    if isinstance(found, HubModel):
-        folder = _download(found)
-        return ModelFolder(folder, _check_type(folder / CONFIG, name, types, job))
-    return found
+    """Find a model of one of the `types`, or download it; `job` is for messages.
 
-
-def look_up_model(name: str, types: Collection[str], *, job: str) -> ModelFolder | HubModel:
-    """Find a model on this machine, or what the hub says of it; no weights are downloaded.
-
-    Raises a StyleSplatError as `find_model` does, before any work.
+    A line names the size and the licence before the download.
     """
     if find_spec("transformers") is None:
         raise StyleSplatError(f"Cannot {job} without `transformers`. {INSTALL}")
     folder = _local_folder(name)
     if folder is None and HUB_NAME.fullmatch(name):
-        return _look_up_on_hub(name, types, job)
+        folder = _download(name, types, job)
     if folder is None or not (folder / CONFIG).is_file():
         raise StyleSplatError(
             f"{name} is no model: there is no folder of that name with a {CONFIG}. Pass the folder "
@@ -234,8 +215,8 @@ def _check_type(config: Path, name: str, types: Collection[str], job: str) -> st
     return str(model_type)
 
 
-def _look_up_on_hub(name: str, types: Collection[str], job: str) -> HubModel:
-    from huggingface_hub import hf_hub_download, is_offline_mode
+def _download(name: str, types: Collection[str], job: str) -> Path:
+    from huggingface_hub import hf_hub_download, is_offline_mode, snapshot_download
 
     if is_offline_mode():
         raise StyleSplatError(
@@ -248,24 +229,15 @@ def _look_up_on_hub(name: str, types: Collection[str], job: str) -> HubModel:
         _check_type(config, name, types, job)  # before gigabytes of the wrong model
         if size > _free_bytes():
             raise OSError(ENOSPC, "No space left on device")
+        say(
+            f"Downloading {name} to {models_folder()}: {size / 1e9:.2f} GB, about "
+            f"{format_duration(8 * size / LINE_SPEED)} at 100 Mbit/s; licence: {licence}."
+        )
+        return Path(snapshot_download(name, allow_patterns=FILES, cache_dir=models_folder()))
     except StyleSplatError:
         raise
     except Exception as error:
         raise _cannot_download(name, error, size) from error
-    return HubModel(name, size, licence)
-
-
-def _download(model: HubModel) -> Path:
-    from huggingface_hub import snapshot_download
-
-    say(
-        f"Downloading {model.name} to {models_folder()}: {model.size / 1e9:.2f} GB, about "
-        f"{format_duration(8 * model.size / LINE_SPEED)} at 100 Mbit/s; licence: {model.licence}."
-    )
-    try:
-        return Path(snapshot_download(model.name, allow_patterns=FILES, cache_dir=models_folder()))
-    except Exception as error:
-        raise _cannot_download(model.name, error, model.size) from error
 
 
 def _describe(name: str) -> tuple[int, str]:

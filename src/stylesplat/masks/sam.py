@@ -1,6 +1,6 @@
 """The SAM family: which models exist, how they are loaded, and masks of all objects in a photo."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from stylesplat.io.hub import find_model, load_model, load_processor, look_up_model
+from stylesplat.io.hub import ModelFolder, find_model, load_model, load_processor
 from stylesplat.masks.tracking import VideoPropagator
 from stylesplat.scene.capture import Mask
 
@@ -69,22 +69,18 @@ FAMILIES: dict[SamMethod, SamFamily] = {
 }
 
 
-def refuse_missing(method: SamMethod, model: str | None = None) -> None:
-    """Raise before any work the StyleSplatError of a model that cannot be had."""
-    look_up_model(*_proposer(method, model), job=f"propose masks with {method}")
-
-
-def _proposer(method: SamMethod, model: str | None) -> tuple[str, Collection[str]]:
-    """The name or folder of a model that proposes masks, and the types that do."""
+def find_proposer(method: SamMethod, model: str | None = None) -> ModelFolder:
+    """Find a model that proposes masks, or download it; see `load_proposer`."""
     family = FAMILIES[method]
-    return model or family.checkpoint, family.proposer_types
+    name = model or family.checkpoint
+    return find_model(name, family.proposer_types, job=f"propose masks with {method}")
 
 
 def load_proposer(
     method: SamMethod, model: str | None = None, device: torch.device | str = "cpu"
 ) -> "GridProposer":
     """Load a model that proposes masks; `model` is the folder or name of a checkpoint."""
-    source = find_model(*_proposer(method, model), job=f"propose masks with {method}")
+    source = find_proposer(method, model)
     from transformers import AutoImageProcessor, AutoModelForMaskGeneration
 
     proposer = GridProposer(

@@ -5,7 +5,7 @@ of the axis, one lens and an angle each. Poses that were found one by one say wh
 bundle adjustment of those few numbers and the points makes them exact.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +16,14 @@ from scipy.sparse import coo_array, csr_array
 from stylesplat.io.captures.colmap import posed_images
 from stylesplat.photo_libraries import cv2, pycolmap
 from stylesplat.progress import track
+from stylesplat.structure_from_motion.world_frame import WORLD_STRIDE
 
 ONE_AXIS = 5.0  # degrees by which poses found one by one may be off, in the median
 WORSE = 1.3  # times the error of poses that are free, from which they do not turn on one axis
 STEP_SPREAD = 0.05  # radians by which steps of a turntable differ
 RADIAL_SPREAD = 0.05  # of the distortion of lenses; what fills half a picture hardly tells it
 ADJUSTMENTS = 50
+UNEVEN_TURN = 0.5  # of a step, by which steps differ in the median of photos that do not turn on
 NEAR_PARALLEL = 1e-6  # rays of which a point is left near the axis
 COMMON = 8  # numbers of all photos: the focal length, the distortion, the axis, where it stands
 
@@ -87,6 +89,60 @@ def turn_on_one_axis(model: pycolmap.Reconstruction, names: Sequence[str]) -> bo
         model.points3D[key].xyz = point
     model.update_point_3d_errors()
     return True
+
+
+@dataclass(frozen=True)
+class MissingSide:
+    """A side of what turns that photos show, but none with a pose."""
+
+    begin: int
+    """In degrees from the first photo, in the direction of the turn."""
+    end: int
+    first: str
+    """The first photo that shows it."""
+    last: str
+
+
+def find_missing_sides(
+    model: pycolmap.Reconstruction, names: Sequence[str]
+) -> Iterator[MissingSide]:
+    """The sides that only photos without a pose show, wider than `WORLD_STRIDE`.
+
+    Each of these is taken to be turned as far from its neighbours in `names`, which are those of
+    all photos in order, as photos with a pose are. A side that was not photographed is not missing.
+    None where the poses do not turn on one axis, and on from photo to photo.
+    """
+    images = sorted(posed_images(model), key=lambda image: names.index(image.name))
+    rows = np.array([names.index(image.name) for image in images])
+    poses = np.stack([image.cam_from_world().matrix() for image in images])
+    angles, apart = _angles(poses[:, :, :3] @ _turn_to_y(_axis(poses)[0]).T)
+    count, turns = np.diff(rows), _within_half_turn(np.diff(angles))
+    step = np.median(turns / count)
+    uneven = np.median(abs(turns / count - step)) > UNEVEN_TURN * abs(step)
+    if uneven or np.median(apart) > ONE_AXIS:
+        return
+    known = np.cumsum([0, *(step * count + _within_half_turn(turns - step * count))])
+    known = np.sign(step) * (known + step * rows[0])
+    step, every = abs(step), np.arange(len(names))
+    turned = np.interp(every, rows, known)
+    turned += step * ((every - rows[-1]).clip(0) - (rows[0] - every).clip(0))
+    unposed = [row for row in range(len(names)) if row not in rows]
+    sides = np.sort(turned[rows] % (2 * np.pi))
+    for start, width in zip(sides, np.diff([*sides, sides[0] + 2 * np.pi]), strict=True):
+        beyond = (turned - start) % (2 * np.pi)
+        there = sorted((row for row in unposed if beyond[row] < width), key=beyond.take)
+        if not there:
+            continue
+        first, last = there[0], there[-1]
+        low = 0.0 if beyond[first] < WORLD_STRIDE else beyond[first]
+        high = width if width - beyond[last] < WORLD_STRIDE else beyond[last]
+        if high - low > WORLD_STRIDE:
+            begin, end = (round(np.degrees(start + each)) for each in (low, high))
+            yield MissingSide(begin % 360, (end - 1) % 360 + 1, names[first], names[last])
+
+
+def _within_half_turn(angles: Float[np.ndarray, " A"]) -> Float[np.ndarray, " A"]:
+    return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
 def _axis(
@@ -202,7 +258,7 @@ def _adjust(
 
     def residuals(values: Float[np.ndarray, " V"]) -> Float[np.ndarray, " R"]:
         places = _project(values, seen, photos)[0]
-        uneven = (np.diff(values[COMMON:first]) - steps + np.pi) % (2 * np.pi) - np.pi
+        uneven = _within_half_turn(np.diff(values[COMMON:first]) - steps)
         return np.concatenate(
             [(places - seen.places).ravel(), values[1:2] / RADIAL_SPREAD, uneven / STEP_SPREAD]
         )

@@ -11,6 +11,7 @@ silhouettes: only the object is inside of most of them. After Laurentini: The Vi
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from stylesplat.errors import StyleSplatError, join_names
+from stylesplat.errors import StyleSplatError, join_names, shell_command
 from stylesplat.imaging.morphology import apply_disc
 from stylesplat.imaging.still_background import (
     GAP,
@@ -95,6 +96,16 @@ def object_alone(capture: Capture, *, turns: bool = False) -> Capture | None:
         say(f"Left out, as their label maps show no object: {join_names(unseen)}.")
         capture = capture.only(rows)
     return cut_out_labels(capture) if rows else None
+
+
+def fog_advice(folder: Path) -> str:
+    """What comes of training a capture of something that turns without masks, and how to make them.
+
+    Args:
+        folder: Of the capture.
+    """
+    box = shell_command("mask", folder, "--box", "VIEW:x0,y0,x1,y1")
+    return f"Without masks the room is trained, too, as a fog. `{box}` makes them."
 
 
 def as_trained(capture: Capture, info: Mapping[str, Any]) -> Capture:

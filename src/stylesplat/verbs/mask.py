@@ -177,7 +177,7 @@ def mask(
 def mask_source(method: MaskMethod | None, **given: Any) -> MaskSource:
     """Where masks come from, by the arguments of `mask`; photos are not needed.
 
-    Refuses arguments that the method does not take, and files and models that are missing.
+    Refuses arguments that the method does not take, and files that are missing.
     """
     method = method or ("grabcut" if given.get("source") is None else "files")
     check_choice(method, "method", ("files", "grabcut", *get_args(sam.SamMethod)))
@@ -192,5 +192,4 @@ def mask_source(method: MaskMethod | None, **given: Any) -> MaskSource:
         raise StyleSplatError("Say with --from where the masks are; in Python, with `source`.")
     if method not in ("files", "grabcut"):
         given["family"] = method
-        sam.refuse_missing(method, given.get("model"))
     return kind(**given)

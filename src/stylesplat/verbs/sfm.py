@@ -63,6 +63,7 @@ from stylesplat.structure_from_motion.object_features import (
     cut_out_mask,
     cut_out_pixels,
 )
+from stylesplat.structure_from_motion.one_axis import find_missing_sides
 from stylesplat.structure_from_motion.photos import PreparedPhotos
 from stylesplat.structure_from_motion.prepare import prepare
 from stylesplat.structure_from_motion.reconstruct import (
@@ -79,7 +80,7 @@ from stylesplat.structure_from_motion.world_frame import (
     move_to_working_frame,
     working_frame,
 )
-from stylesplat.training.object_alone import outline_moving_object
+from stylesplat.training.object_alone import fog_advice, outline_moving_object
 
 
 @check_arguments
@@ -244,7 +245,39 @@ def sfm(
             say(f"{what}: {join_names(names, LISTED)}: {why}.")
     for line in advices(report, known={"posed"}):
         say(line)
+    if turns:
+        boxed = drawn is not None or box is not None
+        _mention_missing(found.model, prepared, record, source=None if boxed else source)
     return load(output)
+
+
+def _mention_missing(
+    model: pycolmap.Reconstruction,
+    prepared: PreparedPhotos,
+    record: SfmRecord,
+    *,
+    source: Path | None,
+) -> None:
+    """Say which part of a turn no photo with a pose shows, and what helps.
+
+    A box is offered where the photos are named: `source` is None where it or masks were given.
+    """
+    own = prepared.origins
+    sides = [
+        f"{side.begin} to {side.end} degrees ({own[side.first]} to {own[side.last]})"
+        for side in find_missing_sides(model, prepared.names)
+    ]
+    if not sides:
+        return
+    remedy = "Take more photos of it, in small steps"
+    if source is not None:
+        command = shell_command("sfm", source, "-o", "CAPTURE", "--object", "VIEW:x0,y0,x1,y1")
+        remedy += f", or draw a box around what has detail: `{command}`"
+    say(
+        f"Only {record.registered} of {record.given} photos of what turns have a pose. Counted "
+        f"from {own[prepared.names[0]]} on, the part from about {join_names(sides)} is missing. "
+        f"{remedy}."
+    )
 
 
 def _refuse_places(
@@ -347,10 +380,9 @@ def _write_masks(capture: Capture, drawn: FoundMasks | None, folder: Path, outpu
         labelled = replace(capture, label_maps=Lazy(maps), object_names=CUT_OUT_NAMES)
         write_label_maps(labelled, folder)
     else:
-        box = shell_command("mask", output, "--box", "VIEW:x0,y0,x1,y1")
         say(
             "No masks of what turns: the light or the camera changes too much between the photos "
-            f"to cut it out. `{box}` makes them. Without masks the room is trained, too, as a fog."
+            f"to cut it out. {fog_advice(output)}"
         )
 
 

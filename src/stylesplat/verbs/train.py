@@ -31,7 +31,7 @@ from stylesplat.training.config import (
 from stylesplat.training.densification import without_hidden
 from stylesplat.training.lifting import lift
 from stylesplat.training.loop import fit, rank_and_processes
-from stylesplat.training.object_alone import OBJECTS_ALONE, object_alone
+from stylesplat.training.object_alone import OBJECTS_ALONE, fog_advice, object_alone
 from stylesplat.training.per_photo import with_refined_cameras
 from stylesplat.training.views import learned_ids, split_views
 
@@ -98,7 +98,11 @@ def train(
     torch_device = pick_device(device)
     capture = capture.without_outliers()
     record = None if capture.path is None else read_sfm(capture.path)
-    alone = object_alone(capture, turns=record is not None and record.turns)
+    turns = record is not None and record.turns
+    alone = object_alone(capture, turns=turns)
+    unmasked = capture.label_maps is None and capture.alphas is None
+    if turns and unmasked and capture.path is not None:
+        say(f"The object turned before a room that stood still. {fog_advice(capture.path)}")
     if alone is not None:
         say("What is around the objects does not turn with them: they are trained alone.")
         capture = alone
