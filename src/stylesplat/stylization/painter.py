@@ -383,8 +383,7 @@ def align_and_trim(
     colors = subject.canvas.splats.sh0[:, 0].index_copy(0, subject.rows, colors)[kept]
     canvas, sources = split_large(canvas, length, seed=subject.painting.config.seed)
     canvas = close_gaps(canvas, subject.boxes, length)
-    # views of the scene before are not needed again, and take memory
-    subject = subject.on(replace(canvas, views=()))
+    subject = subject.on(replace(canvas, views=()))  # these take memory, and are not needed again
     return subject, colors[sources][subject.rows]
 
 

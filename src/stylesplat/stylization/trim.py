@@ -407,7 +407,7 @@ def split_large(canvas: Canvas, length: float, *, seed: int) -> tuple[Canvas, In
 
 
 BESIDE_GAPS = 3  # pixels of a square around each one that shows through
-WIDER = 1.3  # factor on the size of a disc beside gaps
+GAP_WIDER = 1.3  # factor on the size of a disc beside gaps
 
 
 @torch.no_grad()
@@ -430,5 +430,5 @@ def close_gaps(canvas: Canvas, boxes: Sequence[ObjectBox], length: float) -> Can
     found = per_view(look, cameras, "closing gaps between discs", bare.device)
     beside, everywhere = torch.stack([*found]).sum(dim=0).unbind(dim=1)
     wider = canvas.is_disc & (beside > IN_HOLES * everywhere)
-    scales = canvas.splats.scales + math.log(WIDER) * wider[:, None]
+    scales = canvas.splats.scales + math.log(GAP_WIDER) * wider[:, None]
     return canvas.changed(scales=scales)
