@@ -125,15 +125,25 @@ def test_what_no_photo_shows_is_left_out(said: list[str]):
     assert len(without_hidden(kept, cameras)) == len(kept)
 
 
+def looks_refined(splats: Splats, count: int) -> list[torch.Tensor]:
+    """The scene before, with copies, and with copies that are as large and opaque as one was."""
+    params, _ = refined(splats, count)
+    scenes = (splats, replace(splats, **params), splats[rows_of(params, splats)])
+    return [rasterize(scene, two_cameras())[0].detach() for scene in scenes]
+
+
 def test_refining_keeps_what_a_scene_looks_like():
-    # Half of the Gaussians are dead, and the number doubles, so nearly all that show are copied.
-    splats = random_splats(60, sh_degree=0)
+    # Two thirds of the Gaussians are dead, so nearly all that show are copied.
+    splats = random_splats(90, sh_degree=0)
     splats.opacities[30:] = -9.0
     splats.opacities[:30] = splats.opacities[:30].clamp(max=1.0)
-    params, _ = refined(splats, 120)
-    scenes = (splats, replace(splats, **params), splats[rows_of(params, splats)])
-    before, after, unshrunk = (rasterize(scene, two_cameras())[0] for scene in scenes)
-    # Copies are drawn at random places: 24% measured, and 3% of what is contributed in all
+    before, after, unshrunk = looks_refined(splats, 90)
+    # Equation 9 keeps what a Gaussian contributes in all, not its exact profile: 5% measured.
+    error, unshrunk_error = (before - after).abs().mean(), (before - unshrunk).abs().mean()
+    assert error < 0.08 * before.mean()
+    assert error < 0.35 * unshrunk_error
+    # While the number grows, copies are drawn at random places: 24% measured, and 3% of all light
+    before, after, unshrunk = looks_refined(splats[:60], 120)
     error, unshrunk_error = (before - after).abs().mean(), (before - unshrunk).abs().mean()
     assert abs(after.mean() - before.mean()) < 0.05 * before.mean()
     assert error < 0.28 * before.mean()

@@ -61,9 +61,10 @@ SMALLER = 0.6  # factor on the size of a disc that shows beside the object
 SHINES = 0.1  # pixels of a disc that shine through what is protected, if that lies before it
 CANVAS_LOST = 0.2  # coverage: where the object would lose more, the canvas has a hole
 CANVAS_RIM = 3  # pixels along the object's outline that are no holes
-# Part of a Gaussian's contribution to a view that has to lie in holes. It leaves a quarter to a
-# half of the holes of a fox, a biker and a brooch; .005 leaves a tenth of the fox's, but nearly
-# twice as many Gaussians come back, which carry no strokes
+# Part of a Gaussian's contribution that has to lie in holes, for it to come back, or beside gaps,
+# for a disc to become wider. It leaves a quarter to a half of the holes of a fox, a biker and a
+# brooch; .005 leaves a tenth of the fox's, but nearly twice as many Gaussians come back, which
+# carry no strokes
 IN_HOLES = 0.02
 
 
@@ -209,8 +210,8 @@ REVEAL_SOLID = 0.9  # coverage from which colours are the object's own
 # Difference of colours from which they are unlike; deviations of the blur that is subtracted from
 # it, in lengths of the object, and of the one that averages it, in pixels
 UNLIKE, UNLIKE_MEAN, UNLIKE_BLUR = 0.1, 0.02, 1.0
-# Shares of a disc's pixels there, from which it goes. With .05 in holes a third more of a brooch's
-# stay closed
+# Shares of a disc's pixels there, from which it goes. With .05 in holes two fifths more of a
+# brooch's stay closed
 DISC_OPEN, DISC_UNLIKE = 0.03, 0.4
 OWN_LOST, OWN_UNLIKE = 0.1, 0.3  # shares of a Gaussian's, from which it comes back
 # Share of a disc's pixels that only it covers, from which it comes back, if it closes fewer
@@ -408,8 +409,10 @@ def split_large(canvas: Canvas, length: float, *, seed: int) -> tuple[Canvas, In
     return split.select(kept), torch.cat([everyone, parents])[kept]
 
 
-BESIDE_GAPS = 3  # pixels of a square around each one that shows through
-GAP_WIDER = 1.3  # factor on the size of a disc beside gaps
+BESIDE_GAPS = 3  # pixels of a square around each one that shows through: discs are as large
+# Factor on the size of a disc beside gaps, which undoes half of how narrow a turned one is. It
+# leaves an eighth to a half of the gaps of a bottle, a fox and a brooch
+GAP_WIDER = 1.3
 
 
 @torch.no_grad()
