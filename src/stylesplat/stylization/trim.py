@@ -411,7 +411,7 @@ def split_large(canvas: Canvas, length: float, *, seed: int) -> tuple[Canvas, In
 
 BESIDE_GAPS = 3  # pixels of a square around each one that shows through: discs are as large
 # Factor on the size of a disc beside gaps, which undoes half of how narrow a turned one is. It
-# leaves an eighth to a half of the gaps of a bottle, a fox and a brooch
+# leaves an eighth to three fifths of the gaps of a bottle, a fox and a brooch
 GAP_WIDER = 1.3
 
 
