@@ -113,6 +113,15 @@ def test_a_model_that_cannot_be_had_is_told_before_photos_are_posed(tmp_path: Pa
     assert [each.name for each in tmp_path.iterdir()] == ["photos"]
 
 
+def test_a_missing_gpu_is_told_before_a_model_is_downloaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    write_photos(tmp_path / "photos", corner(3))
+    with pytest.raises(StyleSplatError, match="Cannot compute on cuda"):
+        run_model(tmp_path / "photos", "sam2", None, model="owner/nowhere", device="cuda")
+
+
 def test_in_memory_with_and_without_a_folder_for_progress(
     capture: Path, tmp_path: Path, scripted: Scripted
 ):

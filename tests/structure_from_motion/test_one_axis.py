@@ -84,10 +84,11 @@ def test_poses_with_errors_become_turns_about_one_axis():
         (range(8), NAMES[:13], [(105, 180, "08.jpg", "12.jpg")]),
         ([*range(8), 11, 12, *range(16, 24)], NAMES, [(105, 165, "08.jpg", "10.jpg"),
                                                        (180, 240, "13.jpg", "15.jpg")]),
+        (range(4, 13), NAMES[:17], [(180, 240, "13.jpg", "16.jpg"), (0, 60, "00.jpg", "03.jpg")]),
         ([*range(5), *range(19, 24)], NAMES[::2] + NAMES[1::2][::-1], []),
     ],
     ids=["all", "a third", "one end", "both ends", "each second", "half a turn", "half of these",
-         "half a turn without its end", "two sides", "there and back"],
+         "half a turn without its end", "two sides", "both ends of a part", "there and back"],
 )  # fmt: skip
 def test_sides_are_missing_that_only_photos_without_a_pose_show(rows, names, sides):
     found = model(error=0.3)

@@ -77,7 +77,7 @@ def test_what_turns_before_a_still_camera_is_posed_and_its_masks_are_written(
     capture = sfm(photos, tmp_path / "capture")
     assert_posed(capture)
     assert any("camera stood still" in line for line in said)
-    assert not any("is missing" in line for line in said), "it was meant to turn no further"
+    assert not any("Missing" in line for line in said), "it was meant to turn no further"
     assert_labelled(capture, 0.8)
 
 
@@ -146,11 +146,14 @@ def test_a_side_of_a_turn_whose_photos_have_no_pose_is_told(tmp_path: Path, said
     for row in range(count):
         where, skin = turned_ball(2 * np.pi * row / count)
         skin = skin if row < 15 else np.full_like(skin, 40 + 8 * row)
-        images[f"{row:02}.jpg"] = np.where(where, skin, ROOM)
+        name = f"{row:02}{'-of-a-turn' * 10}.jpg"  # messages shorten it
+        images["15\n.jpg" if row == 15 else name] = np.where(where, skin, ROOM)
     write_photos(tmp_path / "photos", images)
     assert len(sfm(tmp_path / "photos", tmp_path / "capture")) == 15
-    assert "Only 15 of 20 photos" in said[-1] and "(15.jpg to 19.jpg) is missing" in said[-1]
-    part = re.search(r"Counted from 00.jpg on, the part from about (\d+) to (\d+) deg", said[-1])
+    assert "Only 15 of 19 photos" in said[-1], "one was left out for its name, and not tried"
+    first, begin, end = (rf"{row}-of-a-turn-of-a-tu\.\.\." for row in ("00", 16, 19))
+    missing = rf"Missing, in degrees from {first}: (\d+) to (\d+) \({begin} to {end}\)\. "
+    part = re.search(missing, said[-1])
     assert part is not None
     assert int(part[1]) == pytest.approx(252, abs=5) and int(part[2]) == 360
     assert f"`stylesplat sfm {tmp_path / 'photos'} -o CAPTURE --object VIEW:" in said[-1]

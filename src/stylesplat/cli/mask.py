@@ -31,6 +31,7 @@ from stylesplat.structure_from_motion.earlier_capture import is_sfm_unfinished, 
 
 if TYPE_CHECKING:
     from stylesplat.io.captures.capture_folder import SfmRecord
+    from stylesplat.masks.sam import SamMethod
 
 Drawn = dict[str, list[Any]]  # by object, places in views
 OfferedMethod = Literal["files", "grabcut", "sam", "sam2", "edgetam", "sam3"]
@@ -89,12 +90,12 @@ class MaskCommand(MakingCommand):
 
     @property
     def after_interruption(self) -> str:
-        continues = self._keeps_progress or is_sfm_unfinished(self.capture, beside=self.capture)
+        continues = self._model_method or is_sfm_unfinished(self.capture, beside=self.capture)
         return CONTINUES if continues else WHOLE
 
     @property
-    def _keeps_progress(self) -> bool:
-        return self.method is not None and self.method not in WITHOUT_MODEL
+    def _model_method(self) -> "SamMethod | None":
+        return None if self.method in WITHOUT_MODEL else self.method
 
     def run(self) -> Answer:
         from stylesplat.io.kinds import SCENE
@@ -137,13 +138,15 @@ class MaskCommand(MakingCommand):
 
     def _fetch_model(self) -> None:
         from stylesplat.masks.sam import find_proposer
+        from stylesplat.rendering.render import pick_device
 
-        if self.method not in (None, "files", "grabcut"):
-            find_proposer(self.method, self.model)
+        pick_device(self.device)  # raises before the download
+        if method := self._model_method:
+            find_proposer(method, self.model)
 
     def _masked(self, photos: Any, place: Path, drawn: dict[str, Drawn], **options: Any) -> Any:
         """Photos or a scene with masks; models keep what they have found beside the result."""
-        progress = progress_path(place) if self._keeps_progress else None
+        progress = progress_path(place) if self._model_method else None
         options |= {"method": self.method, "model": self.model, "device": self.device}
         return ss.mask(photos, source=self.source, progress=progress, **drawn, **options)
 

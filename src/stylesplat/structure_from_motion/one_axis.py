@@ -23,7 +23,8 @@ WORSE = 1.3  # times the error of poses that are free, from which they do not tu
 STEP_SPREAD = 0.05  # radians by which steps of a turntable differ
 RADIAL_SPREAD = 0.05  # of the distortion of lenses; what fills half a picture hardly tells it
 ADJUSTMENTS = 50
-UNEVEN_TURN = 0.5  # of a step, by which steps differ in the median of photos that do not turn on
+# Share of a step: if the median deviation is larger, photos are not in the order of the turn
+UNEVEN_TURN = 0.5
 NEAR_PARALLEL = 1e-6  # rays of which a point is left near the axis
 COMMON = 8  # numbers of all photos: the focal length, the distortion, the axis, where it stands
 
@@ -93,7 +94,7 @@ def turn_on_one_axis(model: pycolmap.Reconstruction, names: Sequence[str]) -> bo
 
 @dataclass(frozen=True)
 class MissingSide:
-    """A side of what turns that photos show, but none with a pose."""
+    """A range of angles that only photos without a pose show."""
 
     begin: int
     """In degrees from the first photo, in the direction of the turn."""
@@ -108,9 +109,9 @@ def find_missing_sides(
 ) -> Iterator[MissingSide]:
     """The sides that only photos without a pose show, wider than `WORLD_STRIDE`.
 
-    Each of these is taken to be turned as far from its neighbours in `names`, which are those of
-    all photos in order, as photos with a pose are. A side that was not photographed is not missing.
-    None where the poses do not turn on one axis, and on from photo to photo.
+    Each of these photos is taken to be turned as far from its neighbours in `names`, which are
+    those of all photos in order, as photos with a pose are. A side that was not photographed is not
+    missing. Yields nothing if the poses do not share an axis or the turn changes direction.
     """
     images = sorted(posed_images(model), key=lambda image: names.index(image.name))
     rows = np.array([names.index(image.name) for image in images])
@@ -131,14 +132,14 @@ def find_missing_sides(
     for start, width in zip(sides, np.diff([*sides, sides[0] + 2 * np.pi]), strict=True):
         beyond = (turned - start) % (2 * np.pi)
         there = sorted((row for row in unposed if beyond[row] < width), key=beyond.take)
-        if not there:
-            continue
-        first, last = there[0], there[-1]
-        low = 0.0 if beyond[first] < WORLD_STRIDE else beyond[first]
-        high = width if width - beyond[last] < WORLD_STRIDE else beyond[last]
-        if high - low > WORLD_STRIDE:
-            begin, end = (round(np.degrees(start + each)) for each in (low, high))
-            yield MissingSide(begin % 360, (end - 1) % 360 + 1, names[first], names[last])
+        breaks = np.flatnonzero(np.diff(beyond[there]) > WORLD_STRIDE) + 1  # not photographed
+        for run in np.split(there, breaks) if there else ():
+            first, last = int(run[0]), int(run[-1])
+            low = 0.0 if beyond[first] < WORLD_STRIDE else beyond[first]
+            high = width if width - beyond[last] < WORLD_STRIDE else beyond[last]
+            if high - low > WORLD_STRIDE:
+                begin, end = (round(np.degrees(start + each)) for each in (low, high))
+                yield MissingSide(begin % 360, (end - 1) % 360 + 1, names[first], names[last])
 
 
 def _within_half_turn(angles: Float[np.ndarray, " A"]) -> Float[np.ndarray, " A"]:

@@ -99,13 +99,9 @@ def object_alone(capture: Capture, *, turns: bool = False) -> Capture | None:
 
 
 def fog_advice(folder: Path) -> str:
-    """What comes of training a capture of something that turns without masks, and how to make them.
-
-    Args:
-        folder: Of the capture.
-    """
+    """Advice for a capture of a turntable without masks."""
     box = shell_command("mask", folder, "--box", "VIEW:x0,y0,x1,y1")
-    return f"Without masks the room is trained, too, as a fog. `{box}` makes them."
+    return f"Without masks the room is trained too, and becomes a fog. `{box}` makes them."
 
 
 def as_trained(capture: Capture, info: Mapping[str, Any]) -> Capture:

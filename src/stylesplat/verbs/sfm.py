@@ -247,24 +247,21 @@ def sfm(
         say(line)
     if turns:
         boxed = drawn is not None or box is not None
-        _mention_missing(found.model, prepared, record, source=None if boxed else source)
+        _mention_missing(found.model, prepared, source=None if boxed else source)
     return load(output)
 
 
 def _mention_missing(
-    model: pycolmap.Reconstruction,
-    prepared: PreparedPhotos,
-    record: SfmRecord,
-    *,
-    source: Path | None,
+    model: pycolmap.Reconstruction, prepared: PreparedPhotos, *, source: Path | None
 ) -> None:
-    """Say which part of a turn no photo with a pose shows, and what helps.
+    """Say which part of a turn only photos without a pose show, and what helps.
 
-    A box is offered where the photos are named: `source` is None where it or masks were given.
+    Photos that were left out are not considered. A box is offered where the photos are named:
+    `source` is None where it or masks were given.
     """
-    own = prepared.origins
+    own = {name: join_names([prepared.origins[name]]) for name in prepared.names}
     sides = [
-        f"{side.begin} to {side.end} degrees ({own[side.first]} to {own[side.last]})"
+        f"{side.begin} to {side.end} ({own[side.first]} to {own[side.last]})"
         for side in find_missing_sides(model, prepared.names)
     ]
     if not sides:
@@ -274,9 +271,8 @@ def _mention_missing(
         command = shell_command("sfm", source, "-o", "CAPTURE", "--object", "VIEW:x0,y0,x1,y1")
         remedy += f", or draw a box around what has detail: `{command}`"
     say(
-        f"Only {record.registered} of {record.given} photos of what turns have a pose. Counted "
-        f"from {own[prepared.names[0]]} on, the part from about {join_names(sides)} is missing. "
-        f"{remedy}."
+        f"Only {model.num_reg_images()} of {len(own)} photos of what turns have a pose. Missing, "
+        f"in degrees from {own[prepared.names[0]]}: {'; '.join(sides)}. {remedy}."
     )
 
 

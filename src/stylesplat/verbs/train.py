@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from stylesplat.errors import StyleSplatError, check_choice
 from stylesplat.evaluation.photos import Fits, evaluate_views
-from stylesplat.io.captures.capture_folder import read_sfm
+from stylesplat.io.captures.capture_folder import OBJECT_MASK, read_sfm
 from stylesplat.options import check_arguments, with_settings
 from stylesplat.progress import say
 from stylesplat.rendering.render import pick_device
@@ -101,8 +101,8 @@ def train(
     turns = record is not None and record.turns
     alone = object_alone(capture, turns=turns)
     unmasked = capture.label_maps is None and capture.alphas is None
-    if turns and unmasked and capture.path is not None:
-        say(f"The object turned before a room that stood still. {fog_advice(capture.path)}")
+    if turns and unmasked and capture.path and not (capture.path / OBJECT_MASK).is_dir():
+        say(f"The object turned in front of a room that stood still. {fog_advice(capture.path)}")
     if alone is not None:
         say("What is around the objects does not turn with them: they are trained alone.")
         capture = alone
