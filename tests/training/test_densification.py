@@ -46,7 +46,7 @@ def refined(
 
 def rows_of(params: dict[str, torch.Tensor], splats: Splats) -> torch.Tensor:
     """Where each Gaussian came from."""
-    same = (params["sh0"][:, None] == splats.sh0[None]).all(dim=-1).squeeze(-1)
+    same = (params["means"][:, None] == splats.means[None]).all(dim=-1)
     return same.int().argmax(dim=1)
 
 
@@ -62,26 +62,12 @@ def test_grows_to_the_count_by_copies_of_living_gaussians():
     rows = rows_of(params, splats)
     copied = are_copied(rows)
     assert not moments.first["means"][copied].any(), "copies start from zero moments"
-    for name in ("quats", "sh0", "shN", "identities"):
+    for name in ("means", "quats", "sh0", "shN", "identities"):
         assert torch.equal(params[name], splats.tensors()[name][rows]), name
     assert 5 < int((~copied).sum()) < 50
     for name, tensor in splats.tensors().items():  # what was not copied stays as it was
         assert torch.equal(params[name][~copied], tensor[rows[~copied]]), name
         assert (moments.first[name][~copied] == 1).all(), name
-
-
-def test_copies_are_drawn_from_the_gaussian_and_keep_its_covariance_together():
-    """One Gaussian of a random shape and 20,000 copies at a time of faint ones like it."""
-    one = random_splats(1)
-    many = Splats.cat([one] * 1000)
-    many.opacities[:] = -5.0  # so faint that nothing shrinks for what overlaps
-    params, _ = refined(many, 20_000)
-    axes = rotation_matrices(one.quats)[0]
-    along = (params["means"] - one.means) @ axes
-    assert along.mean(dim=0).abs().max() < 0.02 * one.scales.exp().max()
-    together = along.var(dim=0) + (2 * params["scales"]).exp().mean(dim=0)
-    torch.testing.assert_close(together, (2 * one.scales[0]).exp(), rtol=0.05, atol=0)
-    assert (along.std(dim=0) > 0.3 * one.scales[0].exp()).all()
 
 
 def test_neighbours_lie_together_in_memory():
@@ -125,28 +111,17 @@ def test_what_no_photo_shows_is_left_out(said: list[str]):
     assert len(without_hidden(kept, cameras)) == len(kept)
 
 
-def looks_refined(splats: Splats, count: int) -> list[torch.Tensor]:
-    """The scene before, with copies, and with copies that are as large and opaque as one was."""
-    params, _ = refined(splats, count)
-    scenes = (splats, replace(splats, **params), splats[rows_of(params, splats)])
-    return [rasterize(scene, two_cameras())[0].detach() for scene in scenes]
-
-
 def test_refining_keeps_what_a_scene_looks_like():
-    # Two thirds of the Gaussians are dead, so nearly all that show are copied.
-    splats = random_splats(90, sh_degree=0)
+    # Half of the Gaussians are dead, and the number doubles, so nearly all that show are copied.
+    splats = random_splats(60, sh_degree=0)
     splats.opacities[30:] = -9.0
     splats.opacities[:30] = splats.opacities[:30].clamp(max=1.0)
-    before, after, unshrunk = looks_refined(splats, 90)
+    params, _ = refined(splats, 120)
+    scenes = (splats, replace(splats, **params), splats[rows_of(params, splats)])
+    before, after, unshrunk = (rasterize(scene, two_cameras())[0] for scene in scenes)
     # Equation 9 keeps what a Gaussian contributes in all, not its exact profile: 5% measured.
     error, unshrunk_error = (before - after).abs().mean(), (before - unshrunk).abs().mean()
     assert error < 0.08 * before.mean()
-    assert error < 0.35 * unshrunk_error
-    # While the number grows, copies are drawn at random places: 24% measured, and 3% of all light
-    before, after, unshrunk = looks_refined(splats[:60], 120)
-    error, unshrunk_error = (before - after).abs().mean(), (before - unshrunk).abs().mean()
-    assert abs(after.mean() - before.mean()) < 0.05 * before.mean()
-    assert error < 0.28 * before.mean()
     assert error < 0.35 * unshrunk_error
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from inspect import signature
-from math import comb, exp, log
+from math import comb, exp
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -26,7 +26,6 @@ from stylesplat.io.tensors import GAUSSIANS, IDENTITIES, rows_in_range
 from stylesplat.progress import say
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.nvrtc import for_each_row
-from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import backproject, geometry_only
 from stylesplat.scene.cameras import Cameras
@@ -36,10 +35,6 @@ from stylesplat.training.config import TrainConfig, means_decay
 
 DEAD_OPACITY = 0.005
 MAX_COPIES = 51  # of one Gaussian at a time (official)
-# Deviation of the places of a Gaussian and its copies from where it was, in its own, while their
-# number grows: half of the covariance is that of places. Official: 0; a fox, a toy and a desk have
-# .8 to 1.4 dB less then. Of what moves later it disturbs: a fox loses .3 dB in 5,000 steps
-SPREAD = 0.7
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
 # Over the extent. Official: 80 (5e5 times the rate of the means) times the extent, which is as much
 # at an extent of 8
@@ -270,10 +265,8 @@ def relocate_and_grow(
 
     Those that have run away are dead, too: no photo shows them, so none brings them back.
     The chance of being copied is the opacity times the preference. Gaussians that were moved or
-    copied start from zero moments. While the number grows, their places are drawn from the one that
-    was copied, and each has what is left of its covariance. All are put in the order of their
-    places, so that those which a pixel mixes lie together in memory: a step of 300,000 takes a
-    sixth less of a processor's time.
+    copied start from zero moments. All are put in the order of their places, so that those which a
+    pixel mixes lie together in memory: a step of 300,000 takes a sixth less of a processor's time.
     """
     opacities = torch.sigmoid(params["opacities"])
     lives = (opacities > DEAD_OPACITY) & sound_rows(params)
@@ -293,13 +286,8 @@ def relocate_and_grow(
     fresh[sources] = True
     order = morton_order(params["means"].detach()[rows])
     rows, fresh = rows[order], fresh[order]
-    spread = SPREAD if count > n else 0.0
-    apart = spread * _offsets(params, rows[fresh], generator)
-    for name, tensor in (params | _shrink_sources(params, sources, spread)).items():
-        taken, optimizer = tensor.detach()[rows], optimizers[name]
-        if name == "means":
-            taken[fresh] += apart
-        taken.requires_grad_()
+    for name, tensor in (params | _shrink_sources(params, sources)).items():
+        taken, optimizer = tensor.detach()[rows].requires_grad_(), optimizers[name]
         moments = optimizer.state.pop(params[name])
         for key in ("exp_avg", "exp_avg_sq"):
             moments[key] = moments[key][rows]
@@ -309,22 +297,8 @@ def relocate_and_grow(
         params[name] = taken
 
 
-def _offsets(
-    params: Params, rows: Int[Tensor, " M"], generator: torch.Generator
-) -> Float[Tensor, "M 3"]:
-    """Random offsets within some Gaussians, as likely as these are opaque there."""
-    axes = rotation_matrices(params["quats"].detach()[rows])
-    deviations = params["scales"].detach()[rows].exp()
-    drawn = torch.randn(deviations.shape, generator=generator, device=deviations.device)
-    return torch.einsum("nij,nj->ni", axes, deviations * drawn)
-
-
-def _shrink_sources(params: Params, sources: Int[Tensor, " M"], spread: float) -> Params:
-    """Opacities and scales with which a source and its copies together look as before.
-
-    They are so many deviations apart, and smaller by what this adds to the covariance of all. In a
-    view their area is smaller, too, for which they are more opaque.
-    """
+def _shrink_sources(params: Params, sources: Int[Tensor, " M"]) -> Params:
+    """Opacities and scales with which a source and its copies together look as before."""
     copies = torch.bincount(sources, minlength=len(params["opacities"])) + 1
     opacities, scales = params["opacities"].detach().clone(), params["scales"].detach().clone()
     new_opacities, new_scales = relocate(
@@ -332,10 +306,8 @@ def _shrink_sources(params: Params, sources: Int[Tensor, " M"], spread: float) -
         scales[sources].exp(),
         copies[sources].clamp(max=MAX_COPIES),
     )
-    kept = 1 - spread**2  # of the covariance
-    new_opacities = (new_opacities / kept).clamp(DEAD_OPACITY, MAX_OPACITY)
-    opacities[sources] = torch.logit(new_opacities)
-    scales[sources] = new_scales.log() + log(kept) / 2
+    opacities[sources] = torch.logit(new_opacities.clamp(DEAD_OPACITY, MAX_OPACITY))
+    scales[sources] = new_scales.log()
     return {"opacities": opacities, "scales": scales}
 
 
