@@ -35,10 +35,10 @@ GUIDE_TURNS = 6  # angles of the style picture within half a turn
 TURNED_FEATURES = 8192  # at random, of those of all angles
 GUIDED = 0.6  # what the full agreement of directions adds to a cosine
 FLOW_WIDTH = 0.5  # deviation of the structure tensor's average, in cells of features
-SPILL_NEIGHBOURS = 32  # discs that gradients and structure tensors are averaged over
+STROKE_NEIGHBOURS = 32  # discs that gradients and structure tensors are averaged over
 GRADIENT_WIDTH = 1.5  # deviation of the weights of a gradient's fit, in distances between discs
 TENSOR_WIDTH = 2.5  # and of the average of structure tensors
-SPILL_RIDGE = 1e-3  # of the fit, for discs whose neighbours lie on a line
+STROKE_RIDGE = 1e-3  # of the fit, for discs whose neighbours lie on a line
 LONG, NARROW = 1.8, 0.6  # factors on scales along and across a stroke; 2.5 spikes the silhouette
 
 
@@ -198,7 +198,7 @@ def align_to_strokes(
     rows = discs.nonzero()[:, 0]
     means, axes = splats.means[rows], rotation_matrices(splats.quats[rows])
     tangents, normals = axes[:, :, :2], axes[:, :, 2]
-    far, near = nearest_points(means, means, SPILL_NEIGHBOURS)
+    far, near = nearest_points(means, means, STROKE_NEIGHBOURS)
     far = far.to(means) / distance
     same_side = (normals[near] * normals[:, None]).sum(dim=2).clamp(min=0)  # [D, k]
 
@@ -254,7 +254,7 @@ def _gradients(
     changes = values[near] - (weights * values[near]).sum(dim=1, keepdim=True) / total
     normal = torch.einsum("dk,dki,dkj->dij", weights, offsets, offsets)
     right = torch.einsum("dk,dki,dk->di", weights, offsets, changes)
-    fitted = torch.linalg.solve(normal + SPILL_RIDGE * torch.eye(2).to(points), right)
+    fitted = torch.linalg.solve(normal + STROKE_RIDGE * torch.eye(2).to(points), right)
     return torch.einsum("dij,dj->di", tangents, fitted)
 
 

@@ -1,4 +1,4 @@
-"""Discs turned along the strokes of the paint, that show what the object showed and no more.
+"""Discs that show what the object showed and no more, once they are turned along their strokes.
 
 Discs that show beside the object shrink or go (`trim_surfels`). A pixel may show a filigree and
 what is behind it, or strings and the wood below: discs at its depth close the one and hide the
@@ -252,8 +252,8 @@ def reveal(
         if is_last:
             break
     assert weights is not None
-    lost = _lost_pixels(first, canvas, cameras)
-    needed = is_gone & (lost > DISC_LOST * weights) & (lost > closes)
+    fills = _lost_pixels(first, canvas, cameras)
+    needed = is_gone & (fills > DISC_LOST * weights) & (fills > closes)
     is_gone &= ~needed
     opacities = canvas.splats.opacities.where(~needed, first.splats.opacities)
     canvas = canvas.changed(opacities=opacities).select(~is_gone)
