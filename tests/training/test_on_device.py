@@ -21,9 +21,14 @@ CONFIG = TrainConfig(
 
 
 class Noiseless(MCMCStrategy):
-    """Grows and relocates, but moves nothing at random: devices shape their noise differently."""
+    """Grows and relocates, but moves nothing at random: devices shape their noise differently.
+
+    The first Gaussians are made long: of round ones rounding decides along which axis they split.
+    """
 
     def step_pre_backward(self, params, optimizers, state, step, info) -> None:
+        if step == 0:
+            params["scales"].data[:, 0] += 1.5  # three splits take off 1.04
         super().step_pre_backward(params, optimizers, state, step, info)
         info["noise"].zero_()
 
@@ -47,9 +52,13 @@ def test_the_same_is_learned_as_on_the_cpu(cuda: str, capture: Capture):  # noqa
     assert found.ids == expected.ids and len(found.splats) == len(expected.splats) == 200
     if torch.cuda.is_initialized():  # a GPU draws other numbers than the stand-in
         return
+    order = torch.cdist(expected.splats.means, found.splats.means.cpu()).argmin(dim=1)
+    assert len(order.unique()) == 200, "rounding may decide the order of rows, but of these alone"
     for name, there in found.params.items():
-        here = expected.params[name].detach()
-        error = (there.detach().cpu() - here).norm() / here.norm()
+        here, there = expected.params[name].detach(), there.detach().cpu()
+        if len(there) == len(order):
+            there = there[order]
+        error = (there - here).norm() / here.norm()
         # Rounding, which Adam blows up where gradients hardly differ from 0: rotations of round
         # Gaussians, bands that few cameras tell apart. A step without its corrections gives 0.1.
         assert error < (2e-2 if name in ("quats", "shN") else 5e-3), name

@@ -1,9 +1,9 @@
 """Densification as sampling: dead Gaussians move to where opaque ones are (3DGS-MCMC).
 
 Kheradmand et al. 2024. A Gaussian that is copied becomes fainter and smaller, so that it and its
-copies look as it did; noise in proportion to transparency lets Gaussians explore. The paper copies
-in proportion to opacity; here also to a score of positional gradients (`take_scores`), by which
-3DGS finds where Gaussians are too few (Kerbl et al. 2023).
+copies, here side by side, look as it did; noise in proportion to transparency lets Gaussians
+explore. The paper copies in proportion to opacity; here also to a score of positional gradients
+(`take_scores`), by which 3DGS finds where Gaussians are too few (Kerbl et al. 2023).
 """
 
 from collections.abc import Callable
@@ -26,6 +26,7 @@ from stylesplat.io.tensors import GAUSSIANS, IDENTITIES, rows_in_range
 from stylesplat.progress import say
 from stylesplat.rendering.kernels.jit import kernel
 from stylesplat.rendering.nvrtc import for_each_row
+from stylesplat.rendering.reference import rotation_matrices
 from stylesplat.rendering.view_pool import per_view
 from stylesplat.rendering.weights import backproject, geometry_only
 from stylesplat.scene.cameras import Cameras
@@ -35,6 +36,9 @@ from stylesplat.training.config import TrainConfig, means_decay
 
 DEAD_OPACITY = 0.005
 MAX_COPIES = 51  # of one Gaussian at a time (official)
+# Deviation of a Gaussian and its copies along its longest axis, in its own (official: 0). Two of
+# them are as far apart as leaves no dip between them
+SPREAD = 0.5**0.5
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
 # Over the extent. Official: 80 (5e5 times the rate of the means) times the extent, which is as much
 # at an extent of 8
@@ -265,8 +269,9 @@ def relocate_and_grow(
 
     Those that have run away are dead, too: no photo shows them, so none brings them back.
     The chance of being copied is the opacity times the preference. Gaussians that were moved or
-    copied start from zero moments. All are put in the order of their places, so that those which a
-    pixel mixes lie together in memory: a step of 300,000 takes a sixth less of a processor's time.
+    copied start from zero moments, side by side (`_split`). All are put in the order of their
+    places, so that those which a pixel mixes lie together in memory: a step of 300,000 takes a
+    sixth less of a processor's time.
     """
     opacities = torch.sigmoid(params["opacities"])
     lives = (opacities > DEAD_OPACITY) & sound_rows(params)
@@ -286,29 +291,49 @@ def relocate_and_grow(
     fresh[sources] = True
     order = morton_order(params["means"].detach()[rows])
     rows, fresh = rows[order], fresh[order]
-    for name, tensor in (params | _shrink_sources(params, sources)).items():
-        taken, optimizer = tensor.detach()[rows].requires_grad_(), optimizers[name]
+    taken = {name: tensor.detach()[rows] for name, tensor in params.items()}
+    _split(taken, rows, fresh)
+    for name, tensor in taken.items():
+        optimizer = optimizers[name]
         moments = optimizer.state.pop(params[name])
         for key in ("exp_avg", "exp_avg_sq"):
             moments[key] = moments[key][rows]
             moments[key][fresh] = 0
-        optimizer.state[taken] = moments
-        optimizer.param_groups[0]["params"] = [taken]
-        params[name] = taken
+        params[name] = tensor.requires_grad_()
+        optimizer.state[tensor] = moments
+        optimizer.param_groups[0]["params"] = [tensor]
 
 
-def _shrink_sources(params: Params, sources: Int[Tensor, " M"]) -> Params:
-    """Opacities and scales with which a source and its copies together look as before."""
-    copies = torch.bincount(sources, minlength=len(params["opacities"])) + 1
-    opacities, scales = params["opacities"].detach().clone(), params["scales"].detach().clone()
-    new_opacities, new_scales = relocate(
-        torch.sigmoid(opacities[sources]),
-        scales[sources].exp(),
-        copies[sources].clamp(max=MAX_COPIES),
+def _split(taken: Params, rows: Int[Tensor, " N"], fresh: Bool[Tensor, " N"]) -> None:
+    """Let the fresh Gaussians of the same row look together as that row did, in place.
+
+    They stand in a line along its longest axis, as in Deng et al. 2024, "Efficient Density Control
+    for 3D Gaussian Splatting", and are shorter by what this adds to the covariance of all. As much
+    as their area in a view is smaller they are more opaque.
+    """
+    counts = torch.bincount(rows[fresh])[rows[fresh]]
+    old = taken["scales"][fresh].exp()
+    opacities, scales = relocate(
+        torch.sigmoid(taken["opacities"][fresh]), old, counts.clamp(max=MAX_COPIES)
     )
-    opacities[sources] = torch.logit(new_opacities.clamp(DEAD_OPACITY, MAX_OPACITY))
-    scales[sources] = new_scales.log()
-    return {"opacities": opacities, "scales": scales}
+    longest = torch.nn.functional.one_hot(old.argmax(dim=1), 3).bool()
+    axes = rotation_matrices(taken["quats"][fresh]).mT[longest]
+    steps = SPREAD * old[longest] * _places(rows[fresh], counts)
+    taken["means"][fresh] += steps[:, None] * axes
+    shorter = (1 - SPREAD**2) ** 0.5
+    scales[longest] *= shorter
+    taken["scales"][fresh] = scales.log()
+    opacities = (opacities / shorter).clamp(DEAD_OPACITY, MAX_OPACITY)
+    taken["opacities"][fresh] = torch.logit(opacities)
+
+
+def _places(rows: Int[Tensor, " M"], counts: Int[Tensor, " M"]) -> Float[Tensor, " M"]:
+    """Places at equal distances for the elements of each row, of mean 0 and deviation 1."""
+    order = rows.argsort(stable=True)
+    first = torch.searchsorted(rows[order], rows)
+    ranks = torch.empty_like(rows)
+    ranks[order] = torch.arange(len(rows), device=rows.device)
+    return (2 * (ranks - first) - (counts - 1)) / ((counts.double() ** 2 - 1) / 3).sqrt().float()
 
 
 def relocate(
