@@ -27,10 +27,13 @@ class Noiseless(MCMCStrategy):
     """
 
     def step_pre_backward(self, params, optimizers, state, step, info) -> None:
-        if step == 0:
-            params["scales"].data[:, 0] += 1.0  # two splits take off 0.69
         super().step_pre_backward(params, optimizers, state, step, info)
         info["noise"].zero_()
+
+    def step_post_backward(self, params, optimizers, state, step, info) -> None:
+        if step == 0:
+            params["scales"].data[:, 0] += 2.0  # splits take off .35 each
+        super().step_post_backward(params, optimizers, state, step, info)
 
 
 def test_the_same_is_learned_as_on_the_cpu(cuda: str, capture: Capture):  # noqa: F811
@@ -60,9 +63,8 @@ def test_the_same_is_learned_as_on_the_cpu(cuda: str, capture: Capture):  # noqa
             there = there[order]
         error = (there - here).norm() / here.norm()
         # Rounding, which Adam blows up where gradients hardly differ from 0: rotations of round
-        # Gaussians, bands that few cameras tell apart. Rotations tell where copies stand: .006 of
-        # the weights. A step without its corrections gives 0.1.
-        assert error < (2e-2 if name in ("quats", "shN") else 1e-2), name
+        # Gaussians, bands that few cameras tell apart. A step without its corrections gives 0.1.
+        assert error < (2e-2 if name in ("quats", "shN") else 5e-3), name
 
 
 @pytest.mark.parametrize(("refine_poses", "most"), [(False, 300), (True, 410)])

@@ -24,7 +24,7 @@ from stylesplat.scene.splats import Splats
 TRANSFER_NEAR = 0.002  # of the splat's extent, for positions
 TRANSFER_SIZES = 0.35  # for logarithms of standard deviations
 TRANSFER_OPACITIES = 0.06  # for opacities, 0 to 1
-TRANSFER_NEIGHBOURS = 8  # compared with each Gaussian: densification leaves copies in one place
+TRANSFER_NEIGHBOURS = 8  # compared with each Gaussian: 3DGS-MCMC leaves copies in one place
 UNMOVED = 0.9  # share of Gaussians in their old place, above which no motion is estimated
 TRANSFER_LEAST = 16  # matches that are not chance
 TRANSFER_SAMPLE = 4000  # Gaussians that a motion is estimated from

@@ -208,10 +208,7 @@ def reconstruct(
             models = _map_photos(workspace)
             turned = turntable and bool(models) and turn_on_one_axis(models[0], names)
         if _posed(models) < MOSTLY_POSED * len(names) and not is_without_depth(models, table):
-            found, counts, table = _look_closer(workspace, photos, models, counts, table)
-            if found is not models:
-                models = found
-                turned = turntable and bool(models) and turn_on_one_axis(models[0], names)
+            models, counts, table = _look_closer(workspace, photos, models, counts, table)
         times += [matched, time.perf_counter()]
     check_models(models, table, len(names))
     model = models[0]

@@ -1,9 +1,10 @@
 """Densification as sampling: dead Gaussians move to where opaque ones are (3DGS-MCMC).
 
-Kheradmand et al. 2024. A Gaussian that is copied becomes fainter and smaller, so that it and its
-copies, here side by side, look as it did; noise in proportion to transparency lets Gaussians
-explore. The paper copies in proportion to opacity; here also to a score of positional gradients
-(`take_scores`), by which 3DGS finds where Gaussians are too few (Kerbl et al. 2023).
+Kheradmand et al. 2024. A Gaussian that is copied becomes smaller and, unless it is opaque, fainter,
+so that it and its copies, here side by side, look about as it did; noise in proportion to
+transparency lets Gaussians explore. The paper copies in proportion to opacity; here also to a score
+of positional gradients (`take_scores`), by which 3DGS finds where Gaussians are too few (Kerbl et
+al. 2023).
 """
 
 from collections.abc import Callable
@@ -36,9 +37,9 @@ from stylesplat.training.config import TrainConfig, means_decay
 
 DEAD_OPACITY = 0.005
 MAX_COPIES = 51  # of one Gaussian at a time (official)
-# Deviation of a Gaussian and its copies along its longest axis, in its own (official: 0). Two of
-# them are as far apart as leaves no dip between them
-SPREAD = 0.5**0.5
+# Deviation of a Gaussian and its copies along its longest axis, in its own (official: 0). Two faint
+# ones are as far apart as leaves no dip between them
+COPY_SPREAD = 0.5**0.5
 MAX_OPACITY = 1 - 1e-6  # of a copy; its logit is finite
 # Over the extent. Official: 80 (5e5 times the rate of the means) times the extent, which is as much
 # at an extent of 8
@@ -268,10 +269,10 @@ def relocate_and_grow(
     """Move the dead Gaussians to living ones, and add copies until there are `count`, in place.
 
     Those that have run away are dead, too: no photo shows them, so none brings them back.
-    The chance of being copied is the opacity times the preference. Gaussians that were moved or
-    copied start from zero moments, side by side (`_split`). All are put in the order of their
-    places, so that those which a pixel mixes lie together in memory: a step of 300,000 takes a
-    sixth less of a processor's time.
+    The chance of being copied is the opacity times the preference. A Gaussian and its copies start
+    from zero moments and stand side by side (`_split`). All are put in the order of their places
+    before that, so that those which a pixel mixes lie together in memory: a step of 300,000 takes
+    a sixth less of a processor's time.
     """
     opacities = torch.sigmoid(params["opacities"])
     lives = (opacities > DEAD_OPACITY) & sound_rows(params)
@@ -305,11 +306,11 @@ def relocate_and_grow(
 
 
 def _split(taken: Params, rows: Int[Tensor, " N"], fresh: Bool[Tensor, " N"]) -> None:
-    """Let the fresh Gaussians of the same row look together as that row did, in place.
+    """Let the fresh Gaussians of the same row look together about as that row did, in place.
 
     They stand in a line along its longest axis, as in Deng et al. 2024, "Efficient Density Control
-    for 3D Gaussian Splatting", and are shorter by what this adds to the covariance of all. As much
-    as their area in a view is smaller they are more opaque.
+    for 3D Gaussian Splatting", and are shorter by what this adds to the covariance of all. Their
+    opacities grow as their area seen across the line shrinks.
     """
     counts = torch.bincount(rows[fresh])[rows[fresh]]
     old = taken["scales"][fresh].exp()
@@ -318,12 +319,12 @@ def _split(taken: Params, rows: Int[Tensor, " N"], fresh: Bool[Tensor, " N"]) ->
     )
     longest = torch.nn.functional.one_hot(old.argmax(dim=1), 3).bool()
     axes = rotation_matrices(taken["quats"][fresh]).mT[longest]
-    steps = SPREAD * old[longest] * _places(rows[fresh], counts)
-    taken["means"][fresh] += steps[:, None] * axes
-    shorter = (1 - SPREAD**2) ** 0.5
-    scales[longest] *= shorter
+    offsets = COPY_SPREAD * old[longest] * _places(rows[fresh], counts)
+    taken["means"][fresh] += offsets[:, None] * axes
+    shrinkage = (1 - COPY_SPREAD**2) ** 0.5
+    scales[longest] *= shrinkage
     taken["scales"][fresh] = scales.log()
-    opacities = (opacities / shorter).clamp(DEAD_OPACITY, MAX_OPACITY)
+    opacities = (opacities / shrinkage).clamp(DEAD_OPACITY, MAX_OPACITY)
     taken["opacities"][fresh] = torch.logit(opacities)
 
 
@@ -339,7 +340,7 @@ def _places(rows: Int[Tensor, " M"], counts: Int[Tensor, " M"]) -> Float[Tensor,
 def relocate(
     opacities: Float[Tensor, " M"], scales: Float[Tensor, "M 3"], copies: Int[Tensor, " M"]
 ) -> tuple[Float[Tensor, " M"], Float[Tensor, "M 3"]]:
-    """Activated opacities and scales with which so many copies look like one Gaussian.
+    """Activated opacities and scales with which so many copies at one place look like one Gaussian.
 
     Equation 9 of 3DGS-MCMC (Kheradmand et al. 2024), for at most `MAX_COPIES`. Its terms alternate
     and are large, hence float64.
