@@ -83,6 +83,13 @@ def test_copies_stand_in_a_line_and_keep_the_covariance_together():
         assert (along[:, long].sort().values.diff() > 0.5 * variances[long].sqrt() / copies).all()
 
 
+def test_copies_of_an_opaque_gaussian_are_not_more_opaque():
+    one = random_splats(1)
+    one.opacities[:] = 3.0
+    params, _ = refined(one, 2)
+    assert (params["opacities"] < 3.001).all() and (params["opacities"] > 2.0).all()
+
+
 def test_neighbours_lie_together_in_memory():
     splats = random_splats(500)
     params, _ = refined(splats, 900)

@@ -1,10 +1,9 @@
 """Densification as sampling: dead Gaussians move to where opaque ones are (3DGS-MCMC).
 
-Kheradmand et al. 2024. A Gaussian that is copied becomes smaller and, unless it is opaque, fainter,
-so that it and its copies, here side by side, look about as it did; noise in proportion to
-transparency lets Gaussians explore. The paper copies in proportion to opacity; here also to a score
-of positional gradients (`take_scores`), by which 3DGS finds where Gaussians are too few (Kerbl et
-al. 2023).
+Kheradmand et al. 2024. A Gaussian that is copied becomes smaller and no more opaque, so that it and
+its copies, here side by side, look about as it did; noise in proportion to transparency lets
+Gaussians explore. The paper copies in proportion to opacity; here also to a score of positional
+gradients (`take_scores`), by which 3DGS finds where Gaussians are too few (Kerbl et al. 2023).
 """
 
 from collections.abc import Callable
@@ -310,13 +309,12 @@ def _split(taken: Params, rows: Int[Tensor, " N"], fresh: Bool[Tensor, " N"]) ->
 
     They stand in a line along its longest axis, as in Deng et al. 2024, "Efficient Density Control
     for 3D Gaussian Splatting", and are shorter by what this adds to the covariance of all. Their
-    opacities grow as their area seen across the line shrinks.
+    opacities grow as their area seen across the line shrinks, but not above that row's: opaque ones
+    would take hundreds of steps to come back from 1.
     """
     counts = torch.bincount(rows[fresh])[rows[fresh]]
-    old = taken["scales"][fresh].exp()
-    opacities, scales = relocate(
-        torch.sigmoid(taken["opacities"][fresh]), old, counts.clamp(max=MAX_COPIES)
-    )
+    old, most = taken["scales"][fresh].exp(), torch.sigmoid(taken["opacities"][fresh])
+    opacities, scales = relocate(most, old, counts.clamp(max=MAX_COPIES))
     longest = torch.nn.functional.one_hot(old.argmax(dim=1), 3).bool()
     axes = rotation_matrices(taken["quats"][fresh]).mT[longest]
     offsets = COPY_SPREAD * old[longest] * _places(rows[fresh], counts)
@@ -324,7 +322,7 @@ def _split(taken: Params, rows: Int[Tensor, " N"], fresh: Bool[Tensor, " N"]) ->
     shrinkage = (1 - COPY_SPREAD**2) ** 0.5
     scales[longest] *= shrinkage
     taken["scales"][fresh] = scales.log()
-    opacities = (opacities / shrinkage).clamp(DEAD_OPACITY, MAX_OPACITY)
+    opacities = torch.minimum(opacities / shrinkage, most).clamp(DEAD_OPACITY, MAX_OPACITY)
     taken["opacities"][fresh] = torch.logit(opacities)
 
 
