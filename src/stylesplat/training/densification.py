@@ -312,12 +312,13 @@ def _split(taken: Params, rows: Int[Tensor, " N"], fresh: Bool[Tensor, " N"]) ->
     opacities grow as their area seen across the line shrinks, but not above that row's: opaque ones
     would take hundreds of steps to come back from 1.
     """
-    counts = torch.bincount(rows[fresh])[rows[fresh]]
+    sources = rows[fresh]
+    counts = torch.bincount(sources)[sources]
     old, most = taken["scales"][fresh].exp(), torch.sigmoid(taken["opacities"][fresh])
     opacities, scales = relocate(most, old, counts.clamp(max=MAX_COPIES))
     longest = torch.nn.functional.one_hot(old.argmax(dim=1), 3).bool()
     axes = rotation_matrices(taken["quats"][fresh]).mT[longest]
-    offsets = COPY_SPREAD * old[longest] * _places(rows[fresh], counts)
+    offsets = COPY_SPREAD * old[longest] * _places(sources, counts)
     taken["means"][fresh] += offsets[:, None] * axes
     shrinkage = (1 - COPY_SPREAD**2) ** 0.5
     scales[longest] *= shrinkage
