@@ -167,11 +167,12 @@ def test_photos_without_background(tmp_path: Path, level: int | None):
     assert prepared.left_out == {"whole.jpg": "it has a background, which most photos lack"}
 
 
-def test_a_white_backdrop_is_no_mask_where_most_photos_show_something_on_it(tmp_path: Path):
+@pytest.mark.parametrize("plain", [1, 3])
+def test_a_white_backdrop_is_no_mask_where_other_photos_show_its_edge(tmp_path: Path, plain: int):
     for index in range(5):
         photo = np.full((480, 640, 3), 255, np.uint8)
         photo[120:400, 200:440] = cv2.resize(view(index * 24), (240, 280))
-        if index:
+        if index >= plain:
             photo[468:] = photo[:, :8] = 40  # where the backdrop ends
         save(tmp_path / "in" / f"{index}.png", photo)
     prepared = prepare(tmp_path / "in", tmp_path / "out")

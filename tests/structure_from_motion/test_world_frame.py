@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from stylesplat.scene.cameras import Cameras, look_at
+from stylesplat.scene.cameras import Cameras, look_at, up_vector
 from stylesplat.scene.frames import Frame, move_cameras
 from stylesplat.structure_from_motion.world_frame import find_centre, working_frame
 
@@ -66,6 +66,17 @@ def table(count: int = 1500) -> Tensor:
 def test_up_is_what_hands_agree_on():
     around = walk(0, 350, 30)  # rolls of 3 degrees in 30 photos leave half a degree
     assert degrees(up_of(working_frame(around, NOTHING)), UP) < 2
+
+
+@pytest.mark.parametrize("quarters", [1, 3])
+def test_photos_on_their_side_were_taken_around_something_not_over_and_under_it(quarters: int):
+    upright, turn = walk(0, 300, 20), torch.eye(4)
+    turn[:2, :2] = torch.matrix_power(torch.tensor([[0.0, -1.0], [1.0, 0.0]]), quarters)
+    sideways = replace(upright, viewmats=turn @ upright.viewmats)
+    assert degrees(up_of(working_frame(sideways, NOTHING)), UP) < 2
+    assert degrees(up_vector(sideways), UP) < 2, "as for views of a capture from elsewhere"
+    over = sideways[:8]  # through 110 degrees, which may lead over it
+    assert degrees(up_of(working_frame(over, NOTHING)), UP) > 60
 
 
 def test_centre_scale_and_heading():

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 
+MOSTLY_SIDEWAYS = 2 / 3  # of the squares of x axes along one direction: .5 on a level circle
+WALKED_OVER = math.radians(225)  # of views, in a plane: over something and beneath it
 UP_RIDGE = 0.01  # weight of the cameras' mean up axis against their x axes
 # Mean squared sine between view axes (about 2 degrees) below which they never meet
 CAMERA_PARALLEL = 1e-3
@@ -198,11 +200,30 @@ def focus_point(cameras: Cameras) -> Float[Tensor, "3"]:
 def up_vector(cameras: Cameras) -> Float[Tensor, "3"]:
     """The up direction: perpendicular to the cameras' x axes, on the side of their mean up.
 
-    Photos are hardly ever rolled but often look down, so that the x axes are more reliable.
+    Photos are hardly ever rolled but often look down, so that the x axes are more reliable. Where
+    they lie on their side (`side_up`), it is perpendicular to the y axes.
     """
     rights, tops = cameras.viewmats[:, 0, :3].double(), -cameras.viewmats[:, 1, :3].double()
+    if (side := side_up(cameras)) is not None:
+        rights, tops = tops, side[None]
     matrix = rights.T @ rights / len(cameras) + UP_RIDGE * torch.eye(3).double()
     return torch.nn.functional.normalize(torch.linalg.solve(matrix, tops.mean(dim=0)), dim=0)
+
+
+def side_up(cameras: Cameras) -> Float[Tensor, "3"] | None:
+    """About up, if photos lie on their side, as those of a phone without EXIF orientation.
+
+    Nobody walks over the top of something and on beneath it: views that turn about their own x axes
+    through more than `WALKED_OVER` were taken around it. Photos look down rather than up.
+    """
+    rights, views = (cameras.viewmats[:, row, :3].double() for row in (0, 2))
+    shares, axes = torch.linalg.eigh(rights.T @ rights / len(cameras))
+    side = axes[:, -1]
+    angles = torch.atan2(views @ axes[:, 0], views @ axes[:, 1]).sort().values
+    gaps = torch.cat([angles, angles[:1] + 2 * torch.pi]).diff()
+    if shares[-1] < MOSTLY_SIDEWAYS or gaps.max() > 2 * torch.pi - WALKED_OVER:
+        return None
+    return -side if (views @ side).mean() > 0 else side
 
 
 def look_at(

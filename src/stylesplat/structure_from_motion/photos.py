@@ -136,6 +136,9 @@ def map_photos(
 
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
+# Share of photos that are left out if they show the edge of a backdrop which fills the others; of
+# more, that is where the object was photographed, and nobody masked it
+MAX_STRAYS = 0.1
 MAX_MASKED = 0.5  # share of photos without background; with more the user masked them on purpose
 # Numbers from the first to the last photo, per photo; with more it is no series
 PHOTO_MAX_NUMBERS = 4
@@ -268,12 +271,13 @@ def select_photos(source: Path, files: SourceFiles) -> PreparedPhotos:
     left_out = {**files.left_out, **dict.fromkeys(files.videos, "a video among photos")}
     photos = _measure(source, files.photos, left_out)
     masked = {photo.name for photo in photos if lacks_background(photo.small)}
+    rooms = [photo.small for photo in photos if photo.name not in masked]
+    if len(rooms) > MAX_STRAYS * len(photos):
+        masked -= {p.name for p in photos if p.name in masked and shares_backdrop(p.small, rooms)}
     if cut_outs := len(masked) > MAX_MASKED * len(photos):
         others = {photo.name for photo in photos} - masked
         left_out |= dict.fromkeys(others, "it has a background, which most photos lack")
     else:
-        rooms = [photo.small for photo in photos if photo.name not in masked]
-        masked -= {p.name for p in photos if p.name in masked and shares_backdrop(p.small, rooms)}
         left_out |= dict.fromkeys(masked, "its background is transparent or of one colour")
     photos = [photo for photo in photos if photo.name not in left_out]
     series = is_series([photo.name for photo in photos])
