@@ -79,6 +79,25 @@ def test_photos_on_their_side_were_taken_around_something_not_over_and_under_it(
     assert degrees(up_of(working_frame(over, NOTHING)), UP) > 60
 
 
+def test_upright_photos_stay_upright_however_they_are_pitched():
+    generator = torch.Generator().manual_seed(0)
+    turns = torch.cat(
+        [
+            torch.randn(40, generator=generator) * 0.3,
+            torch.rand(20, generator=generator) * 2 * math.pi,
+        ]
+    )
+    places = torch.stack([3 * turns.cos(), 3 * turns.sin(), 0 * turns + 1.5], dim=1)
+    pitches = torch.rand(60, generator=generator) * 1.3 - 0.8
+    aims = 1.5 * UP + torch.tan(pitches)[:, None] * 3 * UP
+    cameras = [
+        cameras_at(place[None], aim).viewmats for place, aim in zip(places, aims, strict=True)
+    ]
+    pitched = replace(cameras_at(places, torch.zeros(3)), viewmats=torch.cat(cameras))
+    assert degrees(up_vector(pitched), UP) < 5
+    assert degrees(up_of(working_frame(pitched, NOTHING)), UP) < 5
+
+
 def test_centre_scale_and_heading():
     cameras, points = walk(-60, 60, 24), table()
     frame = working_frame(cameras, points)

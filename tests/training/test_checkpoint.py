@@ -92,7 +92,7 @@ def test_other_settings_but_those_of_memory_are_named(place: Checkpoint):
     other["color_correction"] = "on"
     other["max_seconds"] = other["max_memory"] = 1.0
     other["sh_degree"] = 2  # there is none above 3
-    other["growth_end"] = other["refine_end"] = 0.2  # nor shares above 1
+    other["growth_end"] = other["refine_end"] = other["cooldown"] = 0.1  # nor shares above 1
     for name, value in other.items():
         config = replace(place.config, **{name: value})
         save_checkpoint(replace(place, config=config), some_state())

@@ -34,6 +34,8 @@ WRONG = {
     "object_growth": (-1.0, 0.0, math.inf),
     "scatter_weight": (-0.1, NAN),
     **dict.fromkeys(("means_rate", "bands_rate", "classifier_rate"), (-1e-3, NAN, math.inf)),
+    "rate_factor": (-1e-3, NAN, math.inf),
+    "cooldown": (-0.1, 1.5, NAN),
     "photos_at_once": (0,),
     "seed": (10**30,),
 }
@@ -100,6 +102,8 @@ PAPER = {
     "identity_every": (1, f"{GROUPING}: loss_obj in every iteration"),
     "identity_stride": (1, f"{GROUPING}: loss_obj, of every pixel"),
     "means_rate": (1.6e-4, f"{GAUSSIANS}: position_lr_init"),
+    "rate_factor": (1.0, OURS),
+    "cooldown": (0.0, OURS),
     "bands_rate": (0.0025 / 20, "3D Gaussian splatting, gaussian_model.py: feature_lr / 20"),
     "classifier_rate": (5e-4, f"{GROUPING}: cls_optimizer"),
     "identity_geometry": (True, f"{GROUPING}: loss_obj reaches all tensors"),
@@ -121,7 +125,7 @@ def test_each_setting_of_the_paper_has_its_source():
 
 def test_the_rates_of_the_paper():
     extent = 3.0
-    assert learning_rates(TRAIN_PRESETS["paper"], extent) == pytest.approx(
+    assert learning_rates(TRAIN_PRESETS["paper"], extent, 0.0) == pytest.approx(
         {
             "means": extent * 1.6e-4,  # position_lr_init times spatial_lr_scale
             "sh0": 0.0025,  # feature_lr
@@ -134,8 +138,18 @@ def test_the_rates_of_the_paper():
             "bias": 5e-4,
         }
     )
-    last = learning_rates(TRAIN_PRESETS["paper"], extent * means_decay(1.0))
+    last = learning_rates(TRAIN_PRESETS["paper"], extent, 1.0)
     assert last["means"] == pytest.approx(extent * 1.6e-6), "position_lr_final"
+    assert last["sh0"] == 0.0025, "which alone decays"
+
+
+def test_rates_fall_to_nothing_in_the_last_part_of_a_run():
+    config = TrainConfig(rate_factor=3.0, cooldown=0.25, bands_rate=0.01)
+    rates = [learning_rates(config, 1.0, done) for done in (0.0, 0.75, 0.875, 1.0)]
+    assert [each["opacities"] for each in rates] == pytest.approx([0.15, 0.15, 0.075, 0])
+    assert [each["shN"] for each in rates] == pytest.approx([0.01, 0.01, 0.005, 0])
+    assert rates[0]["identities"] == 0.0025 and rates[0]["weight"] == config.classifier_rate
+    assert rates[2]["means"] == pytest.approx(config.means_rate * means_decay(0.875) / 2)
 
 
 SHARES = [i / 100 for i in range(101)]

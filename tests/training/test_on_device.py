@@ -16,7 +16,12 @@ from stylesplat.training.state import State
 from stylesplat.training.step import train_step
 
 CONFIG = TrainConfig(
-    steps=30, max_gaussians=200, refine_every=10, identity_every=1, color_correction="on"
+    steps=30,
+    max_gaussians=200,
+    refine_every=10,
+    identity_every=1,
+    color_correction="on",
+    rate_factor=1.0,  # with large steps rounding decides sooner where copies go
 )
 
 

@@ -13,6 +13,7 @@ from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 
 MOSTLY_SIDEWAYS = 2 / 3  # of the squares of x axes along one direction: .5 on a level circle
 WALKED_OVER = math.radians(225)  # of views, in a plane: over something and beneath it
+UPRIGHT = 0.5  # length of the mean y axis: .8 to 1 of photos held upright, .48 at most of others
 UP_RIDGE = 0.01  # weight of the cameras' mean up axis against their x axes
 # Mean squared sine between view axes (about 2 degrees) below which they never meet
 CAMERA_PARALLEL = 1e-3
@@ -203,25 +204,38 @@ def up_vector(cameras: Cameras) -> Float[Tensor, "3"]:
     Photos are hardly ever rolled but often look down, so that the x axes are more reliable. Where
     they lie on their side (`side_up`), it is perpendicular to the y axes.
     """
-    rights, tops = cameras.viewmats[:, 0, :3].double(), -cameras.viewmats[:, 1, :3].double()
-    if (side := side_up(cameras)) is not None:
-        rights, tops = tops, side[None]
-    matrix = rights.T @ rights / len(cameras) + UP_RIDGE * torch.eye(3).double()
-    return torch.nn.functional.normalize(torch.linalg.solve(matrix, tops.mean(dim=0)), dim=0)
+    rights, downs = cameras.viewmats[:, 0, :3].double(), cameras.viewmats[:, 1, :3].double()
+    side = side_up(cameras)
+    return _up_across(rights, -downs.mean(dim=0)) if side is None else _up_across(downs, side)
+
+
+def upright_up(cameras: Cameras) -> Float[Tensor, "3"]:
+    """The up direction of photos that do not lie on their side."""
+    return _up_across(
+        cameras.viewmats[:, 0, :3].double(), -cameras.viewmats[:, 1, :3].double().mean(dim=0)
+    )
+
+
+def _up_across(level: Float[Tensor, "C 3"], top: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
+    """The direction nearest to `top` that is about perpendicular to level axes."""
+    matrix = level.T @ level / len(level) + UP_RIDGE * torch.eye(3).double()
+    return torch.nn.functional.normalize(torch.linalg.solve(matrix, top), dim=0)
 
 
 def side_up(cameras: Cameras) -> Float[Tensor, "3"] | None:
-    """About up, if photos lie on their side, as those of a phone without EXIF orientation.
+    """The approximate up direction where photos lie on their side, as without EXIF orientation.
 
-    Nobody walks over the top of something and on beneath it: views that turn about their own x axes
-    through more than `WALKED_OVER` were taken around it. Photos look down rather than up.
+    None where they do not. Nobody walks over the top of something and on beneath it: views that
+    turn about their own x axes through more than `WALKED_OVER`, with tops that agree on nothing,
+    were taken around it. Photos look down rather than up.
     """
-    rights, views = (cameras.viewmats[:, row, :3].double() for row in (0, 2))
+    rights, downs, views = cameras.viewmats[:, :3, :3].double().unbind(dim=1)
     shares, axes = torch.linalg.eigh(rights.T @ rights / len(cameras))
     side = axes[:, -1]
     angles = torch.atan2(views @ axes[:, 0], views @ axes[:, 1]).sort().values
     gaps = torch.cat([angles, angles[:1] + 2 * torch.pi]).diff()
-    if shares[-1] < MOSTLY_SIDEWAYS or gaps.max() > 2 * torch.pi - WALKED_OVER:
+    is_upright = shares[-1] < MOSTLY_SIDEWAYS or downs.mean(dim=0).norm() > UPRIGHT
+    if is_upright or gaps.max() > 2 * torch.pi - WALKED_OVER:
         return None
     return -side if (views @ side).mean() > 0 else side
 

@@ -99,9 +99,17 @@ class TrainConfig(Config):
     identity_stride: Annotated[int, COUNT] = 3
     """The identity loss samples every n-th pixel along x and y, from a random offset."""
     means_rate: Annotated[float, RATE] = 9.6e-4
-    """First learning rate of the means, over the scene's extent; it falls to a hundredth."""
-    bands_rate: Annotated[float, RATE] = 5e-4
+    """First learning rate of the means, over the scene's extent; it falls to a hundredth
+    but for the cooldown."""
+    bands_rate: Annotated[float, RATE] = 1e-3
     """Learning rate of the higher colour bands."""
+    rate_factor: Annotated[float, RATE] = 2.0
+    """Factor on the learning rates of rotations, sizes, opacities and the constant band of colour.
+
+    3DGS's, which are for runs of 30,000 steps, have the factor 1.
+    """
+    cooldown: Annotated[float, Option(0, 1, research=True)] = 0.2
+    """Share of the run at its end over which the learning rates of Gaussians fall to 0."""
     classifier_rate: Annotated[float, RATE] = 2.5e-3
     """Learning rate of the classifier."""
     identity_geometry: Annotated[bool, RESEARCH] = False
@@ -154,6 +162,8 @@ TRAIN_PRESETS = {
         identity_stride=1,
         means_rate=1.6e-4,
         bands_rate=1.25e-4,
+        rate_factor=1.0,
+        cooldown=0.0,
         classifier_rate=5e-4,
         identity_geometry=True,
         color_correction="off",

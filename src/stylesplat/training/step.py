@@ -40,7 +40,8 @@ from stylesplat.training.views import VIEW_AHEAD
 
 # The official code's learning rates; those of the means, the higher colour bands and the
 # classifier are settings.
-STEP_RATES = {"quats": 1e-3, "scales": 5e-3, "opacities": 5e-2, "sh0": 2.5e-3, "identities": 2.5e-3}
+STEP_RATES = {"quats": 1e-3, "scales": 5e-3, "opacities": 5e-2, "sh0": 2.5e-3}
+IDENTITY_RATE = 2.5e-3
 NEIGHBOR_EVERY = 5  # identity steps between uses of the 3D loss (Gaussian Grouping)
 NEIGHBOR_SAMPLES = 1000
 STEP_NEIGHBORS = 5
@@ -210,7 +211,7 @@ def apply_gradients(run: TrainingRun, photos: Sequence[PhotoGradients]) -> None:
     updates = [
         AdamUpdate(
             {name: param for name, param in each.state.params.items() if name not in PER_PHOTO},
-            learning_rates(run.config, _means_unit(run, each.state)),
+            learning_rates(run.config, run.extent, run.progress(each.state)),
             each.state.step + each.photos,
             each.visible,
         )
@@ -222,14 +223,15 @@ def apply_gradients(run: TrainingRun, photos: Sequence[PhotoGradients]) -> None:
             per_photo.step_photo(run, replace(each.state, step=step))
 
 
-def _means_unit(run: TrainingRun, state: State) -> float:
-    return run.extent * means_decay(run.progress(state))
-
-
-def learning_rates(config: TrainConfig, unit: float) -> dict[str, float]:
-    """The learning rate of each tensor; `unit` is of length and decays."""
-    classifier = dict.fromkeys(CLASSIFIER, config.classifier_rate)
-    return STEP_RATES | classifier | {"means": config.means_rate * unit, "shN": config.bands_rate}
+def learning_rates(config: TrainConfig, extent: float, progress: float) -> dict[str, float]:
+    """The learning rate of each tensor at this share of the run."""
+    rates = {name: config.rate_factor * rate for name, rate in STEP_RATES.items()}
+    rates |= {"means": config.means_rate * extent * means_decay(progress)}
+    rates |= {"shN": config.bands_rate, "identities": IDENTITY_RATE}
+    rates |= dict.fromkeys(CLASSIFIER, config.classifier_rate)
+    remaining = 1 - progress
+    factor = remaining / config.cooldown if remaining < config.cooldown else 1.0
+    return {name: factor * rate for name, rate in rates.items()}
 
 
 def densify(run: TrainingRun, state: State, photos: Sequence[PhotoGradients]) -> State:
@@ -240,7 +242,7 @@ def densify(run: TrainingRun, state: State, photos: Sequence[PhotoGradients]) ->
         info = each.info | _run_info(run, each.state)
         info |= {"photos": each.photos, "round": range(state.step, end), "visible": each.visible}
         info["means_grad"] = each.state.params["means"].grad
-        rates = learning_rates(run.config, _means_unit(run, each.state))
+        rates = learning_rates(run.config, run.extent, run.progress(each.state))
         rate = supported_kwargs(after, lr=rates["means"])
         after(*gaussians, state.strategy_state, each.state.step, info, **rate)
     return replace(state.with_gaussians(*gaussians), step=end)
