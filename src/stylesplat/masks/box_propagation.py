@@ -45,12 +45,14 @@ BOX_WEIGHT = 2.0  # of the IoU with a box, which a person drew, beside that with
 MOSTLY = 0.5  # share of a Gaussian's pixels in masks, from which they show it
 
 
-BoxMasks = Mapping[int, Mask]
+ViewMask = Bool[Tensor, "_ _"]
+"""A mask in one of several views, whose sizes may differ."""
+BoxMasks = Mapping[int, ViewMask]
 """By row of a view what is inside of the box there."""
 
 
 def pick_in_boxes(
-    splats: Splats, cameras: Cameras, boxes: BoxMasks, cuts: Mapping[int, Mask]
+    splats: Splats, cameras: Cameras, boxes: BoxMasks, cuts: Mapping[int, ViewMask]
 ) -> tuple[Bool[Tensor, " N"], float]:
     """The Gaussians of an object that boxes hold, as GrabCut's `cuts` do, and how well they agree.
 
@@ -66,7 +68,7 @@ def agreement(
     splats: Splats,
     cameras: Cameras,
     boxes: BoxMasks,
-    cuts: Mapping[int, Mask],
+    cuts: Mapping[int, ViewMask],
     picked: Bool[Tensor, " N"],
 ) -> float:
     """Agreement of Gaussians with boxes and cuts, doubled if all outlines are an object's."""
@@ -79,7 +81,7 @@ def agreement(
 
 
 def _candidates(
-    splats: Splats, cameras: Cameras, boxes: BoxMasks, cuts: Mapping[int, Mask]
+    splats: Splats, cameras: Cameras, boxes: BoxMasks, cuts: Mapping[int, ViewMask]
 ) -> Iterator[Bool[Tensor, " N"]]:
     """All there is, what cuts show, completed on the surface, and what clicks into them pick.
 
@@ -178,7 +180,7 @@ class MaskVotes:
         return MaskVotes(self.rows | other.rows, self.votes + other.votes, closest)
 
 
-def lift_masks(splats: Splats, cameras: Cameras, masks: Mapping[int, Mask]) -> MaskVotes:
+def lift_masks(splats: Splats, cameras: Cameras, masks: Mapping[int, ViewMask]) -> MaskVotes:
     """The votes of masks, given by the row of their view."""
     votes = splats.means.new_zeros(len(splats), 2)
     closest = splats.means.new_zeros(len(splats))
@@ -209,10 +211,10 @@ def propagate_boxes(
     cameras: Cameras,
     images: Images,
     boxes: Sequence[tuple[int, DrawnBox]],
-    marks: Sequence[tuple[int, Mask, Mask]] = (),
+    marks: Sequence[tuple[int, ViewMask, ViewMask]] = (),
     *,
     name: str = "object",
-) -> list[Mask]:
+) -> list[ViewMask]:
     """The masks of an object in every view, from boxes around it in one or a few.
 
     GrabCut segments there. What it finds is completed and bounded on the surface of the splat,
@@ -234,7 +236,7 @@ def propagate_boxes(
     box_masks = {row: torch.from_numpy(pixels_inside(box, cameras[row].size)) for row, box in boxes}
     picked, best = pick_in_boxes(on_cpu, cameras, box_masks, known)
 
-    def agrees_better(masks: Mapping[int, Mask]) -> bool:
+    def agrees_better(masks: Mapping[int, ViewMask]) -> bool:
         lifted = lift_masks(on_cpu, cameras, masks).picked(MOSTLY)
         return agreement(on_cpu, cameras, box_masks, known, lifted) > best
 
@@ -249,17 +251,17 @@ def _spread_masks(
     splats: Splats,
     cameras: Cameras,
     images: Images,
-    cuts: Mapping[int, Mask],
+    cuts: Mapping[int, ViewMask],
     channels: Channels,
     name: str,
-) -> list[Mask]:
+) -> list[ViewMask]:
     """The masks of an object in every view, from those in some, to the nearest views first."""
     known = dict(cuts)
     others, votes = nearest_views(cameras, [*known]), lift_masks(splats, cameras, known)
     rounds = 1 + SETTLING_ROUNDS
     with task(f"spreading the mask of {name!r}", rounds * len(others), unit="view") as bar:
 
-        def refine_views(rows: Sequence[int]) -> dict[int, Mask]:
+        def refine_views(rows: Sequence[int]) -> dict[int, ViewMask]:
             return _refine_views(splats, cameras, images, votes, rows, channels, bar.advance)
 
         start = 0
@@ -281,13 +283,13 @@ def _spread_masks(
 
 def _masks_at_edges(
     splats: Splats, cameras: Cameras, images: Images, picked: Bool[Tensor, " N"], name: str
-) -> list[Mask]:
+) -> list[ViewMask]:
     """The masks of picked Gaussians, whose contours lie at edges of photos.
 
     Masks are lifted, so that views agree on them, rendered, and their contours moved again, until
     they stay. In several rounds thin legs grow to their ends.
     """
-    rows, masks = range(len(cameras)), list[Mask]()
+    rows, masks = range(len(cameras)), list[ViewMask]()
     steps = CONTOUR_ROUNDS * len(rows)
     with task(f"moving contours of {name!r} to edges", steps, unit="view") as bar:
 
@@ -310,8 +312,8 @@ def _masks_at_edges(
 
 @torch.no_grad()
 def propagate_marks(
-    splats: Splats, cameras: Cameras, marks: Sequence[tuple[int, Mask, Mask]]
-) -> list[tuple[Mask, Mask]]:
+    splats: Splats, cameras: Cameras, marks: Sequence[tuple[int, ViewMask, ViewMask]]
+) -> list[tuple[ViewMask, ViewMask]]:
     """The pixels of every view that belong to an object, and that do not, from those of some.
 
     What lies mostly within a mark there is marked in all views. A line names the views with a mark
@@ -330,7 +332,7 @@ def propagate_marks(
                     f"No Gaussian lies mostly within a mark in {cameras.names[row]}, so the mark "
                     "changes that photo alone. Mark more around it."
                 )
-    views = list[tuple[Mask, Mask]]()
+    views = list[tuple[ViewMask, ViewMask]]()
     for camera in cameras:
         kept, dropped = (composite(splats, camera, is_marked) > COVERED).cpu().unbind(dim=2)
         views.append((kept, dropped))
@@ -357,9 +359,9 @@ def _refine_views(
     rows: Sequence[int],
     channels: Channels,
     advance: Callable[[int], None],
-) -> dict[int, Mask]:
+) -> dict[int, ViewMask]:
     """The masks in some views; GrabCut, which takes longest, runs in several at a time."""
-    found: dict[int, Mask] = {}
+    found: dict[int, ViewMask] = {}
     threads = torch.get_num_threads()
     with ThreadPoolExecutor(threads) as pool:
         for start in range(0, len(rows), threads):
