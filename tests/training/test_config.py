@@ -140,10 +140,10 @@ def test_the_rates_of_the_paper():
     )
     last = learning_rates(TRAIN_PRESETS["paper"], extent, 1.0)
     assert last["means"] == pytest.approx(extent * 1.6e-6), "position_lr_final"
-    assert last["sh0"] == 0.0025, "which alone decays"
+    assert last["sh0"] == 0.0025, "only the rate of the means decays"
 
 
-def test_rates_fall_to_nothing_in_the_last_part_of_a_run():
+def test_rates_fall_to_0_in_the_last_part_of_a_run():
     config = TrainConfig(rate_factor=3.0, cooldown=0.25, bands_rate=0.01)
     rates = [learning_rates(config, 1.0, done) for done in (0.0, 0.75, 0.875, 1.0)]
     assert [each["opacities"] for each in rates] == pytest.approx([0.15, 0.15, 0.075, 0])

@@ -14,7 +14,7 @@ from stylesplat.errors import StyleSplatError, count_noun, join_names, noun_repr
 MOSTLY_SIDEWAYS = 2 / 3  # of the squares of x axes along one direction: .5 on a level circle
 WALKED_OVER = math.radians(225)  # of views, in a plane: over something and beneath it
 UPRIGHT = 0.5  # length of the mean y axis: .8 to 1 of photos held upright, .48 at most of others
-UP_RIDGE = 0.01  # weight of the cameras' mean up axis against their x axes
+UP_RIDGE = 0.01  # weight of the cameras' mean up axis against their level axes
 # Mean squared sine between view axes (about 2 degrees) below which they never meet
 CAMERA_PARALLEL = 1e-3
 ROTATION_TOLERANCE = 1e-3  # of an entry of R R^T; files round poses to six digits or so
@@ -199,35 +199,26 @@ def focus_point(cameras: Cameras) -> Float[Tensor, "3"]:
 
 
 def up_vector(cameras: Cameras) -> Float[Tensor, "3"]:
-    """The up direction: perpendicular to the cameras' x axes, on the side of their mean up.
-
-    Photos are hardly ever rolled but often look down, so that the x axes are more reliable. Where
-    they lie on their side (`side_up`), it is perpendicular to the y axes.
-    """
-    rights, downs = cameras.viewmats[:, 0, :3].double(), cameras.viewmats[:, 1, :3].double()
-    side = side_up(cameras)
-    return _up_across(rights, -downs.mean(dim=0)) if side is None else _up_across(downs, side)
+    """The up direction, whether photos were held upright or lie on their side."""
+    up = side_up(cameras)
+    return upright_up(cameras) if up is None else up
 
 
 def upright_up(cameras: Cameras) -> Float[Tensor, "3"]:
-    """The up direction of photos that do not lie on their side."""
-    return _up_across(
-        cameras.viewmats[:, 0, :3].double(), -cameras.viewmats[:, 1, :3].double().mean(dim=0)
-    )
+    """The up direction of upright photos: across the cameras' x axes, on the side of their mean up.
 
-
-def _up_across(level: Float[Tensor, "C 3"], top: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
-    """The direction nearest to `top` that is about perpendicular to level axes."""
-    matrix = level.T @ level / len(level) + UP_RIDGE * torch.eye(3).double()
-    return torch.nn.functional.normalize(torch.linalg.solve(matrix, top), dim=0)
+    Photos are hardly ever rolled but often look down, so that the x axes are more reliable.
+    """
+    rights, downs = cameras.viewmats[:, 0, :3].double(), cameras.viewmats[:, 1, :3].double()
+    return _up_across(rights, -downs.mean(dim=0))
 
 
 def side_up(cameras: Cameras) -> Float[Tensor, "3"] | None:
-    """The approximate up direction where photos lie on their side, as without EXIF orientation.
+    """The up direction where photos lie on their side, as without EXIF orientation, else None.
 
-    None where they do not. Nobody walks over the top of something and on beneath it: views that
-    turn about their own x axes through more than `WALKED_OVER`, with tops that agree on nothing,
-    were taken around it. Photos look down rather than up.
+    Nobody walks over the top of something and on beneath it: views that turn about their own x axes
+    through more than `WALKED_OVER`, while the photos' upper edges point all ways, were taken around
+    it. Up is across the y axes then; photos look down rather than up.
     """
     rights, downs, views = cameras.viewmats[:, :3, :3].double().unbind(dim=1)
     shares, axes = torch.linalg.eigh(rights.T @ rights / len(cameras))
@@ -237,7 +228,13 @@ def side_up(cameras: Cameras) -> Float[Tensor, "3"] | None:
     is_upright = shares[-1] < MOSTLY_SIDEWAYS or downs.mean(dim=0).norm() > UPRIGHT
     if is_upright or gaps.max() > 2 * torch.pi - WALKED_OVER:
         return None
-    return -side if (views @ side).mean() > 0 else side
+    return _up_across(downs, -side if (views @ side).mean() > 0 else side)
+
+
+def _up_across(level: Float[Tensor, "C 3"], top: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
+    """The direction about perpendicular to axes that are level, on the side of `top`."""
+    matrix = level.T @ level / len(level) + UP_RIDGE * torch.eye(3).double()
+    return torch.nn.functional.normalize(torch.linalg.solve(matrix, top), dim=0)
 
 
 def look_at(

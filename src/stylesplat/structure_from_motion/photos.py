@@ -136,8 +136,8 @@ def map_photos(
 
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
-# Share of photos that show the edge of a backdrop which fills the others: with more, nobody masked
-# the others (.3 of the temple of Middlebury's ring), with fewer, the edge is an oversight
+# Share of photos that show a backdrop's edge. With more, nobody masked the others, which it fills
+# (.3 of Middlebury's temple ring); with fewer, those with the edge are left out
 MAX_STRAYS = 0.25
 MAX_MASKED = 0.5  # share of photos without background; with more the user masked them on purpose
 # Numbers from the first to the last photo, per photo; with more it is no series

@@ -15,7 +15,7 @@ from stylesplat.imaging.color import photo_gains
 from stylesplat.io.captures.colmap import posed_images, viewmats_of
 from stylesplat.photo_libraries import cv2, pycolmap
 from stylesplat.progress import track
-from stylesplat.scene.cameras import Cameras, focus_point, side_up, up_vector, upright_up
+from stylesplat.scene.cameras import Cameras, focus_point, side_up, upright_up
 from stylesplat.scene.capture import Capture, at_most
 from stylesplat.scene.frames import Frame
 from stylesplat.scene.projection import depths_of, is_in_image
@@ -74,8 +74,8 @@ def working_frame(cameras: Cameras, points: Float[Tensor, "M 3"]) -> Frame:
 
 def camera_up(cameras: Cameras) -> Float[Tensor, "3"]:
     """The direction that is up for most cameras, without those that are rolled."""
-    if side_up(cameras) is not None:
-        return up_vector(cameras)
+    if (up := side_up(cameras)) is not None:
+        return up
     up = upright_up(cameras)
     rows = list(range(len(cameras)))
     for _ in range(WORLD_ROUNDS):

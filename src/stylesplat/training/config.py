@@ -99,8 +99,10 @@ class TrainConfig(Config):
     identity_stride: Annotated[int, COUNT] = 3
     """The identity loss samples every n-th pixel along x and y, from a random offset."""
     means_rate: Annotated[float, RATE] = 9.6e-4
-    """First learning rate of the means, over the scene's extent; it falls to a hundredth
-    but for the cooldown."""
+    """First learning rate of the means, over the scene's extent.
+
+    It falls to a hundredth in the course of the run, times what the cooldown leaves.
+    """
     bands_rate: Annotated[float, RATE] = 1e-3
     """Learning rate of the higher colour bands."""
     rate_factor: Annotated[float, RATE] = 2.0
@@ -142,7 +144,7 @@ class TrainConfig(Config):
 
 
 def means_decay(progress: float) -> float:
-    """Factor on the learning rate of the means and on their noise."""
+    """Factor on the learning rate of the means, beside the cooldown's, and on their noise."""
     return MEANS_DECAY**progress
 
 
